@@ -1,0 +1,35 @@
+# `make demo` and `make test` do everything on a machine with git, make and Python 3.11.
+# PyBullet ships wheels up to CPython 3.11 and needs a C++ compiler on newer ones, so 3.11 is asked for first.
+PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do \
+	command -v $$p >/dev/null 2>&1 && $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: demo test test-all bench check clean
+
+demo: .venv/installed
+	$(BIN)/ideal-robot run line --out out/line
+
+test: .venv/installed check
+	$(BIN)/pytest -n 2
+
+test-all: .venv/installed check
+	$(BIN)/pytest -n 2 -m ""
+
+bench: .venv/installed
+	for b in benchmarks/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+
+check: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+.venv/installed: pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "ideal-robot needs Python 3.11 (python3.11 on the PATH; on newer ones also a C++ compiler for PyBullet): none was found."; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,view,cluster]'
+	touch $@
+
+clean:
+	rm -rf .venv out build *.egg-info

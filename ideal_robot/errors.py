@@ -1,0 +1,47 @@
+"""The errors of the package: one root, bad input apart from failures while running."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class IdealRobotError(Exception):
+    """Root of all errors raised on purpose; the command line turns it into one line and exit code 1."""
+
+
+class InputError(IdealRobotError):
+    """Something the user gave cannot be used; the command line turns it into one line and exit code 2.
+
+    Args:
+        message: what was found and what was expected, including the remedy.
+        file: the file it was found in, if any.
+        field: the key, column or option it was found in, if any.
+        value: the offending value, if it is short enough to show.
+    """
+
+    def __init__(
+        self, message: str, *, file: str | Path | None = None, field: str | None = None, value: object = None
+    ) -> None:
+        self.message = message
+        self.file = None if file is None else Path(file)
+        self.field = field
+        self.value = value
+        where = ": ".join(str(part) for part in (file, field) if part is not None)
+        shown = "" if value is None else f" (got {value!r})"
+        super().__init__(f"{where}: {message}{shown}" if where else f"{message}{shown}")
+
+
+class LimitError(IdealRobotError):
+    """A command would leave a limit of the robot.
+
+    Args:
+        joint: joint counted from 1, or 0 where the whole arm is meant.
+        quantity: what is limited, with unit, e.g. ``"velocity [rad/s]"``.
+        value: the value asked for.
+        limit: the limit it would leave.
+        remedy: what the user can do.
+    """
+
+    def __init__(self, joint: int, quantity: str, value: float, limit: float, remedy: str) -> None:
+        self.joint, self.quantity, self.value, self.limit, self.remedy = joint, quantity, value, limit, remedy
+        super().__init__(f"joint {joint}: {quantity} {value:.4g} is outside the limit {limit:.4g}; {remedy}")

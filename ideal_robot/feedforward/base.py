@@ -1,0 +1,41 @@
+"""The seam of all corrections of the commanded path: desired positions over a horizon in, one command out."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+from ideal_robot.interface import Array
+
+
+class Feedforward(ABC):
+    """Turns desired joint positions over a horizon into the position commanded now ([L] 2.2).
+
+    State is passed explicitly: ``init`` makes it, ``step`` returns the next one, the object itself never changes.
+
+    Attributes:
+        n_d: number of desired positions the law wants, current one included.
+        t_ipo: the cycle it was made for [s].
+    """
+
+    n_d: int
+    t_ipo: float
+
+    @abstractmethod
+    def init(self, q0: Array) -> Any:
+        """State of an arm at rest at ``q0 (n,)`` [rad]."""
+
+    @abstractmethod
+    def step(self, state: Any, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Any]:
+        """One interpolation cycle.
+
+        Args:
+            state: what the last ``step`` or ``init`` returned.
+            q_d: desired arm positions ``q_d(k) … q_d(k + n_d - 1)``, shape ``(n_d, n)`` [rad]; row 0 is where the
+                *arm* shall be at the instant at which this command is handed over.
+            tau_ext_d: expected joint torques of contact over the same horizon ``(n_d, n)`` [N m], positive where they
+                act on the arm; None for none ([L] 2.2).
+
+        Returns:
+            ``q_c (n,)`` [rad] and the next state.
+        """

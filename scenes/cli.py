@@ -1,0 +1,61 @@
+"""The command line: one verb a job, one file a verb in ``scenes/commands``."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+# The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import typer
+
+from ideal_robot.errors import IdealRobotError, InputError
+
+VERBS = {
+    "run": "run",
+    "compare": "compare",
+    "sweep": "sweep",
+    "identify": "identify",
+    "plan-identification": "plan_identification",
+    "stiffness": "stiffness",
+    "diagnose": "diagnose",
+    "close-loop": "close_loop",
+    "precorrect": "precorrect",
+    "rsi": "rsi",
+    "view": "view",
+}
+"""Verb on the command line → module in ``scenes/commands`` whose function ``command`` it calls."""
+
+app = typer.Typer(
+    name="ideal-robot",
+    help="Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+)
+
+
+def _register() -> None:
+    for verb, module in VERBS.items():
+        app.command(verb)(importlib.import_module(f"scenes.commands.{module}").command)
+
+
+def main() -> None:
+    """Entry point: exit code 0 done, 1 the job failed, 2 bad input, each with one clear line."""
+    _register()
+    try:
+        app()
+    except InputError as error:
+        print(f"ideal-robot: {error}", file=sys.stderr)
+        sys.exit(2)
+    except IdealRobotError as error:
+        print(f"ideal-robot: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""A self-contained HTML page made of sections, and the same content as JSON."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import math
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jinja2
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass
+class Report:
+    """Collects headings, sentences, key figures, tables and pictures in reading order, then writes one HTML file.
+
+    Args:
+        title: what was done, in a few words.
+        summary: one or two sentences that say the result; shown under the title.
+    """
+
+    title: str
+    summary: str = ""
+    _blocks: list[dict[str, Any]] = field(default_factory=list)
+
+    def heading(self, text: str) -> None:
+        """Starts a section."""
+        self._blocks.append({"kind": "heading", "text": text})
+
+    def text(self, text: str) -> None:
+        """A paragraph of plain text."""
+        self._blocks.append({"kind": "text", "text": text})
+
+    def warning(self, text: str) -> None:
+        """A paragraph that must not be overlooked."""
+        self._blocks.append({"kind": "warning", "text": text})
+
+    def figures(self, items: list[tuple[str, str]]) -> None:
+        """Key figures as tiles: ``[(label, value with unit), …]``."""
+        self._blocks.append({"kind": "figures", "cells": items})
+
+    def table(self, columns: list[str], rows: list[list[Any]], caption: str = "") -> None:
+        """A table; numbers are shown with four significant digits and aligned right."""
+        shown = [[{"text": _shown(cell), "number": isinstance(cell, (int, float, np.number))} for cell in row]
+                 for row in rows]
+        self._blocks.append({"kind": "table", "columns": columns, "rows": shown, "caption": caption, "raw": rows})
+
+    def figure(self, figure: Figure, caption: str = "") -> None:
+        """A matplotlib figure, embedded as PNG, with the sentence that says what to see in it."""
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight")
+        self.image(buffer.getvalue(), caption)
+
+    def image(self, png: bytes, caption: str = "") -> None:
+        """A PNG image given as bytes."""
+        data = base64.b64encode(png).decode("ascii")
+        self._blocks.append({"kind": "image", "data": data, "caption": caption})
+
+    def write(self, path: str | Path) -> Path:
+        """Writes the page to ``path`` (parents are made) and returns it."""
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        template = resources.files("scenes").joinpath("templates/report.html").read_text(encoding="utf-8")
+        environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
+        path.write_text(environment.from_string(template).render(title=self.title, summary=self.summary,
+                                                                 blocks=self._blocks), encoding="utf-8")
+        return path
+
+
+def write_json(path: str | Path, content: dict[str, Any]) -> Path:
+    """Writes ``content`` as strict JSON (NumPy values converted, NaN and infinities as null) and returns the path."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(plain(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return path
+
+
+def plain(value: Any) -> Any:
+    """``value`` made of plain Python types only, as JSON needs them."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (np.bool_, bool)):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def _shown(cell: Any) -> str:
+    if isinstance(cell, (bool, np.bool_)):
+        return "yes" if cell else "no"
+    if isinstance(cell, (float, np.floating)):
+        return f"{cell:.4g}" if math.isfinite(cell) else "–"
+    return "–" if cell is None else str(cell)

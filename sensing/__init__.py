@@ -1,0 +1,1 @@
+"""From raw sensor values to a positional deviation with its covariance."""
