@@ -1,0 +1,65 @@
+"""What the verbs share: applying options to a scene, the progress bar, tables, and how a run is closed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ideal_robot.errors import InputError
+from scenes import result
+from scenes.scene import Scene
+
+
+def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None) -> Scene:
+    """The scene with the options given on the command line in place of its own values."""
+    changes: dict[str, Any] = {}
+    if speed is not None:
+        if "speed" not in type(scene).model_fields:
+            raise InputError(f"scenes of kind {scene.kind!r} have no speed", field="--speed", value=speed)
+        if not (math.isfinite(speed) and speed > 0):
+            raise InputError("expected a positive number [m/s]", field="--speed", value=speed)
+        changes["speed"] = speed
+    if seed is not None:
+        changes["seed"] = seed
+    return scene.changed(**changes) if changes else scene
+
+
+@contextmanager
+def progress_bar(title: str) -> Iterator[result.Progress]:
+    """A bar on standard error while the block runs; yields the function that moves it."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+               TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=1.0)
+
+        def move(fraction: float, text: str) -> None:
+            bar.update(task, completed=min(max(fraction, 0.0), 1.0), description=f"{title}: {text}" if text else title)
+
+        yield move
+
+
+def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
+    """Prints a table; floats with four significant digits."""
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column)
+    for row in rows:
+        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row))
+    Console().print(table)
+
+
+def closed(run: result.RunResult) -> None:
+    """Prints the result of a run; exit code 1 where it ended early."""
+    show_table("", ["figure", "value"], [list(pair) for pair in run.summary()])
+    if run.report is not None:
+        typer.echo(f"report: {run.report}")
+    if run.failure is not None:
+        typer.echo(f"ideal-robot: {run.failure}", err=True)
+        raise typer.Exit(1)

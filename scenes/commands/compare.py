@@ -1,0 +1,35 @@
+"""``ideal-robot compare``: one scene, every method that applies, one table and one picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    scene: Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).")],
+    speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for recordings and report; default out/compare_SCENE.")] = None,
+) -> None:
+    """Plays a scene with every method that applies and compares them: one table, one picture.
+
+    Example: `ideal-robot compare line --speed 0.7`
+    """
+    from scenes.commands.common import chosen, progress_bar, show_table
+    from scenes.report import write_json
+    from scenes.scene import load_scene, module_of
+
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed)
+    folder = out or Path("out") / f"compare_{loaded.name}"
+    with progress_bar(f"{loaded.name}") as progress:
+        result = module_of(loaded).compare(loaded, out=folder, progress=progress)
+    if json is not None:
+        write_json(json, result.json())
+    columns, rows = result.table()
+    show_table(f"{loaded.title}", columns, rows)
+    if result.report is not None:
+        typer.echo(f"report: {result.report}")

@@ -1,0 +1,33 @@
+"""``ideal-robot run``: plays a scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    scene: Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).")],
+    speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
+    method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none, sensor_path, ideal.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None,
+) -> None:
+    """Plays a scene and writes its recording and a report.
+
+    Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json`
+    """
+    from scenes.commands.common import chosen, closed, progress_bar
+    from scenes.report import write_json
+    from scenes.scene import load_scene, module_of
+
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed)
+    folder = out or Path("out") / loaded.name
+    with progress_bar(f"{loaded.name}") as progress:
+        result = module_of(loaded).run(loaded, method=method, out=folder, progress=progress)
+    if json is not None:
+        write_json(json, result.json())
+    closed(result)
