@@ -114,7 +114,7 @@ class Robot:
         controller = values.get("controller", {})
 
         def per_joint(key: str, default: Any) -> Array:
-            array = np.broadcast_to(np.asarray(joints.get(key, default), dtype=float), np.shape(joints.get(key, default)))
+            array = np.asarray(joints.get(key, default), dtype=float)
             if array.ndim == 0:
                 array = np.full(model.nv, float(array))
             if array.shape != (model.nv,):

@@ -10,9 +10,9 @@ import sys
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
-import typer
+import typer  # noqa: E402
 
-from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 
 VERBS = {
     "run": "run",

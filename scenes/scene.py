@@ -45,7 +45,8 @@ class Scene(pydantic.BaseModel):
         """A checked copy with some keys changed; nested tables are given as dictionaries and merged."""
         values = self.model_dump()
         for key, value in changes.items():
-            values[key] = {**values[key], **value} if isinstance(value, dict) and isinstance(values.get(key), dict) else value
+            both = isinstance(value, dict) and isinstance(values.get(key), dict)
+            values[key] = {**values[key], **value} if both else value
         return _checked(type(self), values, Path(f"scene {self.name}"))
 
 
@@ -82,7 +83,7 @@ def _parse(path: Path) -> dict[str, Any]:
 
 
 def _find(wanted: str) -> Path:
-    """A path wins if it looks like one; a name is looked up in the working folder's ``scenes`` files and the library."""
+    """A path wins if it looks like one; a name is looked up among the scene files here and in the library."""
     if wanted.endswith(".toml") or "/" in wanted:
         if not Path(wanted).is_file():
             raise InputError("no such scene file", field="scene", value=wanted)
@@ -106,8 +107,8 @@ def _find(wanted: str) -> Path:
         raise InputError(f"two scenes of the name {wanted!r}: {found[0]} and {found[1]}; rename one or give a path",
                          field="scene")
     if not found:
-        raise InputError(f"no scene of that name; there are {', '.join(sorted(names)) or 'none'}, or give the path of a "
-                         ".toml file", field="scene", value=wanted)
+        raise InputError(f"no scene of that name; there are {', '.join(sorted(names)) or 'none'}, or give the path of "
+                         "a .toml file", field="scene", value=wanted)
     return found[0]
 
 
@@ -129,7 +130,6 @@ def _keys_at(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list
     fields = model.model_fields
     for part in location:
         annotation = fields[part].annotation if part in fields else None
-        if annotation is None or not hasattr(annotation, "model_fields"):
-            continue
-        fields = annotation.model_fields
+        if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+            fields = annotation.model_fields
     return sorted(fields)

@@ -51,7 +51,8 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     for column in columns:
         table.add_column(column)
     for row in rows:
-        table.add_row(*(f"{cell:.4g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row))
+        cells = (f"{cell:.4g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row)
+        table.add_row(*cells)
     Console().print(table)
 
 

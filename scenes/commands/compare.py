@@ -13,7 +13,7 @@ def command(
     speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for recordings and report; default out/compare_SCENE.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/compare_SCENE.")] = None,
 ) -> None:
     """Plays a scene with every method that applies and compares them: one table, one picture.
 

@@ -12,7 +12,7 @@ def command(
     scene: Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).")],
     speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
-    method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none, sensor_path, ideal.")] = None,
+    method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none or ideal.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None,
 ) -> None:
