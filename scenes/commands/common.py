@@ -64,3 +64,19 @@ def closed(run: result.RunResult) -> None:
     if run.failure is not None:
         typer.echo(f"ideal-robot: {run.failure}", err=True)
         raise typer.Exit(1)
+
+
+def numbers(text: str, option: str, *, ranges: bool = False) -> list[float]:
+    """Numbers from ``1,2,5`` or, with ``ranges``, ``1-10`` (both ends included); empty text gives none."""
+    found: list[float] = []
+    for part in (piece.strip() for piece in text.split(",") if piece.strip()):
+        try:
+            if ranges and "-" in part:
+                first, last = (int(end) for end in part.split("-"))
+                found.extend(range(first, last + 1))
+            else:
+                found.append(float(part))
+        except ValueError as error:
+            raise InputError("expected numbers separated by commas" + (" or a range such as 1-10" if ranges else ""),
+                             field=option, value=text) from error
+    return found

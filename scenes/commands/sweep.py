@@ -1,0 +1,48 @@
+"""``ideal-robot sweep``: many scenes × methods × speeds × seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    scenes: Annotated[list[str], typer.Argument(help="Scenes, by name or path.")],
+    speeds: Annotated[str, typer.Option(help="Speeds [m/s], separated by commas.")] = "",
+    seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = "",
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "",
+    processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
+    dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write all answers as JSON to this file.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Write the table as CSV to this file.")] = None,
+) -> None:
+    """Plays many runs and prints one table of their errors; a run that fails is a row, not the end.
+
+    Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10`
+    """
+    import pandas as pd
+
+    from scenes.commands.common import numbers, progress_bar, show_table
+    from scenes.report import write_json
+    from scenes.sweep import jobs, sweep
+
+    work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
+                numbers(speeds, "--speeds"), [int(seed) for seed in numbers(seeds, "--seeds", ranges=True)])
+    with progress_bar(f"{len(work)} runs") as progress:
+        answers = sweep(work, processes=processes, dask=dask,
+                        done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
+    if json is not None:
+        write_json(json, {"runs": answers})
+    frame = pd.json_normalize(answers)
+    shown = ["scene", "method", "speed_m_s", "seed", *[key for key in FIGURES if key in frame], "failure"]
+    if csv is not None:
+        csv.parent.mkdir(parents=True, exist_ok=True)
+        frame[shown].to_csv(csv, index=False)
+    show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
+
+
+FIGURES = ("control_error_mm.mean", "control_error_mm.p95", "control_error_mm.max", "path_error_mm.time_matched.E_car",
+           "path_error_mm.aligned.E_car", "path_error_mm.geometric.E_car", "force_error_N.rms")
+"""Figures of a run that the table shows where the kind of scene has them."""
