@@ -1,0 +1,160 @@
+"""Base parameters: the smallest set of linear combinations that the joint torques can show ([G] 3.1.2).
+
+Found numerically from the QR decomposition of the regressor at random states, for any serial arm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy import linalg
+
+from ideal_robot.dynamics.regressor import LINK_PARAMETERS, LINK_UNITS, regressor
+from ideal_robot.interface import Array
+
+_PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
+"""Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
+
+_TOLERANCE = 1e-8
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """Which parameters are in the base and how the others are grouped into them.
+
+    Full parameters are, in this order: ten a link (``m_1 … Izz_n``), the rotor inertias reflected to the joint side
+    ``Ia_1 … Ia_n`` and the constant torque offsets ``offset_1 … offset_n``; ``p = 12 n`` in all.
+
+    Attributes:
+        full_names: names of the full parameters.
+        full_units: their units.
+        independent: indices of the ``b`` columns that stay, in base order.
+        grouping: matrix ``(b, p)`` from full to base parameters.
+        gravitational: mask ``(b,)``: those that occur in g(q) are p_g, the others p_m ([G] (6)).
+    """
+
+    full_names: tuple[str, ...]
+    full_units: tuple[str, ...]
+    independent: tuple[int, ...]
+    grouping: Array
+    gravitational: tuple[bool, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of base parameters."""
+        return len(self.independent)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters: that of the parameter the others are grouped into."""
+        return tuple(self.full_names[i] for i in self.independent)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the base parameters."""
+        return tuple(self.full_units[i] for i in self.independent)
+
+    @property
+    def joints(self) -> tuple[int, ...]:
+        """Joint, counted from 1, that each base parameter is named after."""
+        return tuple(int(name.rsplit("_", 1)[1]) for name in self.names)
+
+    def words(self) -> tuple[str, ...]:
+        """Each base parameter as the sum it stands for, e.g. ``Izz_1 + Ia_1 + Iyy_2 + 0.09·m_2``."""
+        return tuple(" ".join(self._terms(row)) for row in self.grouping)
+
+    def _terms(self, row: Array) -> list[str]:
+        own = int(np.flatnonzero(row == 1.0)[0]) if np.any(row == 1.0) else 0
+        order = [own, *[int(i) for i in np.flatnonzero(np.abs(row) > 1e-7) if i != own]]
+        terms: list[str] = []
+        for i in order:
+            size = abs(row[i])
+            factor = "" if abs(size - 1.0) < 1e-7 else f"{size:.4g}·"
+            sign = "-" if row[i] < 0 else ("+" if terms else "")
+            terms.append(f"{sign} {factor}{self.full_names[i]}".strip())
+        return terms
+
+    def of(self, full: Array) -> Array:
+        """Base parameters ``(b,)`` of full ones ``(p,)``."""
+        return self.grouping @ full
+
+    def nearest_full(self, base: Array, start: Array) -> Array:
+        """The full parameters ``(p,)`` that have exactly these base parameters and lie closest to ``start (p,)``."""
+        step = np.linalg.lstsq(self.grouping, base - self.grouping @ start, rcond=None)[0]
+        return start + step
+
+
+def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
+    """Regressor ``(N, n, 12 n)`` of links, rotor inertias and offsets, in the order of ``BaseParameters``."""
+    n = model.nv
+    count = len(q)
+    result = np.zeros((count, n, 12 * n))
+    result[:, :, : 10 * n] = regressor(model, q, qd, qdd)
+    joints = np.arange(n)
+    result[:, joints, 10 * n + joints] = qdd
+    result[:, joints, 11 * n + joints] = 1.0
+    return result
+
+
+def full_names(n: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Names and units of the full parameters of an arm with ``n`` joints."""
+    names = [f"{key}_{i + 1}" for i in range(n) for key in LINK_PARAMETERS]
+    units = list(LINK_UNITS) * n
+    names += [f"Ia_{i + 1}" for i in range(n)] + [f"offset_{i + 1}" for i in range(n)]
+    units += ["kg m²"] * n + ["N m"] * n
+    return tuple(names), tuple(units)
+
+
+def base_parameters(model: pin.Model, seed: int = 0) -> BaseParameters:
+    """Finds the base parameters of any serial arm by numerical QR.
+
+    Args:
+        model: the kinematics; fixed joints are already merged by Pinocchio.
+        seed: of the random states at which the regressor is evaluated; the result does not depend on it.
+    """
+    n = model.nv
+    rng = np.random.default_rng(seed)
+    count = 40 * n
+    q = rng.uniform(-np.pi, np.pi, (count, n))
+    qd, qdd = rng.normal(size=(count, n)), rng.normal(size=(count, n))
+    W = full_regressor(model, q, qd, qdd).reshape(count * n, 12 * n)
+    names, units = full_names(n)
+    units = tuple(_prismatic_unit(model, name, unit) for name, unit in zip(names, units, strict=True))
+
+    order = _order(n)
+    size = np.linalg.norm(W, axis=0)
+    visible = [i for i in order if size[i] > _TOLERANCE * size.max()]
+    # W = Q R: a column whose diagonal element of R vanishes depends on the ones before it.
+    R = linalg.qr(W[:, visible] / size[visible], mode="economic")[1]
+    pivots = np.abs(np.diag(R)) > _TOLERANCE
+    independent = [i for i, keep in zip(visible, pivots, strict=True) if keep]
+    dependent = [i for i, keep in zip(visible, pivots, strict=True) if not keep]
+    grouping = np.zeros((len(independent), 12 * n))
+    grouping[np.arange(len(independent)), independent] = 1.0
+    if dependent:
+        beta = np.linalg.lstsq(W[:, independent], W[:, dependent], rcond=None)[0]
+        beta[np.abs(beta) < 1e-7] = 0.0
+        grouping[:, dependent] = beta
+
+    by_name = np.argsort(independent, kind="stable")
+    independent = [independent[i] for i in by_name]
+    grouping = grouping[by_name]
+    grouping.setflags(write=False)
+    at_rest = full_regressor(model, q, np.zeros_like(q), np.zeros_like(q)).reshape(count * n, 12 * n)
+    gravitational = np.linalg.norm(at_rest[:, independent], axis=0) > _TOLERANCE * size.max()
+    return BaseParameters(names, units, tuple(independent), grouping, tuple(bool(g) for g in gravitational))
+
+
+def _order(n: int) -> list[int]:
+    """Column order for the QR: offsets and rotor inertias of their own joints last but offsets, links base to tip."""
+    links = [10 * i + LINK_PARAMETERS.index(key) for key in _PREFERENCE for i in range(n)]
+    return [*range(11 * n, 12 * n), *links, *range(10 * n, 11 * n)]
+
+
+def _prismatic_unit(model: pin.Model, name: str, unit: str) -> str:
+    joint = model.joints[int(name.rsplit("_", 1)[1])]
+    if not joint.shortname().startswith("JointModelP"):
+        return unit
+    return {"Ia": "kg", "offset": "N"}.get(name.rsplit("_", 1)[0], unit)

@@ -1,0 +1,80 @@
+"""The rigid body as a linear form of its parameters: torque = A(q, qd, qdd) p, [G] (5) and (6).
+
+Parameters are Pinocchio's ten per link, all links joined to a joint by fixed joints merged:
+m [kg], mx my mz [kg m], Ixx Ixy Iyy Ixz Iyz Izz [kg m²] about the joint frame's origin and axes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.interface import Array
+
+LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+LINK_UNITS = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
+
+
+def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
+    """Regressor of the joint torques, [G] (5), for many samples.
+
+    Args:
+        model: the kinematics; its inertias do not matter.
+        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²; m for prismatic].
+
+    Returns:
+        ``A`` of shape ``(N, n, 10 n)`` so that ``A @ link_parameters(model)`` are the torques ``(N, n)`` [N m].
+    """
+    data = model.createData()
+    compute = pin.computeJointTorqueRegressor
+    q, qd, qdd = (np.ascontiguousarray(values, dtype=float) for values in (q, qd, qdd))
+    result = np.empty((len(q), model.nv, 10 * (model.njoints - 1)))
+    # One compiled call a sample (about 10 µs); everything around it works on whole arrays.
+    for k, (q_k, qd_k, qdd_k) in enumerate(zip(q, qd, qdd, strict=True)):
+        result[k] = compute(model, data, q_k, qd_k, qdd_k)
+    return result
+
+
+def split_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+    """The three parts of [G] (6): of ``M(q) qdd``, of ``c(q, qd)`` and of ``g(q)``, each ``(N, n, 10 n)``."""
+    still = np.zeros_like(q)
+    gravity = regressor(model, q, still, still)
+    inertia = regressor(model, q, still, qdd) - gravity
+    velocity = regressor(model, q, qd, still) - gravity
+    return inertia, velocity, gravity
+
+
+def link_parameters(model: pin.Model) -> Array:
+    """The model's own inertias as parameters ``(10 n,)``."""
+    return np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
+
+
+def with_link_parameters(model: pin.Model, parameters: Array) -> pin.Model:
+    """A copy of the model with other inertias ``(10 n,)``.
+
+    They need not be physically possible: ``pin.rnea`` is linear in them and asks for nothing more.
+    """
+    copy = model.copy()
+    for i in range(1, model.njoints):
+        m, *rest = parameters[10 * (i - 1) : 10 * i]
+        # Pinocchio keeps mass, centre of mass and central inertia; a massless link may still carry first moments
+        # in a linear solution, so the smallest mass that lets them be written as m·c stands in for zero.
+        mass = m if abs(m) > 1e-9 else 1e-9
+        first = np.array(rest[:3])
+        c = first / mass
+        ixx, ixy, iyy, ixz, iyz, izz = rest[3:]
+        about_origin = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        skew = pin.skew(c)
+        # The constructor refuses what cannot be a body; the setters do not.
+        body = pin.Inertia.Identity()
+        body.mass, body.lever, body.inertia = mass, c, about_origin + mass * skew @ skew
+        copy.inertias[i] = body
+    return copy
+
+
+def torques(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
+    """Inverse dynamics of the model's own inertias for many samples, ``(N, n)`` each."""
+    data = model.createData()
+    rnea = pin.rnea
+    q, qd, qdd = (np.ascontiguousarray(values, dtype=float) for values in (q, qd, qdd))
+    return np.array([rnea(model, data, a, b, c) for a, b, c in zip(q, qd, qdd, strict=True)]).reshape(len(q), model.nv)

@@ -1,0 +1,74 @@
+"""Each joint with the friction law that describes it best, behind the seam of a single one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.errors import InputError
+from ideal_robot.friction.base import FrictionModel
+from ideal_robot.friction.laws import Arctan, Asymmetric, CubeRoot, LoadDependent, Stribeck, ViscousCoulomb
+from ideal_robot.interface import Array
+
+LAWS: dict[str, type[FrictionModel]] = {
+    law.key: law for law in (ViscousCoulomb, CubeRoot, Arctan, Stribeck, Asymmetric, LoadDependent)
+}
+"""Key → law."""
+
+
+class PerJointFriction:
+    """One single-joint law per joint; torque ``(…, n)`` of velocity ``(…, n)`` like every friction model.
+
+    Args:
+        laws: ``n`` laws of one joint each.
+    """
+
+    def __init__(self, laws: Sequence[FrictionModel]) -> None:
+        if any(law.n != 1 for law in laws):
+            raise ValueError("expected laws of one joint each")
+        self.laws = tuple(laws)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.laws)
+
+    @property
+    def needs_load(self) -> bool:
+        """Whether any joint's law looks at the load."""
+        return any(law.needs_load for law in self.laws)
+
+    def torque(self, qd: Array, load: Array | None = None) -> Array:
+        """Friction torque ``(…, n)`` [N m] of velocity ``(…, n)`` [rad/s]; ``load (…, n)`` as in ``FrictionModel``."""
+        qd = np.asarray(qd, dtype=float)
+        parts = [law.torque(qd[..., j : j + 1], None if load is None else load[..., j : j + 1])
+                 for j, law in enumerate(self.laws)]
+        return np.concatenate(parts, axis=-1)
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """Plain values for the model file, one entry per joint."""
+        return [law.to_dict() for law in self.laws]
+
+    @classmethod
+    def from_dict(cls, values: list[dict[str, Any]]) -> PerJointFriction:
+        """Reads what ``to_dict`` wrote."""
+        return cls([law_of(entry["law"])(np.array(entry["coefficients"]), np.array(entry["shape"]))
+                    for entry in values])
+
+    @classmethod
+    def none(cls, n: int) -> PerJointFriction:
+        """No friction at all."""
+        return cls([ViscousCoulomb(np.zeros((2, 1))) for _ in range(n)])
+
+
+def law_of(key: str) -> type[FrictionModel]:
+    """The law of a key.
+
+    Raises:
+        InputError: no such law.
+    """
+    if key not in LAWS:
+        raise InputError(f"no such friction law; there are {', '.join(LAWS)}", field="friction", value=key)
+    return LAWS[key]

@@ -1,0 +1,179 @@
+"""From a raw recording to signals a least-squares fit can use ([J] 3).
+
+Position is low-passed without phase, velocity and acceleration are central differences of it, and the torque and
+every column of the regressor go through the same decimation filter ("parallel decimation"), which takes away what
+the model does not claim to explain. Both cut-offs are chosen from the data unless given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import interpolate, signal
+
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.recording import Recording
+
+ORDER = 4
+"""Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
+
+_MINIMUM_SAMPLES = 100
+_GAP = 5.0
+"""A pause longer than this many sampling steps is a hole; nothing near it is trusted."""
+
+
+@dataclass(frozen=True)
+class Signals:
+    """Uniformly sampled, filtered signals of one recording.
+
+    Attributes:
+        t: ``(N,)`` [s].
+        q, qd, qdd: filtered position and its central differences ``(N, n)`` [rad, rad/s, rad/s²].
+        tau: motor torque, not yet decimated, ``(N, n)`` [N m]; NaN where the recording has none.
+        factor: decimation factor.
+        cutoff: of the position filter [Hz].
+        cutoff_decimation: half-power frequency of the decimation filter [Hz].
+        keep: mask ``(ceil(N / factor),)`` of decimated samples away from edges and holes.
+        source: where the recording came from.
+        columns: further columns of the recording on the same time grid, ``(N,)`` each (unfiltered).
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    factor: int
+    cutoff: float
+    cutoff_decimation: float
+    keep: np.ndarray
+    source: str
+    columns: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    @property
+    def dt(self) -> float:
+        """Sampling step [s]."""
+        return float(self.t[1] - self.t[0])
+
+    def decimate(self, values: Array) -> Array:
+        """Filters and decimates ``(N, …)`` along the first axis and drops edges: ``(M, …)``, all columns alike."""
+        return decimated(values, self.factor)[self.keep]
+
+    @property
+    def t_decimated(self) -> Array:
+        """Times of the decimated samples ``(M,)`` [s]."""
+        return self.t[:: self.factor][self.keep]
+
+
+def preprocess(recording: Recording, *, cutoff: float | None = None, cutoff_decimation: float | None = None) -> Signals:
+    """Filters and differentiates a recording.
+
+    Args:
+        recording: needs ``t`` and ``q_i``; ``tau_i`` may be missing (then ``tau`` is NaN).
+        cutoff: of the position filter [Hz]; chosen from the data if None.
+        cutoff_decimation: half-power frequency of the decimation filter [Hz]; half of ``cutoff`` if None.
+
+    Raises:
+        InputError: too few samples, or a cut-off the sampling rate does not allow.
+    """
+    t, hole = uniform_time(recording)
+    if len(t) < _MINIMUM_SAMPLES:
+        raise InputError(f"too short: at least {_MINIMUM_SAMPLES} samples are needed", file=recording.source, field="t",
+                         value=len(t))
+    dt = float(t[1] - t[0])
+    rate = 1.0 / dt
+    q_raw = resampled(recording.t, recording.joints("q"), t, smooth=True)
+    tau = (resampled(recording.t, recording.joints("tau"), t) if recording.has("tau")
+           else np.full_like(q_raw, np.nan))
+    cutoff = chosen_cutoff(q_raw, dt) if cutoff is None else float(cutoff)
+    if not 0 < cutoff < 0.5 * rate:
+        raise InputError(f"cut-off must lie between 0 and {0.5 * rate:.4g} Hz, half the sampling rate",
+                         file=recording.source, field="cutoff", value=cutoff)
+    q = lowpass(q_raw, dt, cutoff)
+    qd = np.gradient(q, dt, axis=0)
+    qdd = np.gradient(qd, dt, axis=0)
+    wanted = 0.5 * cutoff if cutoff_decimation is None else float(cutoff_decimation)
+    factor = max(1, round(0.5 * rate / wanted))
+    keep = _kept(hole, factor, edge=_edge_samples(rate, cutoff, factor))
+    if keep.sum() < 10:
+        raise InputError("too short: after filtering and removing the edges fewer than 10 samples are left",
+                         file=recording.source, field="t", value=f"{t[-1] - t[0]:.3g} s")
+    others = {name: resampled(recording.t, values[:, None], t)[:, 0] for name, values in recording.columns.items()
+              if name != "t"}
+    return Signals(t, q, qd, qdd, tau, factor, cutoff, 0.5 * rate / factor, keep, recording.source, others)
+
+
+def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
+    """A uniform time grid at the recording's median step, and a mask of grid points that lie in holes."""
+    t = recording.t
+    steps = np.diff(t)
+    if len(steps) == 0 or np.any(steps <= 0):
+        raise InputError("time must increase from sample to sample", file=recording.source, field="t")
+    # The mean of the ordinary steps, not the median, so that jittering stamps do not stretch the grid.
+    dt = float(np.mean(steps[steps < _GAP * np.median(steps)]))
+    count = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
+    grid = t[0] + dt * np.arange(count)
+    hole = np.zeros(count, dtype=bool)
+    for k in np.flatnonzero(steps > _GAP * dt):
+        hole |= (grid > t[k]) & (grid < t[k + 1])
+    return grid, hole
+
+
+def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Array:
+    """Values ``(N, m)`` at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly."""
+    if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
+        return np.array(values, dtype=float)
+    if smooth:
+        return np.asarray(interpolate.CubicSpline(t, values, axis=0)(grid))
+    return np.column_stack([np.interp(grid, t, values[:, j]) for j in range(values.shape[1])])
+
+
+def lowpass(values: Array, dt: float, cutoff: float) -> Array:
+    """Zero-phase Butterworth low-pass along the first axis."""
+    sos = signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
+    # Padding as long as the filter remembers; the default is too short for low cut-offs.
+    pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
+    return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=pad))
+
+
+def decimated(values: Array, factor: int) -> Array:
+    """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
+    if factor == 1:
+        return np.asarray(values, dtype=float)
+    return np.asarray(signal.decimate(values, factor, ftype="fir", axis=0, zero_phase=True))
+
+
+def chosen_cutoff(q: Array, dt: float) -> float:
+    """Cut-off of the position filter [Hz] from the data.
+
+    The highest frequency at which the spectrum of the acceleration still stands clear of its noise floor, the median
+    joint deciding; never above a fifth of the sampling rate, where central differences lose a tenth of the amplitude.
+    """
+    rate = 1.0 / dt
+    length = min(len(q), 1 << int(np.ceil(np.log2(max(256.0, 8.0 * rate)))))
+    f, power = signal.welch(np.diff(q, 2, axis=0) / dt**2, fs=rate, nperseg=length, axis=0)
+    edges = []
+    for j in range(q.shape[1]):
+        # White position noise grows with f^4 in acceleration; compared in position it is flat.
+        level = power[1:, j] / (2.0 * np.pi * f[1:]) ** 4
+        smooth = np.exp(signal.savgol_filter(np.log(np.maximum(level, 1e-300)), min(31, 2 * (len(level) // 4) + 1), 1))
+        floor = np.median(smooth[f[1:] > 0.35 * rate])
+        clear = np.flatnonzero(smooth > 4.0 * floor)
+        edges.append(f[1:][clear[-1]] if len(clear) else 0.05 * rate)
+    return float(np.clip(np.median(edges), 2.0, 0.2 * rate))
+
+
+def _edge_samples(rate: float, cutoff: float, factor: int) -> int:
+    """Samples that feel the ends of the recording: the memory of both filters."""
+    return int(np.ceil(max(1.0 * rate / cutoff, 5.0 * factor)))
+
+
+def _kept(hole: np.ndarray, factor: int, edge: int) -> np.ndarray:
+    bad = hole.copy()
+    if hole.any():
+        bad = np.convolve(hole, np.ones(2 * edge + 1), mode="same") > 0
+    bad[:edge] = True
+    bad[len(bad) - edge :] = True
+    return ~bad[::factor]

@@ -1,0 +1,100 @@
+"""Base parameters reproduce the torques of any inertias, and fewer of them would not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.dynamics import (
+    base_parameters,
+    full_regressor,
+    link_parameters,
+    regressor,
+    split_regressor,
+    torques,
+    with_link_parameters,
+)
+
+
+def prismatic_and_fixed() -> pin.Model:
+    text = """<robot name="gantry"><link name="base"/>
+      <link name="slide"><inertial><mass value="3"/><origin xyz="0.1 0 0.2"/>
+        <inertia ixx="0.1" iyy="0.2" izz="0.3" ixy="0.01" ixz="0" iyz="0"/></inertial></link>
+      <link name="bracket"><inertial><mass value="1"/><origin xyz="0 0.3 0"/>
+        <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <link name="arm"><inertial><mass value="2"/><origin xyz="0.4 0 0"/>
+        <inertia ixx="0.1" iyy="0.2" izz="0.2" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="z" type="prismatic"><parent link="base"/><child link="slide"/><axis xyz="0 0 1"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+      <joint name="f" type="fixed"><parent link="slide"/><child link="bracket"/><origin xyz="0.2 0 0"/></joint>
+      <joint name="turn" type="revolute"><parent link="bracket"/><child link="arm"/><axis xyz="0 1 0"/>
+        <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+    return pin.buildModelFromXML(text)
+
+
+@pytest.fixture(params=["six_axes", "prismatic_and_fixed"])
+def model(request: pytest.FixtureRequest) -> pin.Model:
+    return pin.buildSampleModelManipulator() if request.param == "six_axes" else prismatic_and_fixed()
+
+
+def motion(model: pin.Model, count: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(7)
+    q, qd, qdd = rng.normal(size=(3, count, model.nv))
+    return q, qd, qdd
+
+
+def test_regressor_gives_the_torques_of_newton_and_euler(model: pin.Model) -> None:
+    q, qd, qdd = motion(model)
+    by_regressor = regressor(model, q, qd, qdd) @ link_parameters(model)
+    np.testing.assert_allclose(by_regressor, torques(model, q, qd, qdd), atol=1e-11)
+    parts = sum(part @ link_parameters(model) for part in split_regressor(model, q, qd, qdd))
+    np.testing.assert_allclose(parts, by_regressor, atol=1e-11)
+
+
+def test_grouped_parameters_give_the_same_torques(model: pin.Model) -> None:
+    base = base_parameters(model)
+    rng = np.random.default_rng(3)
+    W = full_regressor(model, *motion(model))
+    for _ in range(5):
+        full = rng.normal(size=12 * model.nv)
+        np.testing.assert_allclose(W[:, :, list(base.independent)] @ base.of(full), W @ full, atol=1e-8)
+
+
+def test_base_is_as_small_as_the_rank_of_the_regressor(model: pin.Model) -> None:
+    base = base_parameters(model)
+    W = full_regressor(model, *motion(model, 400)).reshape(-1, 12 * model.nv)
+    assert base.count == np.linalg.matrix_rank(W, tol=1e-8 * np.linalg.norm(W, 2))
+
+
+def test_gravitational_parameters_are_those_that_show_at_rest(model: pin.Model) -> None:
+    base = base_parameters(model)
+    q, qd, qdd = motion(model)
+    at_rest = full_regressor(model, q, 0 * qd, 0 * qdd)[:, :, list(base.independent)]
+    seen = np.abs(at_rest).max(axis=(0, 1)) > 1e-9
+    np.testing.assert_array_equal(seen, base.gravitational)
+    assert 0 < seen.sum() < base.count
+
+
+def test_nearest_full_parameters_have_the_wanted_base_parameters(model: pin.Model) -> None:
+    base = base_parameters(model)
+    start = np.concatenate([link_parameters(model), np.zeros(2 * model.nv)])
+    wanted = base.of(start) * 1.1
+    full = base.nearest_full(wanted, start)
+    np.testing.assert_allclose(base.of(full), wanted, atol=1e-10)
+    np.testing.assert_allclose(base.nearest_full(base.of(start), start), start, atol=1e-10)
+
+
+def test_impossible_inertias_still_act_linearly(model: pin.Model) -> None:
+    q, qd, qdd = motion(model)
+    parameters = np.random.default_rng(5).normal(size=10 * model.nv)
+    expected = regressor(model, q, qd, qdd) @ parameters
+    np.testing.assert_allclose(torques(with_link_parameters(model, parameters), q, qd, qdd), expected, atol=1e-9)
+
+
+def test_words_name_what_is_grouped() -> None:
+    base = base_parameters(prismatic_and_fixed())
+    words = dict(zip(base.names, base.words(), strict=True))
+    assert words["m_1"].startswith("m_1")
+    assert "m_2" in words["m_1"]
+    assert "Ia_2" in words["Iyy_2"]

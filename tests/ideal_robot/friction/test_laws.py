@@ -1,0 +1,60 @@
+"""Laws that hold for every friction model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.friction import LAWS, Arctan, CubeRoot, FrictionModel, PerJointFriction, Stribeck, ViscousCoulomb
+
+
+def example(law: type[FrictionModel], n: int = 3) -> FrictionModel:
+    rng = np.random.default_rng(11)
+    shape = [[np.sqrt(low * high)] * n for low, high in law.shape_bounds]
+    return law(rng.uniform(0.5, 2.0, (len(law.coefficient_names), n)), np.array(shape).reshape(-1, n))
+
+
+@pytest.fixture(params=list(LAWS))
+def law(request: pytest.FixtureRequest) -> FrictionModel:
+    return example(LAWS[request.param])
+
+
+def test_shape_of_torque_follows_velocity(law: FrictionModel) -> None:
+    for shape in [(3,), (5, 3), (2, 4, 3)]:
+        assert law.torque(np.ones(shape)).shape == shape
+
+
+def test_brakes_and_is_silent_at_rest(law: FrictionModel) -> None:
+    qd = np.random.default_rng(1).normal(size=(200, 3))
+    assert np.all(law.torque(qd, load=np.ones_like(qd)) * qd > 0)
+    np.testing.assert_array_equal(law.torque(np.zeros((4, 3))), 0.0)
+
+
+def test_regressor_is_the_torque(law: FrictionModel) -> None:
+    qd = np.random.default_rng(2).normal(size=(50, 3))
+    load = np.random.default_rng(3).normal(size=(50, 3))
+    by_regressor = np.einsum("knm,mn->kn", law.regressor(qd, load), law.coefficients)
+    np.testing.assert_allclose(by_regressor, law.torque(qd, load), atol=1e-12)
+
+
+def test_survives_the_model_file(law: FrictionModel) -> None:
+    joints = [type(law)(law.coefficients[:, [j]], law.shape[:, [j]]) for j in range(3)]
+    friction = PerJointFriction(joints)
+    qd = np.linspace(-2, 2, 30).reshape(10, 3)
+    np.testing.assert_array_equal(PerJointFriction.from_dict(friction.to_dict()).torque(qd), friction.torque(qd))
+    np.testing.assert_allclose(friction.torque(qd), law.torque(qd), atol=1e-14)
+
+
+def test_parameters_cannot_be_changed(law: FrictionModel) -> None:
+    with pytest.raises(ValueError):
+        law.coefficients[0, 0] = 1.0
+
+
+def test_the_four_equations_of_the_paper() -> None:
+    v = np.array([[-0.8], [0.3]])
+    s = np.sign(v)
+    np.testing.assert_allclose(ViscousCoulomb([[2.0], [3.0]]).torque(v), 2 * v + 3 * s)
+    np.testing.assert_allclose(CubeRoot([[2.0], [3.0], [4.0]]).torque(v), 2 * v + 3 * s + 4 * np.cbrt(v))
+    np.testing.assert_allclose(Arctan([[2.0], [3.0], [4.0]], [[5.0]]).torque(v), 2 * v + 3 * s + 4 * np.arctan(5 * v))
+    np.testing.assert_allclose(Stribeck([[2.0], [3.0], [4.0]], [[5.0]]).torque(v),
+                               2 * v + 3 * s + 4 * np.exp(-5 * np.abs(v)) * s)
