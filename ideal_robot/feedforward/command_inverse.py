@@ -1,0 +1,76 @@
+"""Inverse of the command path: which commands make the position loop see a wanted signal.
+
+Delay, linear interpolation, command low-pass and the position loop's gain and feedforward are linear, so the commands
+over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; what
+was commanded before enters as the free response. Systems whose low-pass is not minimum phase are no special case.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.interface import Array
+from ideal_robot.loop_model import LoopModel
+
+
+@dataclass(frozen=True)
+class CommandInverse:
+    """Gains of the first command.
+
+    Attributes:
+        wanted: ``(n, m s)``: of the wanted signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
+            interpolation cycles in which the command can act.
+        past: ``(n, P)``: of the commands before, oldest first.
+    """
+
+    wanted: Array
+    past: Array
+
+    @property
+    def n_past(self) -> int:
+        """How many past commands are needed."""
+        return self.past.shape[1]
+
+
+def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> CommandInverse:
+    """Solves for the first of ``cycles`` commands once and for all.
+
+    Args:
+        loop: the identified loop.
+        cycles: commands solved for together.
+        smoothness: weight of the commands' second differences against a position error of the same size; keeps the
+            inverse of the low-pass from amplifying what the interpolation cannot pass anyway.
+    """
+    s, n = loop.steps_ipo, loop.n
+    taps = loop.command_filter
+    n_past = int(np.ceil(len(taps) / s)) + 2
+    knots = n_past + cycles
+    # Linear interpolation: from the knots to the fine grid that ends with the last knot.
+    fine = s * (knots - 1)
+    interpolation = np.zeros((fine, knots))
+    for j in range(fine):
+        interpolation[j, j // s] = 1 - (j % s + 1) / s
+        interpolation[j, j // s + 1] = (j % s + 1) / s
+    wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
+    second = np.diff(np.eye(cycles + 2), 2, axis=0)
+    for i in range(n):
+        response = np.zeros((fine, fine))
+        for lag, tap in enumerate(taps[:, i]):
+            if lag < fine:
+                response += tap * np.eye(fine, k=-lag)
+        # Before the oldest knot the command counts as constant.
+        response[:, 0] += 1.0 - response.sum(axis=1)
+        position = response @ interpolation
+        signal = loop.k_v[i] * position
+        signal[1:] += loop.k_ff[i] / loop.t_position * np.diff(position, axis=0)
+        signal = signal[-s * cycles :] / loop.k_v[i]
+        free, forced = signal[:, :n_past], signal[:, n_past:]
+        weight = smoothness * np.sqrt(s)
+        system = np.vstack([forced, weight * second[:, 2:]])
+        first = np.linalg.pinv(system)[0]
+        wanted[i] = first[: s * cycles] / loop.k_v[i]
+        past[i] = -first[: s * cycles] @ free
+        past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])
+    return CommandInverse(wanted, past)

@@ -1,0 +1,76 @@
+"""From an identified model to the flat arrays that the feedforward and the simulation of the loop compute with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.controller_model import ControllerModel
+from ideal_robot.dynamics.newton_euler import chain_of
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.model import Model
+from ideal_robot.robot import Robot
+
+
+def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopModel:
+    """The identified closed loop of an arm.
+
+    Args:
+        model: identified model; its controller is needed, its stiffness is optional (rigid gears without).
+        robot: cycle times and limits.
+        delay: cycles between hand-over of a command and the start of its interpolation, where it is known better than
+            identified (the standard path planner in force or not, [G] 5.2.3).
+
+    Raises:
+        InputError: model and robot do not belong together, or the model has no controller.
+    """
+    if model.n != robot.n:
+        raise InputError(f"the model has {model.n} joints, the robot {robot.name} has {robot.n}", field="model")
+    controller = model.controller
+    if controller is None:
+        raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
+                         field="controller")
+    n = model.n
+    grid = velocity_grid(robot.v_max)
+    # At speed 0 the table holds the limit from above: what the joint has to overcome.
+    speeds = np.maximum(grid, 1e-9)
+    unloaded = np.stack([model.friction.torque(speeds), -model.friction.torque(-speeds)])
+    slow = np.full((1, n), 1e-3)
+    by_load = model.friction.torque(slow, np.ones((1, n))) - model.friction.torque(slow, np.zeros((1, n)))
+    k_v, k_ff, k_p, k_i = cascade_gains(controller)
+    whole = round(controller.delay / robot.t_ipo) if delay is None else delay
+    # What the delay has beyond whole cycles, and the low-pass, make the command filter.
+    rest = max(0.0, controller.delay - round(controller.delay / robot.t_ipo) * robot.t_ipo)
+    return LoopModel(
+        chain=chain_of(model.dynamics),
+        rotor_inertia=np.maximum(model.rotor_inertia, 1e-6),
+        friction_velocity=grid,
+        friction_torque=np.maximum(unloaded, 0.0),
+        friction_load=by_load[0],
+        friction_bend=np.zeros(n),
+        offset=np.array(model.offset),
+        stiffness=np.full(n, np.inf) if model.stiffness is None else np.array(model.stiffness),
+        damping=np.zeros(n) if model.damping is None else np.array(model.damping),
+        k_v=k_v, k_ff=k_ff, k_p=k_p, k_i=k_i,
+        t_filter=np.zeros(n),
+        command_filter=low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
+                                     dead_time=rest),
+        delay=whole,
+        t_ipo=robot.t_ipo, t_position=robot.t_position, t_velocity=robot.t_velocity,
+        tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
+        v_max=np.array(robot.v_max),
+    )
+
+
+def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Array]:
+    """``k_v``, ``k_ff``, ``k_p``, ``k_i`` of the cascade ``u = k_v e + k_ff ė + (k_ff - 1) q̇``, ``τ = k_p u + k_i ∫u``.
+
+    Comparing it with [G] (16), (17): ``k_D - k_1 = k_p``, ``k_D = k_p k_ff``, ``k_P = k_p k_v``. The term ``k_2 q̈`` of
+    (16) stands for lags of the velocity loop; it has no counterpart here.
+    """
+    k_p = controller.k_d - controller.k_1
+    if np.any(k_p <= 0):
+        raise InputError("the controller has no positive velocity gain k_d - k_1; identify it with faster motions",
+                         field="controller", value=np.round(k_p, 3).tolist())
+    return controller.k_p / k_p, controller.k_d / k_p, k_p, controller.k_i * k_p / controller.t_cycle

@@ -1,0 +1,191 @@
+"""The ideal robot: everything that is known of the arm, inverted over the horizon, for paths never moved before.
+
+An arm with elastic gears under a cascaded controller is flat: the wanted arm angles and their derivatives decide all
+the rest, from the gear torque back to the command. Step by step, along [G] (8), (18)–(20) and [L] 2.2:
+
+    τ_g = M(q_d) q̈_d + c + g - τ_ext            gear torque, [G] (5)
+    q_m = q_d + τ_g / k                          motor angle behind the elastic gear
+    τ_d = τ_g + J q̈_m + τ_f(q̇_m)                motor torque, [G] (8)
+    τ̇_d = k_p u̇ + k_i u                         velocity loop inverted, [G] (17), (18)
+    k_v r + k_ff ṙ = u + q̇_m + k_v q_m           position loop inverted, [G] (16), (19)
+    r = low-pass(interpolation(q_c(k - delay)))  command path inverted by least squares over the horizon
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+
+from ideal_robot.dynamics.newton_euler import inverse_dynamics
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.command_inverse import command_inverse
+from ideal_robot.feedforward.from_model import loop_model
+from ideal_robot.feedforward.smoothing import spline_operators
+from ideal_robot.interface import Array
+from ideal_robot.loop_model import Drives, LoopModel
+from ideal_robot.model import Model
+from ideal_robot.robot import Robot
+
+_CYCLES = 7
+"""Commands solved for together: what lies further ahead changes the first one by less than 1e-4 of itself."""
+_BEFORE = 6
+"""Desired positions kept from the cycles before, for the derivatives."""
+_AFTER = 4
+"""Desired positions wanted beyond the last one used, for the same reason."""
+
+
+@dataclass(frozen=True)
+class IdealState:
+    """What one cycle hands to the next.
+
+    Attributes:
+        q_d: desired positions of the cycles before ``(_BEFORE, n)``.
+        q_c: commands of the cycles before ``(P, n)``, newest last.
+        u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
+        preslide: how far friction has turned since the last reversal ``(n,)``, -1 … 1.
+        sag: gear deflection under gravity at the start, not yet compensated ``(n,)`` [rad].
+        cycle: cycles since the start.
+    """
+
+    q_d: Array
+    q_c: Array
+    u: Array
+    tau: Array
+    preslide: Array
+    sag: Array
+    cycle: int
+
+
+class IdealRobot(Feedforward):
+    """Inverse of the identified closed loop over the horizon.
+
+    Args:
+        loop: the identified closed loop; see :func:`ideal_robot.feedforward.from_model.loop_model`.
+        n_d: length of the horizon it is given; with fewer than ``n_d_needed`` rows the path is continued with constant
+            velocity.
+        elastic: whether gear deflection is compensated. Then the command at rest differs from the desired position
+            by the deflection under gravity; without, by nothing.
+        cutoff: frequencies of the desired path above this are not asked of the arm [Hz].
+        settle: time over which the deflection under gravity is taken up after ``init`` [s].
+    """
+
+    def __init__(self, loop: LoopModel, n_d: int = 30, *, elastic: bool = True, cutoff: float = 14.0,
+                 settle: float = 0.4) -> None:
+        if n_d < 1:
+            raise InputError("the horizon needs at least one row", field="n_d", value=n_d)
+        self.loop, self.n_d, self.t_ipo, self.elastic = loop, n_d, loop.t_ipo, elastic
+        self.settle_cycles = max(1, round(settle / loop.t_ipo))
+        T, fine = loop.t_ipo, loop.t_position
+        self.n_d_needed = loop.delay + _CYCLES + _AFTER + 1
+        t_rows = T * np.arange(-_BEFORE, self.n_d_needed, dtype=float)
+        # Torque on a grid of half cycles, a cycle wider than needed: its derivatives follow from it.
+        t_coarse = T * (loop.delay - 2 + 0.5 * np.arange(2.0 * (_CYCLES + 4) + 1))
+        # A position-loop output acts on average half its cycle later: torques are wanted there.
+        t_fine = T * loop.delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
+        self._coarse = spline_operators(t_rows, t_coarse, T, cutoff)
+        self._fine = spline_operators(t_rows, t_fine, T, cutoff)
+        self._torque = spline_operators(t_coarse, t_fine, T, cutoff)
+        self._inverse = command_inverse(loop, _CYCLES)
+        self._compliance = loop.compliance if elastic else np.zeros(loop.n)
+        self._lag = loop.t_filter + 0.5 * loop.t_velocity
+        self._drives = loop.drives(loop.stiffness, loop.damping)
+        self._step_max = 1.5 * loop.v_max * T
+
+    @classmethod
+    def of(cls, model: Model, robot: Robot, n_d: int = 30, *, delay: int | None = None, **options: Any) -> IdealRobot:
+        """From an identified model: see ``loop_model`` for ``delay`` and the class for the other options."""
+        return cls(loop_model(model, robot, delay=delay), n_d, **options)
+
+    def init(self, q0: Array) -> IdealState:
+        q0 = np.array(q0, dtype=float)
+        still = np.zeros((1, self.loop.n))
+        gravity = inverse_dynamics(self.loop.chain, q0[None], still, still)[0]
+        return IdealState(
+            q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=np.zeros(self.loop.n),
+            tau=gravity + self.loop.offset, preslide=np.zeros(self.loop.n), sag=gravity * self._compliance, cycle=0)
+
+    def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
+        loop = self.loop
+        q_d = np.asarray(q_d, dtype=float)
+        if q_d.ndim != 2 or q_d.shape[1] != loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():
+            raise InputError(f"expected finite desired positions of shape (n_d, {loop.n})", field="q_d",
+                             value=q_d.shape)
+        rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d[-1])])
+        q, qd, qdd = (operator @ rows for operator in self._coarse)
+        load = inverse_dynamics(loop.chain, q, qd, qdd)
+        if tau_ext_d is not None:
+            load -= self._external(np.asarray(tau_ext_d, dtype=float))
+        gear, gear_rate, gear_bend = (operator @ load for operator in self._torque)
+        rest = 1.0 - min(1.0, state.cycle / self.settle_cycles)
+        # Smooth from 1 to 0: the deflection at the start is taken up without a jerk.
+        ramp = rest * rest * (3.0 - 2.0 * rest)
+        q_m = self._fine[0] @ rows + self._compliance * gear - state.sag * ramp
+        if self.elastic:
+            q_m -= np.where(np.isfinite(loop.stiffness), loop.damping, 0.0) * self._compliance**2 * gear_rate
+        v_m = self._fine[1] @ rows + self._compliance * gear_rate
+        a_m = self._fine[2] @ rows + self._compliance * gear_bend
+        smooth = gear + loop.rotor_inertia * a_m + loop.offset
+        signal, u, tau, preslide = _position_loop_signal(
+            self._drives, q_m, v_m, a_m, smooth, gear, self._lag, loop.t_position, loop.steps_ipo, state.u, state.tau,
+            state.preslide)
+        q_c = np.einsum("ij,ji->i", self._inverse.wanted, signal) + np.einsum("ij,ji->i", self._inverse.past, state.q_c)
+        last = state.q_c[-1]
+        q_c = np.clip(np.clip(q_c, last - self._step_max, last + self._step_max), loop.q_min, loop.q_max)
+        return q_c, IdealState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
+                               u, tau, preslide, state.sag, state.cycle + 1)
+
+    def _horizon(self, q_d: Array, before: Array) -> Array:
+        if len(q_d) >= self.n_d_needed:
+            return q_d[: self.n_d_needed]
+        speed = q_d[-1] - (q_d[-2] if len(q_d) > 1 else before)
+        ahead = np.arange(1, self.n_d_needed - len(q_d) + 1)[:, None]
+        return np.concatenate([q_d, q_d[-1] + ahead * speed])
+
+    def _external(self, tau_ext_d: Array) -> Array:
+        """The contact torque on the torque grid, linear in between and constant beyond the horizon."""
+        t = np.arange(len(tau_ext_d)) * self.t_ipo
+        at = self.t_ipo * (self.loop.delay - 2 + 0.5 * np.arange(2 * (_CYCLES + 4) + 1))
+        return np.column_stack([np.interp(at, t, column) for column in tau_ext_d.T])
+
+
+@numba.njit(cache=True)
+def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, smooth: Array, load: Array, lag: Array,
+                          t_position: float, steps: int, u0: Array, tau0: Array, preslide0: Array
+                          ) -> tuple[Array, Array, Array, Array]:
+    """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
+
+    ``smooth`` is the motor torque without friction, ``load`` the torque the gears transmit, all ``(m, n)``.
+    """
+    N, n = q_m.shape
+    signal = np.empty((N, n))
+    u_next, tau_next, preslide_next = u0.copy(), tau0.copy(), preslide0.copy()
+    still = 1e-3
+    bend, k_p, k_i = drives.friction_bend, drives.k_p, drives.k_i
+    for i in range(n):
+        u, tau, z = u0[i], tau0[i], preslide0[i]
+        half = 0.5 * k_i[i] * t_position
+        for j in range(N):
+            v = v_m[j, i]
+            friction = (np.interp(abs(v), drives.friction_velocity[:, i],
+                                  drives.friction_torque[0 if v >= 0.0 else 1, :, i])
+                        + drives.friction_load[i] * abs(load[j, i]))
+            if bend[i] > 0.0:
+                side = np.sign(v)
+                z = side + (z - side) * np.exp(-abs(v) * t_position / bend[i])
+            else:
+                # The jump at rest is passed within ±1e-3 rad/s, else rounding at standstill would switch it.
+                z = min(max(v / still, -1.0), 1.0)
+            wanted = smooth[j, i] + friction * z
+            # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
+            u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
+            tau = wanted
+            # [G] (19), half a position cycle back to the instant at which the position is compared.
+            measured = v - lag[i] * a_m[j, i]
+            signal[j, i] = u + measured + drives.k_v[i] * (q_m[j, i] - 0.5 * t_position * v)
+            if j == steps - 1:
+                u_next[i], tau_next[i], preslide_next[i] = u, tau, z
+    return signal, u_next, tau_next, preslide_next
