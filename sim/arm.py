@@ -1,0 +1,283 @@
+"""The simulated arm: PyBullet's links, our motors, gears and industrial controller, behind the positional interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.interface import Array, RobotState
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+from sim.body import load_links, start_physics
+from sim.bullet import pybullet
+from sim.controller import X_END, X_START
+from sim.drive import (
+    LOGGED,
+    P_ELASTIC,
+    P_NOISE,
+    X_CURRENT,
+    X_MOTOR,
+    X_MOTOR_VELOCITY,
+    drive_parameters,
+    drive_start,
+    drive_step,
+)
+from sim.errors import SimError
+from sim.history import hermite_pose, recording_of
+from sim.individual import draw_individual
+from sim.world import STEP, World
+
+
+@dataclass(frozen=True)
+class TrueState:
+    """What no controller knows.
+
+    Attributes:
+        t: time [s].
+        q_a: arm angles ``(n,)`` [rad].
+        q_m: motor angles on the joint side ``(n,)`` [rad].
+        tcp: pose of the tool frame in the base frame.
+    """
+
+    t: float
+    q_a: Array
+    q_m: Array
+    tcp: pin.SE3
+
+
+class SimulatedArm:
+    """A ``RobotInterface`` to an arm in a ``World``.
+
+    With elastic gears PyBullet's links are driven by the gear torques. With rigid gears the rotor turns with its
+    link: its reflected inertia J belongs on the diagonal of the mass matrix, which PyBullet does not offer, so the
+    link gets the torque τ - J q̈ with q̈ from Pinocchio's forward dynamics of the same links plus rotors. That is
+    exact as long as nothing else touches the arm; contact needs elastic gears.
+
+    Args:
+        robot: the robot as its maker describes it.
+        world: the true world.
+        rng: source of the measurement noise.
+        q0: motor angles at the start ``(n,)`` [rad]; the robot's home posture if None.
+
+    Raises:
+        InputError: ``q0`` of wrong size or outside the limits, a world the step cannot integrate.
+
+    Attributes:
+        t_ipo: interpolation cycle [s].
+        robot, world: as given.
+        client, body: PyBullet's ids of the physics client and of the arm, for contact.
+        tool_link: PyBullet's index of the link that carries the tool.
+        tool_offset: pose of the tool frame in that link's (joint) frame.
+        step_hook: called with the time [s] before every 0.5 ms step, e.g. to apply contact forces.
+    """
+
+    def __init__(self, robot: Robot, world: World, rng: np.random.Generator, q0: Array | None = None) -> None:
+        self.robot, self.world = robot, world
+        self.t_ipo = world.t_ipo
+        self._rng = rng
+        self._individual = draw_individual(robot, world)
+        self._model = self._individual.model
+        self._p, self._shared, self._counts = drive_parameters(
+            world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.ripple_phase)
+        rigid = self._p[P_ELASTIC] == 0.0
+        self._rotor_of_rigid = np.where(rigid, self._individual.rotor_inertia, 0.0)
+        self._any_rigid = bool(np.any(self._rotor_of_rigid > 0.0))
+        self._with_rotors = self._model.copy()
+        self._with_rotors.armature = self._rotor_of_rigid
+        self._dynamics = self._with_rotors.createData()
+        self._kinematics = self._model.createData()
+        self._require_integrable()
+        self._steps_per_cycle = round(world.t_ipo / STEP)
+        self._joints = list(range(robot.n))
+        frame = robot.model.frames[robot.tool_id]
+        self.tool_link = int(frame.parentJoint) - 1
+        self.tool_offset: pin.SE3 = frame.placement.copy()
+        self.step_hook: Callable[[float], None] | None = None
+        self.client = start_physics()
+        self.body = load_links(self._model, self.client)
+        self.reset(robot.home if q0 is None else q0)
+
+    def reset(self, q0: Array) -> None:
+        """Puts the arm at rest with its motors at ``q0 (n,)`` [rad]; time, history and delays start anew.
+
+        Temperatures start anew too. Raises ``InputError`` for a posture of wrong size or outside the limits.
+        """
+        q0 = self._checked_posture(np.asarray(q0, dtype=float), "q0")
+        n = self.robot.n
+        stiffness = np.where(self._p[P_ELASTIC] > 0.0, self.world.per_joint("stiffness", n), np.inf)
+        q_a = q0.copy()
+        for _ in range(30):
+            holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a)
+            q_a = q0 - holding / stiffness
+        q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
+        self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
+        self._tick = 0
+        self._pending = q0.copy()
+        self._q_a, self._qd_a = q_a, np.zeros(n)
+        self._torque, self._no_extra = np.zeros(n), np.zeros(n)
+        self._log = np.zeros((2048, 1 + len(LOGGED) * n))
+        self._rows = 0
+        for joint in self._joints:
+            pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """Hands over the commanded joint angles and lets one interpolation cycle pass.
+
+        Args:
+            q_c: ``(n,)`` [rad]. Reached at the end of this cycle, or of the next one with the standard planner's
+                delay.
+
+        Raises:
+            InputError: wrong size or not finite.
+            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
+        """
+        q_c = np.asarray(q_c, dtype=float)
+        if q_c.shape != (self.robot.n,) or not np.isfinite(q_c).all():
+            raise InputError(f"a command must be {self.robot.n} finite joint angles", field="q_c", value=q_c.tolist())
+        self._check_limits(q_c)
+        x = self._x
+        x[X_START] = x[X_END]
+        x[X_END] = self._pending if self.world.correction_delay else q_c
+        self._pending = q_c.copy()
+        noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
+        self._reserve()
+        for step in range(self._steps_per_cycle):
+            self._step(noise[step])
+        return self._state(noise[-1])
+
+    def _step(self, noise: Array) -> None:
+        client, body, x = self.client, self.body, self._x
+        extra = self._no_extra
+        if self.world.extra_torque is not None:
+            extra = np.asarray(self.world.extra_torque(self.t, x[X_MOTOR], x[X_MOTOR_VELOCITY], self._q_a), dtype=float)
+        row = self._log[self._rows]
+        drive_step(self._tick, self._p, self._shared, self._counts, x, self._q_a, self._qd_a, extra, noise,
+                   self._torque, row)
+        if self._tick % self._counts[3] == 0:
+            self._rows += 1
+        torque = self._torque
+        if self._any_rigid:
+            acceleration = pin.aba(self._with_rotors, self._dynamics, self._q_a, self._qd_a, torque)
+            torque = torque - self._rotor_of_rigid * acceleration
+        pybullet.setJointMotorControlArray(body, self._joints, pybullet.TORQUE_CONTROL, forces=torque.tolist(),
+                                           physicsClientId=client)
+        if self.step_hook is not None:
+            self.step_hook(self.t)
+        pybullet.stepSimulation(physicsClientId=client)
+        states = pybullet.getJointStates(body, self._joints, physicsClientId=client)
+        self._q_a = np.array([state[0] for state in states])
+        self._qd_a = np.array([state[1] for state in states])
+        self._tick += 1
+
+    def _state(self, noise: Array) -> RobotState:
+        """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""
+        increment = self._p[5]
+        q_m = np.where(self._p[P_ELASTIC] > 0.0, self._x[X_MOTOR], self._q_a)
+        q = np.where(increment > 0.0, np.floor(q_m / np.where(increment > 0.0, increment, 1.0) + 0.5) * increment, q_m)
+        if not np.isfinite(q).all() or np.abs(q).max() > 1.0e3:
+            raise SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
+                           "make it unstable (check stiffness, damping and controller gains)")
+        return RobotState(self.t, q, self._x[X_CURRENT] + self._p[P_NOISE] * noise)
+
+    @property
+    def t(self) -> float:
+        """Time since the start [s]."""
+        return self._tick * STEP
+
+    @property
+    def truth(self) -> TrueState:
+        """The true arm now."""
+        q_m = np.where(self._p[P_ELASTIC] > 0.0, self._x[X_MOTOR], self._q_a)
+        return TrueState(self.t, self._q_a.copy(), q_m, self.tcp_of(self._q_a))
+
+    def tcp_of(self, q_a: Array) -> pin.SE3:
+        """Pose of the tool frame at arm angles ``(n,)``."""
+        pin.framesForwardKinematics(self._model, self._kinematics, np.asarray(q_a, dtype=float))
+        return self._kinematics.oMf[self.robot.tool_id].copy()
+
+    def tcp_at(self, t: float) -> pin.SE3:
+        """True pose of the tool frame at a time ``t`` [s] within the history; between samples by cubic Hermite splines.
+
+        Raises:
+            SimError: ``t`` lies before the start or in the future.
+        """
+        return self.tcp_of(hermite_pose(self, t))
+
+    def history(self) -> dict[str, Array]:
+        """The true arm every 2 ms or finer: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as the joint controllers see it),
+        ``q`` (encoder), ``tau`` (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``,
+        ``temperature``."""
+        n, log = self.robot.n, self._log[: self._rows]
+        return {"t": log[:, 0].copy(),
+                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(LOGGED)}}
+
+    def recording(self, external: bool = False) -> Recording:
+        """What a controller would have logged, every ``world.log_cycle``: ``t``, ``q_c_i``, ``q_i``, ``tau_i``,
+        ``current_i``, ``temp_i``.
+
+        ``q_c_i`` is the command as the joint controllers see it: after the planner's delay and the interpolation,
+        before the low-pass.
+
+        Args:
+            external: adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
+        """
+        return recording_of(self, external)
+
+    def close(self) -> None:
+        """Ends the physics client; history and recording stay."""
+        if self.client >= 0:
+            pybullet.disconnect(self.client)
+            self.client = -1
+
+    def __enter__(self) -> SimulatedArm:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def _reserve(self) -> None:
+        if self._rows + self._steps_per_cycle + 1 > len(self._log):
+            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
+
+    def _checked_posture(self, q: Array, name: str) -> Array:
+        if q.shape != (self.robot.n,) or not np.isfinite(q).all():
+            raise InputError(f"expected {self.robot.n} finite joint angles", field=name, value=q.tolist())
+        if np.any(q < self.robot.q_min) or np.any(q > self.robot.q_max):
+            raise InputError("posture is outside the joint limits", field=name, value=np.round(q, 4).tolist())
+        return q.copy()
+
+    def _check_limits(self, q_c: Array) -> None:
+        robot = self.robot
+        outside = np.flatnonzero((q_c < robot.q_min) | (q_c > robot.q_max))
+        if outside.size:
+            j = int(outside[0])
+            limit = robot.q_min[j] if q_c[j] < robot.q_min[j] else robot.q_max[j]
+            raise LimitError(j + 1, "commanded angle [rad]", q_c[j], limit, "command angles within the joint limits")
+        speed = np.abs(q_c - self._pending) / self.t_ipo
+        fast = np.flatnonzero(speed > 2.0 * robot.v_max)
+        if fast.size:
+            j = int(fast[0])
+            raise LimitError(j + 1, "commanded velocity [rad/s]", speed[j], 2.0 * robot.v_max[j],
+                             "hand over a path that starts where the arm is and keeps the velocity limits")
+
+    def _require_integrable(self) -> None:
+        """Refuses gears whose fastest oscillation the 0.5 ms step cannot follow."""
+        elastic = self._p[P_ELASTIC] > 0.0
+        if not elastic.any():
+            return
+        n = self.robot.n
+        mass = pin.crba(self._model, self._kinematics, self.robot.home)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        root = np.sqrt(np.where(elastic, np.where(elastic, self.world.per_joint("stiffness", n), 0.0), 0.0))
+        rotor = np.where(elastic, 1.0 / np.where(elastic, self._individual.rotor_inertia, 1.0), 0.0)
+        coupling = root[:, None] * (np.linalg.inv(mass) + np.diag(rotor)) * root[None, :]
+        fastest = float(np.sqrt(np.linalg.eigvalsh(coupling).max()))
+        if fastest * STEP > 1.2:
+            raise InputError(f"gears are too stiff for the {STEP * 1e3} ms step (fastest oscillation "
+                             f"{fastest / 2 / np.pi:.0f} Hz); use inf for a rigid gear", field="world.stiffness")
