@@ -163,14 +163,14 @@ class Model:
         """Motor torque ``(N, n)`` [N m] for a motion, [G] (8), with the effects that act on the torque.
 
         Args:
-            q, qd, qdd: ``(N, n)`` [rad, rad/s, rad/s²].
+            q, qd, qdd: ``(N, n)`` [rad, rad/s, rad/s²], consecutive in time: friction may have memory.
             t: times ``(N,)`` [s]; only effects with memory or warm-up look at them. One interpolation cycle apart if
                 not given.
             temperature: gear temperatures ``(N, n)`` [°C], where known.
         """
         q, qd, qdd = (np.atleast_2d(np.asarray(values, dtype=float)) for values in (q, qd, qdd))
         load = self.rigid_body(q, qd, qdd)
-        friction = self.friction.torque(qd, load)
+        friction = self.friction.torque(qd, load, q)
         tau = load + self._exact[10 * self.n : 11 * self.n] * qdd + self.offset + friction
         acting = [effect for effect in self.effects if effect.domain == MOTOR_TORQUE]
         if acting:
@@ -209,7 +209,7 @@ class Model:
                        if recording.has("temp") else None)
         tau = self.inverse_dynamics(signals.q, signals.qd, signals.qdd, t=signals.t - signals.t[0],
                                     temperature=temperature)
-        load = self.rigid_body(signals.q, signals.qd, signals.qdd) if self.friction.needs_load else None
+        load = self.rigid_body(signals.q, signals.qd, signals.qdd)
         columns = signals.decimate(sensitivity(self.kinematics, self.base, self.friction, signals.q, signals.qd,
                                                signals.qdd, load))
         of_parameters = np.einsum("knp,pr,knr->kn", columns, self.covariance, columns, optimize=True)

@@ -51,12 +51,12 @@ def described(base: BaseParameters, base_values: Array, friction: PerJointFricti
               model: pin.Model) -> tuple[Parameter, ...]:
     """Names, joints, units and standard deviations of the parameter vector."""
     rows: list[tuple[str, int, str, str]] = list(zip(base.names, base.joints, base.units, base.words(), strict=True))
-    for kind in ("coefficient", "shape"):
+    for names_of in (lambda law: law.names, lambda law: law.names_of_shape):
         for j, law in enumerate(friction.laws):
             prismatic = model.joints[j + 1].shortname().startswith("JointModelP")
-            for name, unit in zip(getattr(law, f"{kind}_names"), getattr(law, f"{kind}_units"), strict=True):
-                shown = unit.format(F="N" if prismatic else "N m", v="m/s" if prismatic else "rad/s")
-                rows.append((f"{name}_{j + 1}", j + 1, shown, f"friction, {law.key}"))
+            units = {"F": "N", "v": "m/s", "x": "m"} if prismatic else {"F": "N m", "v": "rad/s", "x": "rad"}
+            rows += [(f"{name}_{j + 1}", j + 1, unit.format(**units), f"friction, {law.label}")
+                     for name, unit in names_of(law)]
     values = parameter_vector(base_values, friction)
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     return tuple(Parameter(name, joint, float(value), float(s), unit, meaning)
@@ -67,31 +67,32 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
                 load: Array | None = None) -> Array:
     """Derivative of the torque with respect to the parameter vector, ``(N, n, P)``.
 
-    In the linear parameters this is the regressor. The load, where a friction law looks at it, counts as given.
+    In the linear parameters this is the regressor. The load, where a friction law looks at it, counts as given. The
+    samples are consecutive in time, for the laws with memory.
     """
     n = model.nv
     blocks = [full_regressor(model, q, qd, qdd)[:, :, list(base.independent)]]
     for columns in (coefficient_columns, shape_columns):
         for j, law in enumerate(friction.laws):
-            own = columns(law, qd[:, j], None if load is None else load[:, j])
+            own = columns(law, qd[:, [j]], None if load is None else load[:, [j]], q[:, [j]])
             block = np.zeros((len(q), n, own.shape[1]))
             block[:, j] = own
             blocks.append(block)
     return np.concatenate(blocks, axis=2)
 
 
-def coefficient_columns(law: FrictionModel, qd: Array, load: Array | None = None) -> Array:
-    """Regressor ``(N, m)`` of a one-joint law at velocities ``(N,)``."""
-    return law.regressor(qd[:, None], None if load is None else load[:, None])[:, 0]
+def coefficient_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
+    """Regressor ``(N, m)`` of a one-joint law at velocities ``(N, 1)``."""
+    return law.regressor(qd, load, q)[:, 0]
 
 
-def shape_columns(law: FrictionModel, qd: Array, load: Array | None = None) -> Array:
+def shape_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
     """Derivative ``(N, s)`` of a one-joint law's torque with respect to its shape, by central differences."""
     result = np.empty((len(qd), len(law.shape)))
     for i in range(len(law.shape)):
         step = np.zeros_like(law.shape)
-        step[i] = 1e-5 * max(abs(float(law.shape[i, 0])), 1e-6)
-        up, down = (type(law)(law.coefficients, law.shape + sign * step) for sign in (1.0, -1.0))
-        loads = None if load is None else load[:, None]
-        result[:, i] = (up.torque(qd[:, None], loads) - down.torque(qd[:, None], loads))[:, 0] / (2.0 * step[i, 0])
+        step[i] = 1e-4 * law.shape[i]
+        up, down = (type(law)(law.coefficients, law.shape + sign * step, presliding=law.presliding, loaded=law.loaded)
+                    for sign in (1.0, -1.0))
+        result[:, i] = (up.torque(qd, load, q) - down.torque(qd, load, q))[:, 0] / (2.0 * step[i, 0])
     return result

@@ -1,4 +1,4 @@
-"""The friction laws of [G] 3.1.1 and their asymmetric and load-dependent forms."""
+"""The friction laws of [G] 3.1.1, and one with its own parameters in each direction."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class ViscousCoulomb(FrictionModel):
     coefficient_units = ("{F} / ({v})", "{F}")
 
     @classmethod
-    def columns(cls, qd: Array, shape: Array, load: Array | None = None) -> list[Array]:
-        return [qd, np.sign(qd)]
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        return [qd, direction]
 
 
 class CubeRoot(FrictionModel):
@@ -30,8 +30,8 @@ class CubeRoot(FrictionModel):
     coefficient_units = ("{F} / ({v})", "{F}", "{F} / ({v})^(1/3)")
 
     @classmethod
-    def columns(cls, qd: Array, shape: Array, load: Array | None = None) -> list[Array]:
-        return [qd, np.sign(qd), np.cbrt(qd)]
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        return [qd, direction, np.cbrt(qd)]
 
 
 class Arctan(FrictionModel):
@@ -45,8 +45,8 @@ class Arctan(FrictionModel):
     shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((0.3, 300.0),)
 
     @classmethod
-    def columns(cls, qd: Array, shape: Array, load: Array | None = None) -> list[Array]:
-        return [qd, np.sign(qd), np.arctan(shape[0] * qd)]
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        return [qd, direction, np.arctan(shape[0] * qd)]
 
 
 class Stribeck(FrictionModel):
@@ -63,9 +63,8 @@ class Stribeck(FrictionModel):
     shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((1.0, 1000.0),)
 
     @classmethod
-    def columns(cls, qd: Array, shape: Array, load: Array | None = None) -> list[Array]:
-        sign = np.sign(qd)
-        return [qd, sign, np.exp(-shape[0] * np.abs(qd)) * sign]
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        return [qd, direction, np.exp(-shape[0] * np.abs(qd)) * direction]
 
 
 class Asymmetric(FrictionModel):
@@ -76,27 +75,6 @@ class Asymmetric(FrictionModel):
     coefficient_units = ("{F} / ({v})", "{F}", "{F} / ({v})", "{F}")
 
     @classmethod
-    def columns(cls, qd: Array, shape: Array, load: Array | None = None) -> list[Array]:
-        forward, backward = np.asarray(qd > 0, dtype=float), np.asarray(qd < 0, dtype=float)
-        return [qd * forward, forward, qd * backward, -backward]
-
-
-class LoadDependent(FrictionModel):
-    """[G] (3) plus dry friction in proportion to the load the gear transmits: ``a5 |load| sign(qd)``.
-
-    Tooth forces grow with the transmitted torque and rub in proportion; harmonic drives show it clearly.
-    """
-
-    key = "load_dependent"
-    coefficient_names = ("a1", "a2", "a3", "a5")
-    coefficient_units = ("{F} / ({v})", "{F}", "{F}", "1")
-    shape_names = ("a4",)
-    shape_units = ("1 / ({v})",)
-    shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((0.3, 300.0),)
-    needs_load = True
-
-    @classmethod
-    def columns(cls, qd: Array, shape: Array, load: Array | None = None) -> list[Array]:
-        sign = np.sign(qd)
-        size = np.zeros_like(qd) if load is None else np.abs(load)
-        return [qd, sign, np.arctan(shape[0] * qd), size * sign]
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        forward = qd > 0
+        return [qd * forward, np.maximum(direction, 0.0), qd * ~forward, np.minimum(direction, 0.0)]

@@ -9,11 +9,11 @@ import numpy as np
 
 from ideal_robot.errors import InputError
 from ideal_robot.friction.base import FrictionModel
-from ideal_robot.friction.laws import Arctan, Asymmetric, CubeRoot, LoadDependent, Stribeck, ViscousCoulomb
+from ideal_robot.friction.laws import Arctan, Asymmetric, CubeRoot, Stribeck, ViscousCoulomb
 from ideal_robot.interface import Array
 
 LAWS: dict[str, type[FrictionModel]] = {
-    law.key: law for law in (ViscousCoulomb, CubeRoot, Arctan, Stribeck, Asymmetric, LoadDependent)
+    law.key: law for law in (ViscousCoulomb, CubeRoot, Arctan, Stribeck, Asymmetric)
 }
 """Key → law."""
 
@@ -35,15 +35,10 @@ class PerJointFriction:
         """Number of joints."""
         return len(self.laws)
 
-    @property
-    def needs_load(self) -> bool:
-        """Whether any joint's law looks at the load."""
-        return any(law.needs_load for law in self.laws)
-
-    def torque(self, qd: Array, load: Array | None = None) -> Array:
-        """Friction torque ``(…, n)`` [N m] of velocity ``(…, n)`` [rad/s]; ``load (…, n)`` as in ``FrictionModel``."""
+    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None) -> Array:
+        """Friction torque ``(…, n)`` [N m]; arguments as in ``FrictionModel.torque``."""
         qd = np.asarray(qd, dtype=float)
-        parts = [law.torque(qd[..., j : j + 1], None if load is None else load[..., j : j + 1])
+        parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in (load, q)))
                  for j, law in enumerate(self.laws)]
         return np.concatenate(parts, axis=-1)
 
@@ -54,7 +49,8 @@ class PerJointFriction:
     @classmethod
     def from_dict(cls, values: list[dict[str, Any]]) -> PerJointFriction:
         """Reads what ``to_dict`` wrote."""
-        return cls([law_of(entry["law"])(np.array(entry["coefficients"]), np.array(entry["shape"]))
+        return cls([law_of(entry["law"])(np.array(entry["coefficients"]), np.array(entry["shape"]),
+                                         presliding=bool(entry.get("presliding")), loaded=bool(entry.get("loaded")))
                     for entry in values])
 
     @classmethod
