@@ -66,7 +66,7 @@ class DetectionSettings:
     dark: bool = True
     blur: float = 0.5
     rows: int = 3
-    margin: float = 9.0
+    margin: float = 7.0
     max_half_width: int = 48
     min_contrast: float = 30.0
     width_tolerance: float = 0.35

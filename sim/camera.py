@@ -129,7 +129,7 @@ def _sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k:
 def _inside(n: int) -> Array:
     """Displacements ``(n, 2)`` in samples, evenly spread over one sample: a rotated lattice."""
     i = np.arange(n)
-    return np.column_stack([(i + 0.5) / n - 0.5, (i * 0.618034 + 0.5) % 1.0 - 0.5])
+    return np.column_stack([(i + 0.5) / n, (i * 0.618034 + 0.5) % 1.0]) - 0.5
 
 
 class RenderedCamera:
@@ -241,13 +241,13 @@ class RenderedCamera:
             return np.zeros((window.height, window.width))
         x, y = _sample_rays(window.u, window.v, window.height, window.width, n, K, k)
         scale = n * K[0, 0]
-        # The undistorted picture that covers all samples, one of its pixels more on each side for the interpolation
-        # and one for the displacement of the sub-exposures.
-        column0, row0 = -scale * x.min() + 1.0, -scale * y.min() + 1.0
-        width = math.ceil(scale * x.max() + column0 + 2.0)
-        height = math.ceil(scale * y.max() + row0 + 2.0)
-        total = np.zeros((window.height, window.width))
         offsets = self._offsets if len(views) > 1 else np.zeros((1, 2))
+        # The smallest undistorted picture that covers all samples wherever a sub-exposure moves its grid.
+        pad_u, pad_v = np.abs(offsets).max(axis=0)
+        column0, row0 = pad_u - scale * x.min(), pad_v - scale * y.min()
+        width = int(scale * x.max() + column0 + pad_u) + 2
+        height = int(scale * y.max() + row0 + pad_v) + 2
+        total = np.zeros((window.height, window.width))
         for view, (du, dv) in zip(views, offsets, strict=True):
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
             image = self._picture(view, width, height, scale, column0 + du, row0 + dv)
