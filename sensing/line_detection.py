@@ -57,6 +57,7 @@ class DetectionSettings:
         max_half_width: largest half width of a window [px].
         min_contrast: least depth of the cross-section [gray].
         width_tolerance: largest relative deviation of the width.
+        min_quality: cross-sections below this quality do not count.
         smoothness: how far the points may leave a straight line of deviations from the prediction [m].
         noise: gray noise that is assumed at least, for the standard deviation of a point.
         min_points: fewer agreeing points are no measurement.
@@ -70,13 +71,14 @@ class DetectionSettings:
     max_half_width: int = 48
     min_contrast: float = 30.0
     width_tolerance: float = 0.35
-    smoothness: float = 0.0006
+    smoothness: float = 0.0005
     noise: float = 2.0
+    min_quality: float = 0.4
     min_points: int = 3
 
     def __post_init__(self) -> None:
         for name in ("line_width", "blur", "rows", "margin", "max_half_width", "min_contrast", "width_tolerance",
-                     "smoothness", "noise", "min_points"):
+                     "min_quality", "smoothness", "noise", "min_points"):
             if not getattr(self, name) > 0:
                 raise InputError("must be positive", field=f"detection.{name}", value=getattr(self, name))
 
@@ -166,7 +168,7 @@ def _window(camera: CameraModel, pixel: Array, axis: int, reach: float, s: Detec
 
 @njit(cache=True)
 def _consensus(
-    deviation: Array, quality: Array, window: NDArray[np.int64], along: Array, tolerance: float, sigma: float, m: int
+    deviation: Array, quality: Array, window: NDArray[np.int64], along: Array, tolerance: float, sigma: float, least: float, m: int
 ) -> NDArray[np.int64]:
     """Chooses at most one candidate per window so that the deviations from the prediction make one straight line.
 
@@ -180,7 +182,7 @@ def _consensus(
     best_score = 0.0
     for a in range(k):
         for b in range(a, k):
-            if a != b and window[a] == window[b]:
+            if (a != b and window[a] == window[b]) or quality[a] < least or quality[b] < least:
                 continue
             slope = 0.0 if a == b else (deviation[b] - deviation[a]) / (along[window[b]] - along[window[a]])
             if abs(slope) > 0.3:
@@ -190,7 +192,7 @@ def _consensus(
             for c in range(k):
                 r = (deviation[c] - deviation[a] - slope * (along[window[c]] - along[window[a]])) / tolerance
                 value = quality[c] * (1.0 - r * r)
-                if value > gain[window[c]]:
+                if quality[c] >= least and value > gain[window[c]]:
                     gain[window[c]], choice[window[c]] = value, c
             total, mean = 0.0, 0.0
             for i in range(m):
@@ -239,7 +241,7 @@ def detect_line(
         misfit = sections[:, 3] / np.maximum(sections[:, 2], 1.0)
         grade = np.exp(-0.5 * ((sections[:, 1] / expected - 1.0) / 0.2) ** 2 - 0.5 * (misfit / 0.1) ** 2)
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(prediction.points, axis=0), axis=1))])
-        chosen = _consensus(deviation, grade, owner, along, s.smoothness, prediction.sigma, m)
+        chosen = _consensus(deviation, grade, owner, along, s.smoothness, prediction.sigma, s.min_quality, m)
         used = chosen >= 0
         for i in range(m):
             c = chosen[i]
