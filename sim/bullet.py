@@ -1,22 +1,32 @@
-"""PyBullet, imported without the build banner that it writes past Python's streams."""
+"""PyBullet, imported and used without the banners and warnings that it writes past Python's streams."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-sys.stdout.flush()
-sys.stderr.flush()
-_saved = [os.dup(1), os.dup(2)]
-_nowhere = os.open(os.devnull, os.O_WRONLY)
-try:
-    os.dup2(_nowhere, 1)
-    os.dup2(_nowhere, 2)
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Whatever C++ code writes to the standard streams inside this block is dropped; exceptions pass."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    saved = [os.dup(1), os.dup(2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        os.dup2(nowhere, 2)
+        yield
+    finally:
+        for stream, copy in zip((1, 2), saved, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
+        os.close(nowhere)
+
+
+with quiet():
     import pybullet
-finally:
-    for _stream, _copy in zip((1, 2), _saved, strict=True):
-        os.dup2(_copy, _stream)
-        os.close(_copy)
-    os.close(_nowhere)
 
-__all__ = ["pybullet"]
+__all__ = ["pybullet", "quiet"]

@@ -141,8 +141,8 @@ def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) 
 
 
 @njit(cache=True)
-def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, q_a: Array, qd_a: Array, extra: Array,
-               noise: Array, torque: Array, row: Array) -> None:
+def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, q_a: Array, qd_a: Array,
+               extra: Array, noise: Array, torque: Array, row: Array) -> None:
     """One step of controller, motors and gears; the torque for the links is left in ``torque (n,)``.
 
     Args:
