@@ -36,11 +36,11 @@ class LoopMotion:
 def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
     """The command as the position loop gets it before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
 
-    ``q_c (N, n)`` are the commands of the cycles 0 … N-1; row ``j`` belongs to the time ``(j + 1) t_position``.
+    ``q_c (N, n)`` are the commands of the cycles 0 … N-1; row ``j`` belongs to the time ``j t_position``.
     """
     s, N = loop.steps_ipo, len(q_c)
     knots = np.vstack([np.tile(q0, (loop.delay + 1, 1)), q_c])[: N + 1]
-    weight = (np.arange(1, s + 1) / s)[None, :, None]
+    weight = (np.arange(s) / s)[None, :, None]
     return np.asarray((knots[:-1, None] * (1 - weight) + knots[1:, None] * weight).reshape(N * s, -1))
 
 

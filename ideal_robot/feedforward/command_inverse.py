@@ -47,12 +47,12 @@ def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> C
     taps = loop.command_filter
     n_past = int(np.ceil(len(taps) / s)) + 2
     knots = n_past + cycles
-    # Linear interpolation: from the knots to the fine grid that ends with the last knot.
+    # Linear interpolation: from the knots to the fine grid, which ends just before the last knot.
     fine = s * (knots - 1)
     interpolation = np.zeros((fine, knots))
     for j in range(fine):
-        interpolation[j, j // s] = 1 - (j % s + 1) / s
-        interpolation[j, j // s + 1] = (j % s + 1) / s
+        interpolation[j, j // s] = 1 - (j % s) / s
+        interpolation[j, j // s + 1] = (j % s) / s
     wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
     second = np.diff(np.eye(cycles + 2), 2, axis=0)
     for i in range(n):
