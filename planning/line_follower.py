@@ -1,0 +1,348 @@
+"""Sensor-based path planning along a line that a camera sees ahead of the tool ([L] 4, Fig. 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+from planning.deviation_model import PathDeviation
+from planning.errors import LineLostError, LineNeverSeenError
+from planning.fusion import DeviationFilter, Fused, Measurement
+from planning.kinematics import InverseKinematics
+from planning.pose_history import PoseHistory
+from planning.reference import ReferencePath
+from planning.smoothing import Smoother
+from planning.speed_profile import JointPath, Limits, SpeedProfile
+from sensing.line_detection import PredictedLine
+
+
+class SeenLine(Protocol):
+    """What the follower needs of a camera field; ``sensing.line_detection.LineField`` is one."""
+
+    @property
+    def t(self) -> float:
+        """Instant of exposure [s]."""
+
+    @property
+    def points_tcp(self) -> Array:
+        """Line points in the tool frame ``(m, 3)`` [m]."""
+
+    @property
+    def sigma(self) -> Array:
+        """Their lateral standard deviation ``(m,)`` [m]."""
+
+    @property
+    def used(self) -> Array:
+        """Which of them are good ``(m,)``."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether there is a measurement at all."""
+
+
+@dataclass(frozen=True)
+class FollowerSettings:
+    """How a line follower trusts its sensor and what it allows itself.
+
+    Attributes:
+        frozen: cycles from now on that a new field does not change any more.
+        cutoff: frequency up to which the estimate is followed [Hz].
+        correction: acceleration that corrections may cost [m/s²].
+        noise: lateral error of a point beside what its detection states [m].
+        common: lateral error common to all points of a field, different from field to field [m].
+        yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
+        stamp: error of the time stamps, standard deviation [s]; estimated on the way.
+        max_blind: distance that may be travelled without seeing the line [m].
+        max_search: distance that may be travelled before the line is seen first [m].
+        follow_tangent: whether the tool turns with the line seen, not only with the reference.
+    """
+
+    frozen: int = 1
+    cutoff: float = 15.0
+    correction: float = 4.0
+    noise: float = 2e-5
+    common: float = 3e-5
+    yaw: float = 0.003
+    stamp: float = 0.0005
+    max_blind: float = 0.1
+    max_search: float = 0.3
+    follow_tangent: bool = False
+
+    def __post_init__(self) -> None:
+        for key in ("cutoff", "correction", "max_blind", "max_search"):
+            if not getattr(self, key) > 0:
+                raise InputError("expected a positive number", field=key, value=getattr(self, key))
+        for key in ("frozen", "noise", "common", "yaw", "stamp"):
+            if not getattr(self, key) >= 0:
+                raise InputError("expected zero or a positive number", field=key, value=getattr(self, key))
+
+
+@dataclass(frozen=True)
+class LineAhead:
+    """Where the line should be at some places ahead.
+
+    Attributes:
+        s: arc lengths of the reference ``(m,)`` [m].
+        points: line points in the base frame ``(m, 3)`` [m].
+        tangents: unit tangents ``(m, 3)``.
+        up: unit surface normals ``(m, 3)``.
+        sigma: lateral standard deviations ``(m,)`` [m].
+    """
+
+    s: Array
+    points: Array
+    tangents: Array
+    up: Array
+    sigma: Array
+
+    def seen_from(self, pose: pin.SE3) -> PredictedLine:
+        """The same in the tool frame, for the line detection."""
+        return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose, float(self.sigma.max()))
+
+
+class LineFollower:
+    r"""Desired joint positions over a horizon, from a reference path and camera fields that come when they come.
+
+    Each seen point :math:`\hat x_a + \Delta x_a` of a field is compared with the reference *at the same place*:
+    :math:`\Delta x_r = \Delta x_a - (x_r - \hat x_a)`, [L] (5), in the direction of the path's lateral normal, at the
+    pose of the exposure. The deviations are fused into a map over arc length, so it does not matter when and how often
+    a place was seen. The desired path is :math:`x_r(s(t)) + d(t)\, n(s(t))`, [L] (6), with the smoothed deviation
+    ``d``; its speed is the
+    reference's. In directions that are not sensed it is the reference.
+
+    Args:
+        robot: the arm.
+        reference: the reference path.
+        profile: the travel along it.
+        n_d: desired positions a call of ``horizon`` gives.
+        settings: trust and limits.
+        fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.
+        t_start: controller time at which the travel begins [s].
+        joint_path: the reference in joint space, if it is known already.
+        line_span: arc lengths of the reference between which the line is [m]; all of it by default.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reference: ReferencePath,
+        profile: SpeedProfile,
+        n_d: int = 25,
+        *,
+        settings: FollowerSettings | None = None,
+        fusion: DeviationFilter | None = None,
+        t_start: float = 0.0,
+        joint_path: JointPath | None = None,
+        line_span: tuple[float, float] | None = None,
+    ) -> None:
+        if n_d < 1:
+            raise InputError("expected at least 1", field="n_d", value=n_d)
+        self.robot, self.reference, self.profile, self.n_d = robot, reference, profile, n_d
+        self.settings = settings or FollowerSettings()
+        self.t_start = t_start
+        self.history = PoseHistory(robot)
+        self._T = robot.t_ipo
+        self._kinematics = InverseKinematics(robot)
+        self._samples = n_d + 12
+        horizon = self._samples * self._T * profile.top_speed
+        self.fusion = fusion or DeviationFilter(
+            PathDeviation(reference, ahead=max(0.3, horizon + 0.05)),
+            biases={"camera": (self.settings.yaw, self.settings.stamp)},
+        )
+        self._line_span = line_span or (0.0, reference.length)
+        self._smoother = Smoother(self._samples, self._T, self.settings.cutoff, self.settings.correction)
+        path = joint_path or JointPath.of(robot, reference)
+        self._tabulate(path)
+        self.fields_seen = self.fields_used = 0
+        self._last_seen: tuple[float, float] | None = None
+        self._front = -np.inf
+        self._changed = False
+
+    def _tabulate(self, path: JointPath) -> None:
+        """All of the reference that the real-time part needs, once for every cycle."""
+        cycles = int(np.ceil(self.profile.duration / self._T)) + 2 * self._samples
+        self._s = self.profile.s(self._T * np.arange(cycles))
+        self._frames = self.reference.frames(self._s)
+        self._curvature = self.reference.curvature(self._s)
+        self._rotations = self.reference.rotation(self._s)
+        q = np.column_stack([np.interp(self._s, path.s, column) for column in path.q.T])
+        self._targets = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
+        self._q_reference = self._kinematics.refine(self._targets, q, tolerance=1e-12)
+        self._q = self._q_reference.copy()
+        self._plan = np.zeros((3, cycles, 1))
+        self._planned_to = self._solved_to = -1
+
+    @property
+    def q_start(self) -> Array:
+        """Joint angles ``(n,)`` [rad] at the start of the reference, where the arm has to rest."""
+        return self._q_reference[0].copy()
+
+    @property
+    def q_reference(self) -> Array:
+        """The reference in joint space at every cycle from the start on ``(K, n)`` [rad]: method ``none``."""
+        return self._q_reference
+
+    @property
+    def duration(self) -> float:
+        """Time from ``t_start`` until the end of the path [s]."""
+        return self.profile.duration
+
+    def finished(self, t: float) -> bool:
+        """Whether the desired path has come to rest at its end."""
+        return t - self.t_start >= self.profile.duration
+
+    def observe(self, t: float, q: Array) -> None:
+        """Takes the joint angles ``q (n,)`` [rad] of the arm at ``t`` [s]; every cycle, before fields are handed in."""
+        self.history.add(t, q)
+
+    def predict(self, t: float, ahead: Array | None = None) -> LineAhead:
+        """Where the line should be in a field exposed at ``t``.
+
+        Args:
+            t: instant of exposure [s].
+            ahead: distances from the TCP along the reference ``(m,)`` [m]; 20 to 110 mm by default.
+        """
+        ahead = np.linspace(0.02, 0.11, 5) if ahead is None else ahead
+        s = float(self.profile.s(t - self.t_start)) + ahead
+        step = 1e-3
+        deviation, variance = self.fusion.deviation(np.concatenate([s, s - step, s + step]))
+        d, before, after = np.split(deviation[:, 0], 3)
+        frames = self.reference.frames(s)
+        # Derivative of p + d n by arc length: (1 - κ d) t + d' n.
+        stretch = 1.0 - self.reference.curvature(s) * d
+        along = stretch[:, None] * frames.tangent + ((after - before) / (2 * step))[:, None] * frames.normal
+        tangents = along / np.linalg.norm(along, axis=1, keepdims=True)
+        sigma = np.sqrt(variance[: len(s), 0])
+        return LineAhead(s, frames.position + d[:, None] * frames.normal, tangents, frames.up, sigma)
+
+    def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
+        """Fuses one field, whenever it arrives.
+
+        Args:
+            line: the points seen.
+            pose: TCP pose at the exposure; interpolated from ``observe`` by default.
+
+        Returns:
+            what became of the points, or None if the field showed nothing.
+        """
+        if not line.seen:
+            return None
+        self.fields_seen += 1
+        used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
+        if not used.any():
+            return None
+        measurement = self.measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
+        fused = self.fusion.update(measurement)
+        if fused.dof:
+            self.fields_used += 1
+            self._changed = True
+            self._last_seen = max(
+                self._last_seen or (-np.inf, 0.0), (line.t, float(self.profile.s(line.t - self.t_start)))
+            )
+            self._front = max(self._front, float(measurement.s[fused.used].max()))
+        return fused
+
+    def measurement(self, t: float, points_tcp: Array, sigma: Array, pose: pin.SE3 | None = None) -> Measurement:
+        """[L] (5): deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``."""
+        pose = self.history.pose(t) if pose is None else pose
+        lever = points_tcp @ pose.rotation.T
+        s, value, _ = self.reference.project(lever + pose.translation, float(self.profile.s(t - self.t_start)) + 0.06)
+        frames = self.reference.frames(s)
+        covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
+        # A turned camera moves a point by up × lever, a wrong time stamp by the velocity it has on the tool.
+        turned = np.sum(frames.normal * np.cross(frames.up, lever), axis=1)
+        try:
+            velocity, rate = self.history.velocity(t)
+        except Exception:
+            velocity, rate = np.zeros(3), np.zeros(3)
+        moved = frames.normal @ velocity + np.sum(frames.normal * np.cross(rate, lever), axis=1)
+        return Measurement(t, s, value, covariance, bias=np.column_stack([turned, moved]))
+
+    def deviation(self, s: Array) -> tuple[Array, Array]:
+        """Estimated lateral deviation of the line from the reference at ``s (m,)`` and its standard deviation [m]."""
+        mean, variance = self.fusion.deviation(np.asarray(s, dtype=float))
+        return mean[:, 0], np.sqrt(variance[:, 0])
+
+    def planned(self, t: float) -> tuple[float, float, float]:
+        """Desired lateral deviation at ``t``, its velocity and acceleration [m, m/s, m/s²]."""
+        k = self._cycle(t)
+        return float(self._plan[0, k, 0]), float(self._plan[1, k, 0]), float(self._plan[2, k, 0])
+
+    def horizon(self, t: float) -> Array:
+        """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
+
+        Raises:
+            LineLostError: nothing was seen for longer than allowed.
+            OutOfReachError: the seen line leads out of the arm's reach.
+        """
+        k = self._cycle(t)
+        self.fusion.travel(float(self._s[k]))
+        self._check_seen(t, float(self._s[k]))
+        end = k + self.n_d
+        if self._changed or self._planned_to < end:
+            self._replan(k)
+        first = max(self._solved_to + 1, k)
+        if first < end:
+            self._solve(first, end)
+        return self._q[k:end].copy()
+
+    def desired(self, t: float) -> pin.SE3:
+        """Desired TCP pose at ``t``, as planned so far."""
+        return self._targets[self._cycle(t)].copy()
+
+    def _cycle(self, t: float) -> int:
+        """Cycle of the instant; behind the end of the tables everything rests."""
+        k = round((t - self.t_start) / self._T)
+        return min(max(k, 0), len(self._s) - self._samples - 2)
+
+    def _replan(self, k: int) -> None:
+        """New desired deviation behind the cycles that are being executed, from the newest map."""
+        keep = k + self.settings.frozen if self._planned_to >= k else k
+        keep = min(keep, len(self._s) - self._samples - 1)
+        coming = slice(keep + 1, keep + 1 + self._samples)
+        estimate, _ = self.fusion.deviation(self._s[coming])
+        self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate[:, :1])
+        self._planned_to = keep + self._samples
+        self._solved_to = min(self._solved_to, keep)
+        self._changed = False
+
+    def _solve(self, first: int, end: int) -> None:
+        """Inverse kinematics of the cycles ``first … end - 1``."""
+        d = self._plan[0, first:end]
+        positions = self._frames.position[first:end] + d * self._frames.normal[first:end]
+        rotations = self._rotations[first:end]
+        if self.settings.follow_tangent:
+            rotations = self._turned(first, end) @ rotations
+        # Near the reference the joint angles differ from its ones as much as they did a cycle before.
+        start = self._q_reference[first:end] + (self._q[first - 1] - self._q_reference[first - 1] if first else 0.0)
+        targets = [pin.SE3(R, p) for R, p in zip(rotations, positions, strict=True)]
+        self._q[first:end] = self._kinematics.refine(targets, start)
+        self._targets[first:end] = targets
+        self._solved_to = end - 1
+
+    def _turned(self, first: int, end: int) -> Array:
+        """Rotations about the surface normal from the reference's tangent to that of the desired path."""
+        speed = np.gradient(self._s, self._T)[first:end]
+        forward = speed * (1.0 - self._curvature[first:end] * self._plan[0, first:end, 0])
+        angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
+        return np.array([pin.exp3(a * up) for a, up in zip(angle, self._frames.up[first:end], strict=True)])
+
+    def _check_seen(self, t: float, s: float) -> None:
+        begin, end = self._line_span
+        if self._last_seen is None:
+            if s - begin > self.settings.max_search:
+                raise LineNeverSeenError(t, s, self.settings.max_search)
+        elif s - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
+            raise LineLostError(t, s, *self._last_seen, self.settings.max_blind)
+
+
+def plan_travel(robot: Robot, reference: ReferencePath, limits: Limits | float) -> tuple[JointPath, SpeedProfile]:
+    """Joint path and speed profile of a reference at once; raises as ``SpeedProfile.plan``."""
+    path = JointPath.of(robot, reference)
+    return path, SpeedProfile.plan(robot, reference, limits, path)

@@ -1,0 +1,287 @@
+"""The reference path x_r: position and tool orientation over arc length ([L] 4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+
+KNOT = 0.002
+"""Spacing of the spline's knots [m]; the curvature is piecewise linear between them."""
+
+
+@dataclass(frozen=True)
+class PathFrames:
+    """The path's own frame at some arc lengths: right-handed ``(tangent, normal, up)``, each ``(m, 3)``.
+
+    Attributes:
+        position: points of the path [m].
+        tangent: unit vectors of travel.
+        normal: unit vectors to the left in the surface; lateral deviations count along them.
+        up: unit vectors out of the surface.
+    """
+
+    position: Array
+    tangent: Array
+    normal: Array
+    up: Array
+
+
+class ReferencePath:
+    """A curve with continuous curvature and a tool orientation that turns smoothly along it.
+
+    Before its start and behind its end it goes on straight, so that a camera may look past the end.
+
+    Args:
+        points: points of the curve in the order of travel ``(N, 3)`` [m], as dense as their shape needs; nothing
+            is assumed about their spacing.
+        up: the surface normal, one for all ``(3,)`` or one a point ``(N, 3)``.
+        turning: share of the tangent's turning that the tool takes part in: 0 keeps the tool's orientation (on a flat
+            surface), 1 keeps the tool's x axis on the tangent.
+        turn_smoothing: length over which the tool's heading is averaged [m].
+        smoothing: length over which the points are averaged [m]; it makes curvature continuous where straight pieces
+            meet arcs, or rounds corners. A curve of radius ``r`` is cut by about ``smoothing²/(12 r)``.
+        rotation: tool orientation ``(3, 3)`` where the tool's heading is the path's mean direction; by default the
+            tool's z axis points into the surface and its x axis ahead.
+
+    Raises:
+        InputError: fewer than two different points, values that are not finite, or a length below 10 mm.
+    """
+
+    def __init__(
+        self,
+        points: Array,
+        *,
+        up: Array | tuple[float, float, float] = (0.0, 0.0, 1.0),
+        turning: float = 0.0,
+        turn_smoothing: float = 0.05,
+        smoothing: float = 0.01,
+        rotation: Array | None = None,
+    ) -> None:
+        points = np.asarray(points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
+            raise InputError("expected finite points of shape (N, 3)", field="path", value=points.shape)
+        step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        keep = np.concatenate([[True], step > 1e-9])
+        points, chord = points[keep], np.concatenate([[0.0], np.cumsum(step[step > 1e-9])])
+        if len(points) < 2 or chord[-1] < 0.01:
+            raise InputError("the path is shorter than 10 mm", field="path", value=float(chord[-1]))
+        even, knots = _even(points, chord, smoothing)
+        self.length = float(knots[-1])
+        self._knot = float(knots[1] - knots[0])
+        spline = CubicSpline(knots, even)
+        # One straight piece more at each end.
+        zero = np.zeros(3)
+        before, after = [zero, zero, spline(0.0, 1), even[0]], [zero, zero, spline(self.length, 1), even[-1]]
+        self._cubics = np.concatenate([np.array(before)[:, None], spline.c, np.array(after)[:, None]], axis=1)
+        self._left = np.concatenate([[0.0], knots])
+        normals = (
+            np.broadcast_to(np.asarray(up, dtype=float), (len(keep), 3)) if np.ndim(up) == 1 else np.asarray(up, float)
+        )
+        if normals.shape != (len(keep), 3):
+            raise InputError("expected one surface normal, or one for each point", field="up", value=normals.shape)
+        self._flat = np.ndim(up) == 1
+        normals = normals[keep] / np.linalg.norm(normals[keep], axis=1, keepdims=True)
+        where = np.linspace(0.0, chord[-1], len(knots))
+        x, y, z = normals[0]
+        self._turn_left = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        self._up = CubicSpline(knots, np.column_stack([np.interp(where, chord, normals[:, i]) for i in range(3)]))
+        self._start, self._turn = self._orientation(knots, turning, turn_smoothing, rotation)
+        self._table_s = np.linspace(-0.5, self.length + 0.5, round((self.length + 1.0) / KNOT) + 1)
+        self._table = self.position(self._table_s)
+        self._table_square = np.sum(self._table**2, axis=1)
+
+    @classmethod
+    def from_formula(cls, formula: Callable[[Array], Array], u0: float, u1: float, **options: object) -> ReferencePath:
+        """The curve ``formula(u)``, ``(N,)`` to ``(N, 3)`` [m], for ``u`` from ``u0`` to ``u1``; options as above."""
+        return cls(np.asarray(formula(np.linspace(u0, u1, 4001)), dtype=float), **options)  # type: ignore[arg-type]
+
+    def position(self, s: Array | float) -> Array:
+        """Points at arc lengths ``s (m,)`` [m], shape ``(m, 3)`` [m]; a single ``s`` gives ``(3,)``."""
+        c, u = self._piece(s)
+        return np.asarray(((c[0] * u + c[1]) * u + c[2]) * u + c[3])
+
+    def tangent(self, s: Array | float) -> Array:
+        """Unit vectors of travel at ``s``, shape ``(m, 3)``."""
+        c, u = self._piece(s)
+        return _unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
+
+    def up(self, s: Array | float) -> Array:
+        """Unit normals of the surface at ``s``, made square to the tangent, shape ``(m, 3)``."""
+        return self.frames(s).up
+
+    def normal(self, s: Array | float) -> Array:
+        """Unit lateral normals at ``s``: in the surface, to the left of the travel, shape ``(m, 3)``."""
+        return self.frames(s).normal
+
+    def frames(self, s: Array | float) -> PathFrames:
+        """Points, tangents, lateral and surface normals at ``s``."""
+        c, u = self._piece(s)
+        tangent = _unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
+        position = ((c[0] * u + c[1]) * u + c[2]) * u + c[3]
+        return self._frames(s, position, tangent)
+
+    def curvature(self, s: Array | float) -> Array:
+        """Curvature in the surface [1/m], positive to the left, shape ``(m,)``; 0 beyond the ends."""
+        c, u = self._piece(s)
+        return np.asarray(np.sum((6.0 * c[0] * u + 2.0 * c[1]) * self.normal(s), axis=-1))
+
+    def _piece(self, s: Array | float) -> tuple[Array, Array]:
+        """Coefficients ``(4, m, 3)`` of the cubics at ``s`` and the distance from their left ends ``(m, 1)``."""
+        i = np.clip(np.floor(np.asarray(s) / self._knot).astype(np.intp) + 1, 0, self._cubics.shape[1] - 1)
+        return self._cubics[:, i], np.asarray(s - self._left[i])[..., None]
+
+    def _frames(self, s: Array | float, position: Array, tangent: Array) -> PathFrames:
+        if self._flat:
+            normal = _unit(tangent @ self._turn_left)
+        else:
+            normal = _unit(_cross(self._up(np.clip(s, 0.0, self.length)), tangent))
+        return PathFrames(position, tangent, normal, _cross(tangent, normal))
+
+    def rotation(self, s: Array | float) -> Array:
+        """Tool orientations at ``s``, shape ``(m, 3, 3)``; constant beyond the ends."""
+        w = self._turn(np.clip(s, 0.0, self.length))
+        return np.asarray(self._start @ _exp(w))
+
+    def pose(self, s: float) -> pin.SE3:
+        """TCP pose of the reference at one arc length."""
+        return pin.SE3(self.rotation(s), self.position(s))
+
+    def poses(self, s: Array) -> list[pin.SE3]:
+        """TCP poses of the reference at ``s (m,)``."""
+        return [pin.SE3(R, p) for R, p in zip(self.rotation(s), self.position(s), strict=True)]
+
+    def project(self, points: Array, s_near: float, span: float = 0.3) -> tuple[Array, Array, Array]:
+        """Coordinates of points in the path's frame, nearest foot within ``s_near ± span``.
+
+        Args:
+            points: ``(m, 3)`` [m].
+            s_near: where on the path to look [m]; what keeps crossings apart.
+            span: how far from there [m].
+
+        Returns:
+            arc length of the foot ``(m,)``, lateral deviation along ``normal`` and height along ``up`` ``(m,)`` [m].
+        """
+        first, last = np.searchsorted(self._table_s, [s_near - span, s_near + span])
+        first = min(first, len(self._table_s) - 2)
+        table = self._table[first : max(last, first + 2)]
+        # |a - b|² up to |a|², which does not matter for the minimum over b.
+        distance = self._table_square[first : max(last, first + 2)] - 2.0 * points @ table.T
+        s = self._table_s[first + np.argmin(distance, axis=1)]
+        for _ in range(2):
+            c, u = self._piece(s)
+            velocity = (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
+            away = points - (((c[0] * u + c[1]) * u + c[2]) * u + c[3])
+            bend = _dot(6.0 * c[0] * u + 2.0 * c[1], away)
+            # Newton on (x - p(s))·p'(s) = 0; the curvature term is kept away from the centre of curvature.
+            s = s + _dot(away, velocity) / np.maximum(_dot(velocity, velocity) - bend, 0.3)
+        frames = self.frames(s)
+        away = points - frames.position
+        return s, _dot(away, frames.normal), _dot(away, frames.up)
+
+    def _orientation(
+        self, knots: Array, turning: float, turn_smoothing: float, rotation: Array | None
+    ) -> tuple[Array, CubicSpline]:
+        """Tool orientation at the start, and the rotation vector from there over arc length."""
+        frames = self.frames(knots)
+        chord = self.position(self.length) - self.position(0.0)
+        closed = np.linalg.norm(chord) < 0.1 * self.length
+        mean = frames.tangent[0] if closed else chord
+        ahead = _unit(mean - np.sum(mean * frames.up, axis=1)[:, None] * frames.up)
+        left = _cross(frames.up, ahead)
+        heading = np.unwrap(np.arctan2(np.sum(frames.tangent * left, axis=1), np.sum(frames.tangent * ahead, axis=1)))
+        heading = turning * _averaged(heading[:, None], round(turn_smoothing / (knots[1] - knots[0])))[:, 0]
+        x = np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left
+        R = np.stack([x, _cross(x, frames.up), -frames.up], axis=2)
+        if rotation is not None:
+            # The given orientation holds where the heading is the mean direction; all others turn with the surface.
+            mean_frame = np.column_stack([ahead[0], np.cross(ahead[0], frames.up[0]), -frames.up[0]])
+            R = R @ (mean_frame.T @ np.asarray(rotation, dtype=float))
+        w = np.array([pin.log3(R[0].T @ R_i) for R_i in R])
+        for i in range(1, len(w)):
+            angle = np.linalg.norm(w[i])
+            if angle > 1e-9:
+                # Equivalent rotation vectors differ by full turns about the same axis: stay near the last one.
+                axis = w[i] / angle
+                w[i] = axis * (angle + 2 * np.pi * round((float(w[i - 1] @ axis) - angle) / (2 * np.pi)))
+        return R[0], CubicSpline(knots, w)
+
+
+def _even(points: Array, chord: Array, smoothing: float) -> tuple[Array, Array]:
+    """Averages the points and gives them even steps of arc length: points ``(K, 3)`` and arc lengths ``(K,)``."""
+    fine = max(round(chord[-1] / 0.0005), 20)
+    grid = np.linspace(0.0, chord[-1], fine + 1)
+    # Sparse points are corners of a polygon, dense ones a curve.
+    dense = len(points) > 50
+    curve = (
+        CubicSpline(chord, points)(grid)
+        if dense
+        else np.column_stack([np.interp(grid, chord, points[:, i]) for i in range(3)])
+    )
+    curve = _averaged(
+        _averaged(curve, round(0.5 * smoothing / (grid[1] - grid[0]))), round(0.5 * smoothing / (grid[1] - grid[0]))
+    )
+    for _ in range(3):
+        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+        spline = CubicSpline(s, curve)
+        # Chords are shorter than arcs: Gauss' rule on each piece gives the arc length that the spline really has.
+        node, weight = np.polynomial.legendre.leggauss(3)
+        half = 0.5 * np.diff(s)
+        at = s[:-1, None] + half[:, None] * (1.0 + node)
+        s = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(spline(at, 1), axis=2) @ weight))])
+        count = max(round(s[-1] / KNOT), 10)
+        knots = np.linspace(0.0, s[-1], count + 1)
+        curve = CubicSpline(s, curve)(knots)
+        if len(curve) == len(s):
+            break
+    return curve, np.linspace(0.0, s[-1], len(curve))
+
+
+def _averaged(values: Array, width: int) -> Array:
+    """Moving average over ``width`` samples; beyond the ends the values go on by point reflection, so the ends stay."""
+    half = width // 2
+    if half < 1:
+        return values
+    half = min(half, len(values) - 1)
+    before, after = 2 * values[:1] - values[half:0:-1], 2 * values[-1:] - values[-2 : -half - 2 : -1]
+    padded = np.concatenate([before, values, after])
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
+    window = 2 * half + 1
+    return (total[window:] - total[:-window]) / window
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(np.einsum("...i,...i->...", a, b))
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.sqrt(_dot(vectors, vectors))[..., None])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """What ``np.cross`` does, in a third of its time for few vectors."""
+    return np.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )
+
+
+def _exp(w: Array) -> Array:
+    """Rotation matrices of rotation vectors: Rodrigues' formula for many at once."""
+    angle = np.linalg.norm(w, axis=-1)[..., None, None]
+    K = np.zeros((*np.shape(w)[:-1], 3, 3))
+    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
+    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
+    # sin(x)/x and (1 - cos x)/x², both well behaved at 0.
+    first, second = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    return np.asarray(np.eye(3) + first * K + second * (K @ K))
