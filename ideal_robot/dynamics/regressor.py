@@ -67,7 +67,8 @@ def with_link_parameters(model: pin.Model, parameters: Array) -> pin.Model:
         skew = pin.skew(c)
         # The constructor refuses what cannot be a body; the setters do not.
         body = pin.Inertia.Identity()
-        body.mass, body.lever, body.inertia = mass, c, about_origin + mass * skew @ skew
+        central = about_origin + mass * skew @ skew
+        body.mass, body.lever, body.inertia = mass, c, 0.5 * (central + central.T)
         copy.inertias[i] = body
     return copy
 

@@ -1,0 +1,144 @@
+"""What is wrong with recordings before they are used, and what the data do not show after they were.
+
+Errors stop; warnings have a name, so that people and programs can look for them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ideal_robot.errors import InputError
+from ideal_robot.friction import Asymmetric
+from ideal_robot.identification.regression import Solution
+from ideal_robot.interface import Array
+from ideal_robot.model import Model
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+
+_MINIMUM_DURATION = 1.0
+_STILL = 1e-3
+"""A joint whose position stays within this does not move [rad or m]."""
+
+
+def checked(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recording], list[str]]:
+    """Recordings ready for identification, with ``tau_i``, and named warnings.
+
+    Raises:
+        InputError: columns missing, other joint count, time that does not increase, too short, no torque, degrees.
+    """
+    result, warnings = [], []
+    for recording in recordings:
+        recording, found = _checked(recording, robot)
+        result.append(recording)
+        warnings += [f"{text} [{recording.source}]" for text in found]
+    return result, warnings
+
+
+def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
+    source, n, warnings = recording.source, robot.n, []
+    if recording.n == 0:
+        raise InputError("column is missing; positions q_1 to q_n are needed", file=source, field="q_1")
+    if recording.n != n:
+        raise InputError(f"the recording has {recording.n} joints (q_1 to q_{recording.n}), the robot {robot.name} "
+                         f"has {n}", file=source, field="q_i")
+    if not recording.has("tau"):
+        recording, text = _with_torque(recording, robot)
+        warnings += text
+    recording, text = _finite(recording)
+    warnings += text
+    t = recording.t
+    backwards = np.flatnonzero(np.diff(t) <= 0)
+    if len(backwards):
+        k = backwards[0]
+        raise InputError(f"time does not increase at sample {k + 1} (t = {t[k + 1]:.6g} s after {t[k]:.6g} s); sort "
+                         "the samples or cut the recording there", file=source, field="t")
+    if len(t) < 100 or t[-1] - t[0] < _MINIMUM_DURATION:
+        raise InputError(f"too short: at least {_MINIMUM_DURATION:g} s and 100 samples are needed", file=source,
+                         field="t", value=f"{len(t)} samples, {t[-1] - t[0]:.3g} s" if len(t) else "0 samples")
+    q, tau = recording.joints("q"), recording.joints("tau")
+    _refuse_degrees(q, robot, source)
+    if not np.any(np.abs(tau) > 0):
+        raise InputError("every torque is zero; is this the torque column?", file=source, field="tau_i")
+    for j in range(n):
+        if not np.any(np.abs(tau[:, j]) > 0):
+            raise InputError("all values are zero; the torque of every joint is needed", file=source,
+                             field=f"tau_{j + 1}")
+        if np.ptp(q[:, j]) < _STILL:
+            warnings.append(f"joint-never-moves: joint {j + 1} stays within {np.ptp(q[:, j]):.2g}; its friction and "
+                            "inertia cannot be identified")
+        if np.ptp(tau[:, j]) == 0.0:
+            warnings.append(f"constant-torque: tau_{j + 1} never changes")
+    return recording, warnings
+
+
+def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
+    if not recording.has("current"):
+        missing = next(f"tau_{i + 1}" for i in range(recording.n) if f"tau_{i + 1}" not in recording.columns)
+        raise InputError(f"column is missing; tau_1 to tau_{recording.n} [N m] or current_1 to current_{recording.n} "
+                         "[A] are needed", file=recording.source, field=missing)
+    tau = recording.joints("current") * robot.drive_gain
+    columns = {**recording.columns, **{f"tau_{i + 1}": np.ascontiguousarray(tau[:, i]) for i in range(recording.n)}}
+    warnings = []
+    if np.all(robot.drive_gain == 1.0):
+        warnings.append("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
+                        "parameters")
+    return replace(recording, columns=columns), warnings
+
+
+def _finite(recording: Recording) -> tuple[Recording, list[str]]:
+    """Without samples in which a needed column is not a number; too many of them are an error."""
+    needed = ["t", *[f"{key}_{i + 1}" for key in ("q", "tau") for i in range(recording.n)]]
+    bad = np.zeros(len(recording.t), dtype=bool)
+    worst = ""
+    for name in needed:
+        here = ~np.isfinite(recording.columns[name])
+        if here.any() and not worst:
+            worst = name
+        bad |= here
+    if not bad.any():
+        return recording, []
+    if bad.mean() > 0.05:
+        raise InputError(f"{bad.sum()} of {len(bad)} samples are not numbers (NaN); at most 5 % can be left out",
+                         file=recording.source, field=worst)
+    columns = {name: np.ascontiguousarray(values[~bad]) for name, values in recording.columns.items()}
+    return (replace(recording, columns=columns),
+            [f"not-a-number: {bad.sum()} samples with NaN (first in {worst}) are left out"])
+
+
+def _refuse_degrees(q: Array, robot: Robot, source: str) -> None:
+    """Degrees taken for radians leave the joint limits by far."""
+    revolute = np.array([not robot.model.joints[j + 1].shortname().startswith("JointModelP") for j in range(robot.n)])
+    span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
+    beyond = np.max(np.abs(q), axis=0) / np.where(np.isfinite(span) & (span > 0), span, np.inf)
+    for j in np.flatnonzero(revolute & (beyond > 1.05)):
+        in_limits = np.all(np.radians(np.max(np.abs(q), axis=0))[revolute] <= 1.05 * span[revolute])
+        guess = ("they look like degrees, radians are expected" if in_limits and np.any(beyond[revolute] > 3.0)
+                 else "wrong robot, or not in radians?")
+        raise InputError(f"positions up to {np.max(np.abs(q[:, j])):.4g} leave the joint limit of {span[j]:.4g} rad; "
+                         + guess, file=source, field=f"q_{j + 1}")
+
+
+def excitation_warnings(model: Model, solution: Solution, sources: Sequence[str]) -> list[str]:
+    """What the data do not show, from the solution's statistics."""
+    warnings = []
+    parameters = model.parameters
+    asymmetric = {f"offset_{j + 1}" for j, law in enumerate(model.friction.laws) if isinstance(law, Asymmetric)}
+    silent = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
+              if dark and p.name not in asymmetric]
+    if silent:
+        warnings.append(f"not-excited: the motion says nothing about {', '.join(silent)}; nominal values are kept")
+    vague = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
+             if not dark and p.std > 0.3 * abs(p.value)]
+    if vague:
+        warnings.append(f"poorly-excited: standard deviation above 30 % of the value for {', '.join(vague)}")
+    if solution.condition_number_scaled > 200.0:
+        warnings.append(f"ill-conditioned: condition number {solution.condition_number_scaled:.3g} with scaled "
+                        "columns; a motion from plan-identification excites better")
+    for parameter in parameters:
+        if parameter.name.startswith(("Fv", "Fc")) and parameter.value < -3.0 * parameter.std:
+            warnings.append(f"negative-friction: {parameter.name} = {parameter.value:.3g} {parameter.unit}; the torque "
+                            f"of joint {parameter.joint} may have the wrong sign")
+    return warnings

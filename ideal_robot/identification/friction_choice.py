@@ -1,0 +1,241 @@
+"""Which friction law, with which shape, describes each joint best: jointly with the rigid body.
+
+For one joint at a time all other parameters are eliminated (variable projection), the shape parameters are found by a
+coarse search and a bounded optimiser, and the law is chosen by its error on held-back stretches of the recordings.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from ideal_robot.friction import Arctan, CubeRoot, FrictionModel, PerJointFriction, ViscousCoulomb
+from ideal_robot.friction.laws import Asymmetric
+from ideal_robot.identification.preprocess import Signals
+from ideal_robot.interface import Array
+
+AUTO: tuple[type[FrictionModel], ...] = (ViscousCoulomb, CubeRoot, Arctan, Asymmetric)
+"""Laws the automatic choice tries. [G] leaves (4) out: its effect depends too much on operating conditions."""
+
+_FOLDS = 6
+_WORTH = 0.02
+"""A law with more parameters must lower the held-out error by this share."""
+_PRESLIDING = (1e-5, 0.1)
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A law with its refinements, before its parameters are known."""
+
+    law: type[FrictionModel]
+    presliding: bool
+    loaded: bool
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Bounds of the shape parameters."""
+        return [*self.law.shape_bounds, *[_PRESLIDING] * self.presliding]
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self.law.coefficient_names) + self.loaded + len(self.bounds)
+
+    def make(self, shape: Sequence[float], coefficients: Array | None = None) -> FrictionModel:
+        """A law of one joint; unit coefficients unless given."""
+        rows = len(self.law.coefficient_names) + self.loaded
+        c = np.ones(rows) if coefficients is None else coefficients
+        return self.law(c[:, None], np.array(shape, dtype=float)[:, None], presliding=self.presliding,
+                        loaded=self.loaded)
+
+
+def candidates(laws: Sequence[type[FrictionModel]], refine: bool) -> list[Candidate]:
+    """The laws, with every combination of refinements if these may be used; simplest first."""
+    options = [(False, False), (True, False), (False, True), (True, True)] if refine else [(False, False)]
+    return sorted((Candidate(law, p, load) for law in laws for p, load in options), key=lambda c: c.size)
+
+
+class FrictionChoice:
+    """Decimated data of all recordings, ready for fitting friction laws joint by joint.
+
+    Args:
+        signals: one per recording.
+        rigid: decimated regressor of everything but friction ``(M, n, b)``, recordings one after another.
+        y: decimated torque ``(M, n)``.
+        load: torque the gears transmit, per recording ``(N, n)``; what loaded laws look at.
+        noise: noise level per joint ``(n,)`` for the weights.
+    """
+
+    def __init__(self, signals: Sequence[Signals], rigid: Array, y: Array, load: Sequence[Array], noise: Array) -> None:
+        self._signals, self._load = signals, load
+        self._rigid, self._y, self._noise = rigid / noise[:, None], y / noise, noise
+        self._folds = np.arange(len(y)) * _FOLDS // len(y)
+        self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}
+        self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
+        self._rigid /= self._size
+        self._gram = [self._gram_of(self._folds == fold) for fold in range(_FOLDS)]
+
+    def columns(self, joint: int, candidate: Candidate, shape: tuple[float, ...]) -> Array:
+        """Decimated, weighted regressor ``(M, m)`` of a law at a joint."""
+        key = (joint, candidate, shape)
+        if key not in self._cache:
+            law = candidate.make(shape)
+            parts = [s.decimate(law.regressor(s.qd[:, [joint]], load[:, [joint]], s.q[:, [joint]])[:, 0])
+                     for s, load in zip(self._signals, self._load, strict=True)]
+            self._cache[key] = np.concatenate(parts) / self._noise[joint]
+        return self._cache[key]
+
+    def choose(self, options: Sequence[Candidate],
+               sweeps: int = 2) -> tuple[list[FrictionModel], list[dict[str, float]]]:
+        """The best of the options for each joint.
+
+        Returns:
+            laws with their shape (coefficients still ones), and per joint the held-out error of every option tried, as
+            standard deviation in units of the noise.
+        """
+        n = self._y.shape[1]
+        chosen = [(options[0], self._start(options[0])) for _ in range(n)]
+        scores: list[dict[str, float]] = [{} for _ in range(n)]
+        for sweep, j in itertools.product(range(sweeps), range(n)):
+            projection = self._projection(chosen, j)
+            known: dict[str, float] = {}
+            best: tuple[float, Candidate] | None = None
+            # A second look at a joint, now that the others fit better, needs to consider the leaders only.
+            for option in options if sweep == 0 else _leaders(options, scores[j]):
+                shape = self._shape(projection, j, option, known, polish=False)
+                score = projection.held_out(self.columns(j, option, shape))
+                scores[j][option.make(shape).label] = score
+                if best is None or score < best[0] * (1.0 - _WORTH * (option.size > best[1].size)):
+                    best = (score, option)
+            assert best is not None
+            chosen[j] = best[1], self._shape(projection, j, best[1], known, polish=True)
+        return [option.make(shape) for option, shape in chosen], scores
+
+    def _start(self, option: Candidate) -> tuple[float, ...]:
+        return tuple(float(np.sqrt(low * high)) for low, high in option.bounds)
+
+    def _shape(self, projection: _Projection, joint: int, option: Candidate, known: dict[str, float],
+               polish: bool) -> tuple[float, ...]:
+        """Bounded search for the shape parameters in logarithmic scale: each from a grid, then Nelder and Mead.
+
+        What another law of the same joint has found already (``known``) is taken over and not searched again, except
+        when polishing the law that was chosen.
+        """
+        if not option.bounds:
+            return ()
+        low, high = np.log10(np.array(option.bounds)).T
+        names = [name for name, _ in option.make(self._start(option)).names_of_shape]
+
+        def error(x: Array) -> float:
+            shape = tuple(float(v) for v in 10.0 ** np.clip(x, low, high))
+            return projection.error(self.columns(joint, option, shape))
+
+        at = np.log10([known.get(name, start) for name, start in zip(names, self._start(option), strict=True)])
+        for i, name in enumerate(names):
+            if name not in known:
+                at = min((np.where(np.arange(len(at)) == i, x, at) for x in np.linspace(low[i], high[i], 10)[1:-1]),
+                         key=error)
+        free = len(at) if polish else sum(name not in known for name in names)
+        if free:
+            found = optimize.minimize(error, at, method="Nelder-Mead", bounds=list(zip(low, high, strict=True)),
+                                      options={"xatol": 0.03, "fatol": 1e-5, "maxfev": 12 * free})
+            at = found.x
+        shape = tuple(float(v) for v in 10.0 ** np.clip(at, low, high))
+        for name, value in zip(names, shape, strict=True):
+            known.setdefault(name, value)
+        return shape
+
+    def _gram_of(self, mask: np.ndarray) -> tuple[Array, Array, float]:
+        W = self._rigid[mask].reshape(-1, self._rigid.shape[2])
+        y = self._y[mask].reshape(-1)
+        return W.T @ W, W.T @ y, float(y @ y)
+
+    def _projection(self, chosen: Sequence[tuple[Candidate, tuple[float, ...]]], joint: int) -> _Projection:
+        """Everything but this joint's friction, as normal equations of each fold."""
+        others = [(j, self.columns(j, *chosen[j])) for j in range(self._y.shape[1]) if j != joint]
+        return _Projection.of(self._gram, self._rigid, self._y, others, joint, self._folds)
+
+
+@dataclass(frozen=True)
+class _Projection:
+    """Normal equations of all parameters but one joint's friction, fold by fold, and that joint's own rows."""
+
+    grams: list[tuple[Array, Array, float]]
+    own: Array
+    y: Array
+    folds: np.ndarray
+
+    @classmethod
+    def of(cls, rigid_grams: Sequence[tuple[Array, Array, float]], rigid: Array, y: Array,
+           others: Sequence[tuple[int, Array]], joint: int, folds: np.ndarray) -> _Projection:
+        b = rigid.shape[2]
+        total = b + sum(columns.shape[1] for _, columns in others)
+        grams = []
+        for fold, (A, r, yy) in enumerate(rigid_grams):
+            mask = folds == fold
+            full, rhs = np.zeros((total, total)), np.zeros(total)
+            full[:b, :b], rhs[:b] = A, r
+            at = b
+            for j, columns in others:
+                F = columns[mask]
+                span = slice(at, at + F.shape[1])
+                full[span, span] = F.T @ F
+                full[:b, span] = rigid[mask, j].T @ F
+                full[span, :b] = full[:b, span].T
+                rhs[span] = F.T @ y[mask, j]
+                at = span.stop
+            grams.append((full, rhs, yy))
+        own = np.zeros((len(y), total))
+        own[:, :b] = rigid[:, joint]
+        return cls(grams, own, y[:, joint], folds)
+
+    def _bordered(self, F: Array, use: Callable[[int], bool]) -> tuple[Array, Array, float, Array]:
+        keep = np.array([use(fold) for fold in range(len(self.grams))])[self.folds]
+        A = sum(gram[0] for fold, gram in enumerate(self.grams) if use(fold))
+        r = sum(gram[1] for fold, gram in enumerate(self.grams) if use(fold))
+        yy = sum(gram[2] for fold, gram in enumerate(self.grams) if use(fold))
+        size = np.maximum(np.linalg.norm(F, axis=0), 1e-12)
+        scaled = F[keep] / size
+        cross = self.own[keep].T @ scaled
+        full = np.block([[A, cross], [cross.T, scaled.T @ scaled]])
+        full[np.diag_indices_from(full)] += _RIDGE * np.maximum(np.diag(full), 1e-9)
+        return full, np.concatenate([r, scaled.T @ self.y[keep]]), float(yy), size
+
+    def error(self, F: Array) -> float:
+        """Sum of squares of the full fit with this friction regressor."""
+        full, rhs, yy, _ = self._bordered(F, lambda _: True)
+        return float(yy - rhs @ np.linalg.solve(full, rhs))
+
+    def held_out(self, F: Array) -> float:
+        """Standard deviation of the joint's residual on folds that the fit has not seen."""
+        total = 0.0
+        for fold in range(len(self.grams)):
+            full, rhs, _, size = self._bordered(F, lambda other, fold=fold: other != fold)  # type: ignore[misc]
+            p = np.linalg.solve(full, rhs)
+            mask = self.folds == fold
+            split = self.own.shape[1]
+            total += float(np.sum((self.y[mask] - self.own[mask] @ p[:split] - (F[mask] / size) @ p[split:]) ** 2))
+        return float(np.sqrt(total / len(self.y)))
+
+
+def _leaders(options: Sequence[Candidate], scores: dict[str, float]) -> list[Candidate]:
+    """The options within two per cent of the best held-out error, and the simplest one."""
+    best = min(scores.values())
+    near = {label for label, score in scores.items() if score < 1.02 * best}
+    return [o for o in options if o.make([1.0] * len(o.bounds)).label in near] or [options[0]]
+
+
+def with_coefficients(laws: Sequence[FrictionModel], coefficients: Array) -> PerJointFriction:
+    """The chosen laws with their fitted coefficients, which come joint after joint in one vector."""
+    result, at = [], 0
+    for law in laws:
+        rows = len(law.coefficients)
+        result.append(type(law)(coefficients[at : at + rows, None], law.shape, presliding=law.presliding,
+                                loaded=law.loaded))
+        at += rows
+    return PerJointFriction(result)
