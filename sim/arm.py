@@ -146,33 +146,39 @@ class SimulatedArm:
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
         self._reserve()
-        for step in range(self._steps_per_cycle):
-            self._step(noise[step])
+        self._run(noise)
         return self._state(noise[-1])
 
-    def _step(self, noise: Array) -> None:
-        client, body, x = self.client, self.body, self._x
-        extra = self._no_extra
-        if self.world.extra_torque is not None:
-            extra = np.asarray(self.world.extra_torque(self.t, x[X_MOTOR], x[X_MOTOR_VELOCITY], self._q_a), dtype=float)
-        row = self._log[self._rows]
-        drive_step(self._tick, self._p, self._shared, self._counts, x, self._q_a, self._qd_a, extra, noise,
-                   self._torque, row)
-        if self._tick % self._counts[3] == 0:
-            self._rows += 1
-        torque = self._torque
-        if self._any_rigid:
-            acceleration = pin.aba(self._with_rotors, self._dynamics, self._q_a, self._qd_a, torque)
-            torque = torque - self._rotor_of_rigid * acceleration
-        pybullet.setJointMotorControlArray(body, self._joints, pybullet.TORQUE_CONTROL, forces=torque.tolist(),
-                                           physicsClientId=client)
-        if self.step_hook is not None:
-            self.step_hook(self.t)
-        pybullet.stepSimulation(physicsClientId=client)
-        states = pybullet.getJointStates(body, self._joints, physicsClientId=client)
-        self._q_a = np.array([state[0] for state in states])
-        self._qd_a = np.array([state[1] for state in states])
-        self._tick += 1
+    def _run(self, noise: Array) -> None:
+        """The steps of one cycle: 2000 of them make a second, so names are looked up before the loop."""
+        client, body, joints, p, s, counts, x = (self.client, self.body, self._joints, self._p, self._shared,
+                                                 self._counts, self._x)
+        q_a, qd_a, torque, extra, tick, every = (self._q_a, self._qd_a, self._torque, self._no_extra, self._tick,
+                                                 int(self._counts[3]))
+        extra_torque, rigid, hook = self.world.extra_torque, self._any_rigid, self.step_hook
+        command, step, states_of, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
+                                          pybullet.getJointStates, pybullet.TORQUE_CONTROL)
+        for line in noise[:-1]:
+            if extra_torque is not None:
+                extra = np.asarray(extra_torque(tick * STEP, x[X_MOTOR], x[X_MOTOR_VELOCITY], q_a), dtype=float)
+            drive_step(tick, p, s, counts, x, q_a, qd_a, extra, line, torque, self._log[self._rows])
+            if tick % every == 0:
+                self._rows += 1
+            if rigid:
+                acceleration = pin.aba(self._with_rotors, self._dynamics, q_a, qd_a, torque)
+                forces = (torque - self._rotor_of_rigid * acceleration).tolist()
+            else:
+                forces = torque.tolist()
+            command(body, joints, mode, forces=forces, physicsClientId=client)
+            if hook is not None:
+                hook(tick * STEP)
+            step(physicsClientId=client)
+            states = states_of(body, joints, physicsClientId=client)
+            # New arrays, not the old ones refilled: hooks may have kept the old ones.
+            q_a = np.array([state[0] for state in states])
+            qd_a = np.array([state[1] for state in states])
+            tick += 1
+            self._q_a, self._qd_a, self._tick = q_a, qd_a, tick
 
     def _state(self, noise: Array) -> RobotState:
         """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""
