@@ -168,7 +168,14 @@ def _window(camera: CameraModel, pixel: Array, axis: int, reach: float, s: Detec
 
 @njit(cache=True)
 def _consensus(
-    deviation: Array, quality: Array, window: NDArray[np.int64], along: Array, tolerance: float, sigma: float, least: float, m: int
+    deviation: Array,
+    quality: Array,
+    window: NDArray[np.int64],
+    along: Array,
+    tolerance: float,
+    sigma: float,
+    least: float,
+    m: int,
 ) -> NDArray[np.int64]:
     """Chooses at most one candidate per window so that the deviations from the prediction make one straight line.
 

@@ -18,7 +18,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pinocchio as pin
-import pybullet
 from numba import njit
 from numpy.typing import NDArray
 
@@ -26,6 +25,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from sensing.camera_model import CameraModel, undistort
 from sensing.field import Field, Gray, Window
+from sim.bullet import pybullet, quiet
 from sim.surface import DrawnLine
 from sim.texture import Texture, paint
 
@@ -156,7 +156,9 @@ class RenderedCamera:
         self._key = int(rng.integers(2**63))
         self._offsets = _inside(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
-        self._load(paint(surface, settings.resolution) if texture is None else texture)
+        texture = paint(surface, settings.resolution) if texture is None else texture
+        with quiet():
+            self._load(texture)
 
     def __enter__(self) -> RenderedCamera:
         return self

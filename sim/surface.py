@@ -8,10 +8,10 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial import cKDTree
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
+from sensing.polyline import Nearest, Polyline
 
 FeatureKind = Literal["gap", "crossing", "parallel", "scratch", "glare", "shade"]
 
@@ -66,23 +66,6 @@ class Feature:
 
 
 @dataclass(frozen=True)
-class Nearest:
-    """Nearest points on the line.
-
-    Attributes:
-        distance: distance ``(m,)`` [m], in space.
-        s: arc length of the foot ``(m,)`` [m].
-        lateral: signed distance in the plane, positive to the left of the line ``(m,)`` [m].
-        foot: nearest points on the line ``(m, 3)`` [m].
-    """
-
-    distance: Array
-    s: Array
-    lateral: Array
-    foot: Array
-
-
-@dataclass(frozen=True)
 class DrawnLine:
     """A line of constant width on a plane, given by a dense polyline that *is* the analytic line.
 
@@ -118,20 +101,18 @@ class DrawnLine:
         if np.max(np.abs(local[:, 2])) > 1e-6:
             raise InputError("the line's points must lie on its plane", field="line.points",
                              value=f"{np.max(np.abs(local[:, 2])):.2e} m off")
-        step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-        if np.any(step <= 0.0):
-            raise InputError("two neighbouring points of the line coincide", field="line.points",
-                             value=int(np.argmin(step)))
         points.setflags(write=False)
         object.__setattr__(self, "points", points)
-        object.__setattr__(self, "s", np.concatenate([[0.0], np.cumsum(step)]))
+        object.__setattr__(self, "polyline", Polyline(points))
         object.__setattr__(self, "_local", local)
-        object.__setattr__(self, "_tree", cKDTree(points))
 
-    s: Array = field(init=False, repr=False, compare=False)
-    """Arc length of the points ``(N,)`` [m]."""
+    polyline: Polyline = field(init=False, repr=False, compare=False)
     _local: Array = field(init=False, repr=False, compare=False)
-    _tree: cKDTree = field(init=False, repr=False, compare=False)
+
+    @property
+    def s(self) -> Array:
+        """Arc length of the points ``(N,)`` [m]."""
+        return self.polyline.s
 
     @classmethod
     def from_plane_points(cls, xy: Array, plane: pin.SE3, **options: Any) -> DrawnLine:
@@ -145,7 +126,7 @@ class DrawnLine:
     @property
     def length(self) -> float:
         """Length of the line [m]."""
-        return float(self.s[-1])
+        return self.polyline.length
 
     @property
     def plane_points(self) -> Array:
@@ -154,35 +135,11 @@ class DrawnLine:
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """Points ``(m, 3)`` [m] and unit tangents ``(m, 3)`` in the base frame at arc lengths ``(m,)`` [m]."""
-        s = np.clip(np.asarray(s, dtype=float), 0.0, self.s[-1])
-        i = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
-        tangent = (self.points[i + 1] - self.points[i]) / (self.s[i + 1] - self.s[i])[:, None]
-        return self.points[i] + (s - self.s[i])[:, None] * tangent, tangent
+        return self.polyline.at(s)
 
     def nearest(self, points: Array) -> Nearest:
-        """Exact nearest points of the polyline, for query points ``(m, 3)`` [m] in the base frame.
-
-        The nearest vertex is found first; the foot lies on one of the two segments at it, which holds for every
-        polyline whose segments are shorter than its distance from other parts of itself.
-        """
-        points = np.atleast_2d(np.asarray(points, dtype=float))
-        vertex = self._tree.query(points)[1]
-        best = np.full(len(points), np.inf)
-        s = np.empty(len(points))
-        foot = np.empty_like(points)
-        tangent = np.empty_like(points)
-        for segment in (np.maximum(vertex - 1, 0), np.minimum(vertex, len(self.s) - 2)):
-            a, length = self.points[segment], self.s[segment + 1] - self.s[segment]
-            direction = (self.points[segment + 1] - a) / length[:, None]
-            along = np.clip(np.einsum("ij,ij->i", points - a, direction), 0.0, length)
-            candidate = a + along[:, None] * direction
-            distance = np.linalg.norm(points - candidate, axis=1)
-            closer = distance < best
-            best[closer] = distance[closer]
-            s[closer] = (self.s[segment] + along)[closer]
-            foot[closer], tangent[closer] = candidate[closer], direction[closer]
-        left = np.cross(self.plane.rotation[:, 2], tangent)
-        return Nearest(best, s, np.einsum("ij,ij->i", points - foot, left), foot)
+        """Exact nearest points of the line to points ``(m, 3)`` [m] in the base frame."""
+        return self.polyline.nearest(points, self.plane.rotation[:, 2])
 
     def distance(self, points: Array) -> Array:
         """Distance ``(m,)`` [m] of points ``(m, 3)`` [m] in the base frame from the analytic line."""
