@@ -12,6 +12,9 @@ from ideal_robot.loop_model import LoopModel, low_pass_taps, velocity_grid
 from ideal_robot.model import Model
 from ideal_robot.robot import Robot
 
+_LAG_MAX = 0.01
+"""Largest lag of the measured velocity that is believed [s]."""
+
 
 def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopModel:
     """The identified closed loop of an arm.
@@ -31,13 +34,11 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
     if controller is None:
         raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
                          field="controller")
-    n = model.n
+    n, laws = model.n, model.friction.laws
     grid = velocity_grid(robot.v_max)
     # At speed 0 the table holds the limit from above: what the joint has to overcome.
     speeds = np.maximum(grid, 1e-9)
     unloaded = np.stack([model.friction.torque(speeds), -model.friction.torque(-speeds)])
-    slow = np.full((1, n), 1e-3)
-    by_load = model.friction.torque(slow, np.ones((1, n))) - model.friction.torque(slow, np.zeros((1, n)))
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
     whole = round(controller.delay / robot.t_ipo) if delay is None else delay
     # What the delay has beyond whole cycles, and the low-pass, make the command filter.
@@ -47,13 +48,13 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         rotor_inertia=np.maximum(model.rotor_inertia, 1e-6),
         friction_velocity=grid,
         friction_torque=np.maximum(unloaded, 0.0),
-        friction_load=by_load[0],
-        friction_bend=np.zeros(n),
+        friction_load=np.array([law.coefficients[-1, 0] if law.loaded else 0.0 for law in laws]),
+        friction_bend=np.array([law.shape[-1, 0] if law.presliding else 0.0 for law in laws]),
         offset=np.array(model.offset),
         stiffness=np.full(n, np.inf) if model.stiffness is None else np.array(model.stiffness),
         damping=np.zeros(n) if model.damping is None else np.array(model.damping),
         k_v=k_v, k_ff=k_ff, k_p=k_p, k_i=k_i,
-        t_filter=np.zeros(n),
+        t_filter=np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX),
         command_filter=low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
                                      dead_time=rest),
         delay=whole,
@@ -67,7 +68,7 @@ def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Arr
     """``k_v``, ``k_ff``, ``k_p``, ``k_i`` of the cascade ``u = k_v e + k_ff ė + (k_ff - 1) q̇``, ``τ = k_p u + k_i ∫u``.
 
     Comparing it with [G] (16), (17): ``k_D - k_1 = k_p``, ``k_D = k_p k_ff``, ``k_P = k_p k_v``. The term ``k_2 q̈`` of
-    (16) stands for lags of the velocity loop; it has no counterpart here.
+    (16) is the first-order lag of the measured velocity, ``k_2 = k_p t_filter``.
     """
     k_p = controller.k_d - controller.k_1
     if np.any(k_p <= 0):

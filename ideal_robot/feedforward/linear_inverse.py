@@ -71,7 +71,7 @@ def _preview_weights(g: Array, past: int, n_d: int, corner: float, regularisatio
     smooth_direct, smooth_wanted = np.convolve(direct, shape), np.convolve(wanted, shape)
     moves = smooth - smooth_direct[:, None]
     estimate = InformationFilter(count)
-    estimate.update(moves, smooth_wanted - smooth_direct, regularisation * np.linalg.norm(smooth_wanted))
+    estimate.update(moves, smooth_wanted - smooth_direct, regularisation * float(np.linalg.norm(smooth_wanted)))
     estimate.update(np.eye(count), np.zeros(count), 1.0)
     weights = estimate.solve()
     weights[past] = 0.0

@@ -49,14 +49,14 @@ class LinearLoop:
         return np.column_stack([np.convolve(moved[:, i], self.g[:, i])[: len(q_c)] for i in range(self.n)]) + q_c[0]
 
     def matrix(self, joint: int, rows: int, columns: int, first: int = 0) -> Array:
-        """``G (rows, columns)`` of [G] (11): answers at ``first … first + rows - 1`` to commands at ``0 … columns - 1``."""
+        """``G (rows, columns)`` of [G] (11): answers from cycle ``first`` on to commands from cycle 0 on."""
         lag = first + np.arange(rows)[:, None] - np.arange(columns)[None, :]
         inside = (lag >= 0) & (lag < len(self.g))
         return np.where(inside, self.g[np.clip(lag, 0, len(self.g) - 1), joint], 0.0)
 
     @classmethod
     def of(cls, loop: LoopModel, q: Array, length: int = 40, step: float = 2e-3) -> LinearLoop:
-        """Linearises the identified loop at the posture ``q (n,)``: answer of the arm to a small step, without friction.
+        """Linearises the identified loop at ``q (n,)``: answer of the arm to a small step, without friction.
 
         Args:
             loop: the identified loop.
@@ -92,7 +92,7 @@ class LinearLoop:
             InputError: a joint does not move, or there are fewer samples than coefficients.
         """
         N, n = q.shape
-        if N <= length + 1:
+        if length + 1 >= N:
             raise InputError(f"needs more than {length + 1} cycles", field="q_c", value=N)
         g = np.zeros((length + 1, n))
         count = length + 1 - delay

@@ -1,0 +1,160 @@
+"""The joint controllers at their own cycles, from commands, motor angles and torques of one recording.
+
+[G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
+A recording at the position loop's cycle allows better: the cascade
+
+    r = low-pass(q_c) ,  u = k_v (r - q) + k_ff ṙ - q̇_f ,  τ = k_p u + k_i ∫u + c
+
+is simulated with the *measured* angles, so neither rigid body nor friction enters, and its parameters are those
+whose torque comes closest to the measured one over the whole recording (simulated, not predicted a step ahead, as
+[G] Fig. 17 teaches).
+Written out, τ is linear in the products of gains; only the two time constants need a search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
+from scipy.signal import butter, filtfilt, lfilter
+
+from ideal_robot.controller_model import ControllerModel
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+
+_ORDER = 2
+"""Stages of the command low-pass that are fitted; a single one comes out as two shorter ones just as well."""
+
+
+_CUTOFF = 12.0
+"""Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
+_EDGE = 50
+"""Samples at either end that the filter spoils."""
+
+
+@dataclass(frozen=True)
+class ControllerFit:
+    """Cascade gains of ``n`` joints as identified, each ``(n,)``.
+
+    Attributes:
+        controller: in the form of [G] (16), (17) at the position loop's cycle.
+        t_filter: time constant of the velocity's low-pass, all smaller lags of the drive included [s].
+        error_percent: ``100 ‖τ - τ̂‖ / ‖τ - mean‖`` per joint.
+    """
+
+    controller: ControllerModel
+    t_filter: Array
+    error_percent: Array
+
+
+def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
+    """Fits the cascade of every joint to a recording in which all joints move.
+
+    Args:
+        recording: ``q_c_i`` (the command before its low-pass), ``q_i`` and ``tau_i`` at the position loop's cycle or a
+            few times slower.
+        robot: cycle times.
+
+    Raises:
+        InputError: a column is missing, the sampling is too slow, or a joint does not move.
+    """
+    q_c, q, tau = recording.joints("q_c"), recording.joints("q"), recording.joints("tau")
+    cycle = float(np.median(np.diff(recording.t)))
+    if cycle > 2.5 * robot.t_position:
+        raise InputError(f"the closed loop needs samples every {1e3 * robot.t_position:g} ms", file=recording.source,
+                         field="t", value=cycle)
+    n = recording.n
+    values = np.empty((7, n))
+    error = np.empty(n)
+    for i in range(n):
+        if np.ptp(q[:, i]) < 0.02:
+            raise InputError("the joint hardly moves", file=recording.source, field=f"q_{i + 1}")
+        values[:, i], error[i] = _fit_joint(q_c[:, i], q[:, i], tau[:, i], cycle, robot.t_velocity)
+    k_v, k_ff, k_p, k_i, t_low, t_filter, _ = values
+    controller = ControllerModel(
+        t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
+        k_i=k_i / k_p * robot.t_position, filter_time=t_low, filter_order=_ORDER)
+    return ControllerFit(controller, t_filter, error)
+
+
+def _fit_joint(q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float) -> tuple[Array, float]:
+    """Gains, time constants and offset of one joint, and the relative error [%]."""
+    t_end = cycle * (len(q) - 1)
+    fine = np.arange(0.0, t_end + 1e-9, t_velocity)
+    every = round(cycle / t_velocity)
+    # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
+    angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
+    low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
+
+    def smoothed(x: Array) -> Array:
+        return np.asarray(filtfilt(*low_pass, x, axis=0)[_EDGE:-_EDGE])
+
+    tau = smoothed(tau)
+    scale = float(np.std(tau))
+
+    def columns(times: Array) -> Array:
+        low, velocity = times
+        r = _low_passed(q_c, cycle, abs(low))
+        rate = np.concatenate([[0.0], np.diff(r)]) / cycle
+        speed = _differentiated(angle, t_velocity, abs(velocity))
+        turned = np.cumsum(speed) * t_velocity
+        # The integrator adds up what the position loop holds over its cycle, the present step included.
+        share = t_velocity / cycle
+        gap = r - q
+        held = cycle * (np.concatenate([[0.0], np.cumsum(gap)[:-1]]) + share * gap)
+        moved = np.concatenate([[0.0], r[:-1] - r[0]]) + share * cycle * rate
+        return smoothed(np.column_stack([gap, rate, -speed[::every], held, moved, -turned[::every]]))
+
+    def torque(H: Array, gains: Array) -> Array:
+        k_v, k_ff, k_p, k_i = gains
+        return np.asarray(H @ np.array([k_p * k_v, k_p * k_ff, k_p, k_i * k_v, k_i * k_ff, k_i]))
+
+    def difference(H: Array, gains: Array) -> Array:
+        left = tau - torque(H, gains)
+        return np.asarray((left - left.mean()) / scale)
+
+    # A lag of half a millisecond adds up to hundreds of newton metres in the integrator: the low-pass must be about
+    # right before a search for the gains can succeed. Without the ties between them the gains are linear, and the ties
+    # then tell which low-pass fits.
+    best: tuple[float, Array, float] | None = None
+    for low in cycle * np.arange(0.0, 4.01, 0.5):
+        H = columns(np.array([low, 2 * t_velocity]))
+        a = np.linalg.lstsq(np.column_stack([H, np.ones(len(H))]), tau, rcond=None)[0]
+        k_i = max(a[5], 1e-9)
+        start = np.array([max(a[3] / k_i, 0.1), a[4] / k_i, max(a[2], 1e-9), k_i])
+        unit = np.maximum(np.abs(start), 1e-3)
+        found = least_squares(lambda x, H=H, unit=unit: difference(H, x * unit), start / unit, max_nfev=12)
+        if best is None or found.cost < best[0]:
+            best = float(found.cost), found.x * unit, float(low)
+    assert best is not None
+    start = np.concatenate([best[1], [best[2] + 1e-4, 2 * t_velocity]])
+    unit = np.maximum(np.abs(start), 1e-3)
+
+    def residual(x: Array) -> Array:
+        return difference(columns(x[4:] * unit[4:]), x[:4] * unit[:4])
+
+    found = least_squares(residual, start / unit, x_scale="jac", max_nfev=60)
+    gains = found.x * unit
+    gains[4:] = np.abs(gains[4:])
+    modelled = torque(columns(gains[4:]), gains[:4])
+    offset = float(np.mean(tau - modelled))
+    error = 100.0 * float(np.linalg.norm(tau - modelled - offset) / np.linalg.norm(tau - tau.mean()))
+    return np.append(gains, offset), error
+
+
+def _low_passed(x: Array, cycle: float, time: float) -> Array:
+    a = np.exp(-cycle / time) if time > 0 else 0.0
+    out = x - x[0]
+    for _ in range(_ORDER):
+        out = lfilter([1 - a], [1, -a], out)
+    return np.asarray(out + x[0])
+
+
+def _differentiated(x: Array, cycle: float, time: float) -> Array:
+    a = np.exp(-cycle / time) if time > 0 else 0.0
+    speed = np.concatenate([[0.0], np.diff(x)]) / cycle
+    return np.asarray(lfilter([1 - a], [1, -a], speed))
