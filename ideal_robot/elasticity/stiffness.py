@@ -1,0 +1,175 @@
+"""Joint stiffness from recordings with the flange clamped: both methods of [J], over one or several configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ideal_robot.elasticity.least_squares import least_squares
+from ideal_robot.elasticity.signals import DECIMATE_HZ, ClampedSignals
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+
+Method = Literal["motor", "wrench"]
+
+CORRELATED_SECONDS = 4.0
+"""Residuals of a quasi-static recording are alike while a level is held; σ for intervals allows for that."""
+WORST_CONDITION = 60.0
+"""A Jacobian (moments divided by 1 m) worse than this makes joint torques from wrenches unreliable, [J] 2.3."""
+LOADED_SHARE = 0.08
+"""A joint counts as loaded in a recording if its torque varies by this share of the most loaded joint's …"""
+LEAST_CORRELATION = 0.9
+"""… and goes with its motor angle at least as well as this."""
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """Relative standard deviations of what scales all torques alike and no residual shows.
+
+    Attributes:
+        drive_gain: data-sheet drive gains, [J] (9): "a few per cent".
+        wrench: calibration of the wrench sensor.
+        model: geometry, and elasticity that is not the gear's.
+    """
+
+    drive_gain: float = 0.03
+    wrench: float = 0.003
+    model: float = 0.01
+
+    def of(self, method: Method) -> float:
+        return float(np.hypot(self.drive_gain if method == "motor" else self.wrench, self.model))
+
+
+@dataclass(frozen=True)
+class JointStiffness:
+    """Result for one joint.
+
+    Attributes:
+        joint: counted from 1.
+        method: ``motor`` ([J] 2.2), ``wrench`` ([J] 2.3) or ``payload``.
+        stiffness: k_j [N m/rad].
+        offset: Offkm_j or Offkl_j of the first recording used [N m].
+        std_percent, offset_std_percent: %σ of both, [J] (17).
+        relative_error_percent: ‖W χ − Y‖ / ‖Y‖ [%].
+        interval: 95 % interval of the stiffness [N m/rad], with correlated residuals and ``Tolerances``.
+        condition: worst condition number of the Jacobians used, moments divided by 1 m.
+        recordings: which recordings loaded the joint.
+    """
+
+    joint: int
+    method: str
+    stiffness: float
+    offset: float
+    std_percent: float
+    offset_std_percent: float
+    relative_error_percent: float
+    interval: tuple[float, float]
+    condition: float
+    recordings: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JointLoad:
+    """Torque of one joint over its motor angle in one recording: a point cloud of [J] figures 4 and 5."""
+
+    source: str
+    q_m: Array
+    tau: Array
+    condition: float
+
+
+def flange_jacobian(robot: Robot, q: Array) -> Array:
+    """J(q_0) of [J] (3) in the tool frame ``(6, n)``."""
+    return np.array(pin.computeFrameJacobian(robot.model, robot.model.createData(), q, robot.tool_id, pin.LOCAL))
+
+
+def condition_number(robot: Robot, q: Array) -> float:
+    """Condition number of the Jacobian, rotations against a length of 1 m."""
+    return float(np.linalg.cond(flange_jacobian(robot, q)))
+
+
+def joint_torque(signals: ClampedSignals, robot: Robot, method: Method) -> tuple[Array, NDArray[np.bool_]]:
+    """Torques ``(N, n)`` by one of the methods and the samples ``(N,)`` that can be used.
+
+    ``motor``: τ_m = g I, [J] (9). ``wrench``: τ_l = J(q_0)ᵀ F_e, [J] (12).
+
+    Raises:
+        InputError: the recording lacks what the method needs.
+    """
+    if method == "motor":
+        if signals.tau is None:
+            raise InputError("method 'motor' needs motor currents or torques", file=signals.source, field="current_i")
+        return signals.tau, signals.clamped
+    if signals.wrench is None:
+        raise InputError("method 'wrench' needs at least fz", file=signals.source, field="fz")
+    tau = signals.wrench @ flange_jacobian(robot, signals.q_0)
+    return tau, signals.clamped & np.all(np.isfinite(signals.wrench), axis=1)
+
+
+def joint_loads(signals: Sequence[ClampedSignals], robot: Robot, method: Method, joint: int) -> list[JointLoad]:
+    """The recordings in which a joint (from 1) is loaded, with its torque over its motor angle."""
+    loads = []
+    for one in signals:
+        tau, use = joint_torque(one, robot, method)
+        if np.count_nonzero(use) < 10:
+            continue
+        spans = np.ptp(tau[use], axis=0)
+        # Also where the torque does not vary at all, as with a wrench that does not reach the joint.
+        if spans[joint - 1] <= LOADED_SHARE * np.max(spans):
+            continue
+        if np.corrcoef(tau[use, joint - 1], one.q_m[use, joint - 1])[0, 1] < LEAST_CORRELATION:
+            continue
+        loads.append(JointLoad(one.source, one.q_m[use, joint - 1], tau[use, joint - 1],
+                               condition_number(robot, one.q_0)))
+    return loads
+
+
+def identify_joint(loads: Sequence[JointLoad], joint: int, method: Method,
+                   tolerances: Tolerances | None = None) -> JointStiffness:
+    """[J] (8) or (11) by least squares, one offset per recording.
+
+        τ_j = [q_mj 1] [k_j Off_j]ᵀ
+
+    Raises:
+        InputError: no recording loads the joint.
+    """
+    if not loads:
+        raise InputError(f"no recording loads joint {joint}; clamp the flange in a configuration that does",
+                         field="joint", value=joint)
+    tolerances = tolerances or Tolerances()
+    weights = [1.0] * len(loads)
+    for _ in range(2 if len(loads) > 1 else 1):
+        W = np.vstack([weight * _rows(load, loads) for weight, load in zip(weights, loads, strict=True)])
+        Y = np.concatenate([weight * load.tau for weight, load in zip(weights, loads, strict=True)])
+        fit = least_squares(W, Y, lag=round(CORRELATED_SECONDS * 2 * DECIMATE_HZ))
+        # Recordings whose residuals are larger count less from the second pass on.
+        weights = [1 / np.std(load.tau - fit.chi[0] * load.q_m) for load in loads]
+    k = float(fit.chi[0])
+    half = 1.96 * float(np.hypot(np.sqrt(fit.robust[0, 0]), k * tolerances.of(method)))
+    return JointStiffness(joint, method, k, float(fit.chi[1]), float(fit.std_percent[0]), float(fit.std_percent[1]),
+                          100 * fit.relative_residual, (k - half, k + half), max(load.condition for load in loads),
+                          tuple(load.source for load in loads))
+
+
+def _rows(load: JointLoad, loads: Sequence[JointLoad]) -> Array:
+    """[q_m, 1 in the column of this recording's offset, 0 in those of the others]."""
+    return np.column_stack([load.q_m, *(np.full(len(load.q_m), float(other is load)) for other in loads)])
+
+
+def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: Method,
+                       tolerances: Tolerances | None = None) -> tuple[JointStiffness, ...]:
+    """All joints that the recordings load, each by [J] (8) or (11)."""
+    results = []
+    for joint in range(1, robot.n + 1):
+        loads = joint_loads(signals, robot, method, joint)
+        if loads:
+            results.append(identify_joint(loads, joint, method, tolerances))
+    if not results:
+        raise InputError("no joint is loaded in any recording", field="recordings")
+    return tuple(results)

@@ -1,0 +1,49 @@
+"""``ideal-robot stiffness``: joint stiffness from clamped recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings with the flange clamped, or with payloads "
+                                                          "hung on it (Parquet or CSV).")],
+    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
+    method: Annotated[str, typer.Option(help="motor (currents), wrench (force sensor) or both.")] = "both",
+    clamp: Annotated[bool | None, typer.Option("--clamp/--no-clamp", help="Estimate the give of clamp and links beside "
+                                               "the gears; default: where the recordings allow it.")] = None,
+    drive_gain_tolerance: Annotated[float, typer.Option(help="Relative standard deviation of the data sheet's drive "
+                                                             "gains.", min=0.0)] = 0.03,
+    json: Annotated[Path | None, typer.Option(help="Write the results as JSON to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("out/stiffness"),
+) -> None:
+    """Joint stiffness of an arm whose flange is clamped to the environment, after Jubien, Abba and Gautier (2014).
+
+    Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --urdf kr500 --method both`
+    """
+    from ideal_robot.elasticity.stiffness import Tolerances
+    from ideal_robot.recording import Recording
+    from ideal_robot.robot import Robot
+    from scenes.commands.common import progress_bar, show_table
+    from scenes.report import write_json
+    from scenes.stiffness_analysis import analyse
+    from scenes.stiffness_report import stiffness_page
+
+    with progress_bar("stiffness") as progress:
+        robot = Robot.load(urdf)
+        loaded = [Recording.read(path) for path in recordings]
+        progress(0.1, "synchronising and fitting")
+        analysis = analyse(loaded, robot, method, clamp=clamp, tolerances=Tolerances(drive_gain=drive_gain_tolerance))
+        progress(0.7, "drawing")
+        page = stiffness_page(analysis, title=f"Joint stiffness of {robot.name}").write(out / "report.html")
+    if json is not None:
+        write_json(json, analysis.json())
+    show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],
+               [[one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.relative_error_percent]
+                for one in analysis.joints])
+    for warning in analysis.warnings:
+        typer.echo(f"note: {warning}", err=True)
+    typer.echo(f"report: {page}")
