@@ -10,9 +10,11 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from ideal_robot.interface import Array
 from planning.reference import ReferencePath
+from planning.vectors import cross
 
 
 class DeviationModel(ABC):
@@ -152,9 +154,9 @@ class PathDeviation(DeviationModel):
             self._F[block, block] = shift
             last = block.stop - 1
             self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * shape**2)
-        # Axes of the surface at the path's start span the rigid motion.
-        frame = reference.frames(np.zeros(1))
-        self._axes = np.stack([frame.tangent[0], frame.normal[0], frame.up[0]])
+        self._span = (-0.5, reference.length + 0.5)
+        grid = np.linspace(*self._span, round((reference.length + 1.0) / 0.004) + 1)
+        self._rigid_basis = CubicSpline(grid, self._rigid_at(grid))
 
     def prior(self) -> tuple[Array, Array]:
         """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
@@ -163,17 +165,9 @@ class PathDeviation(DeviationModel):
     def basis(self, s: Array) -> Array:
         """Rigid part and B-splines; outside the window the splines stay at its edge."""
         s = np.asarray(s, dtype=float)
-        frames = self.reference.frames(s)
         H = np.zeros((len(s), self.directions, self.size))
-        lever = frames.position - self._centre
-        for i, g in enumerate((frames.normal, frames.up)[: self.directions]):
-            # g·(τ + φ × lever) with τ and φ along the axes; g·(e × lever) = e·(lever × g).
-            turn = np.cross(lever, g) @ self._axes.T
-            move = g @ self._axes.T
-            H[:, i, : self._rigid] = np.concatenate(
-                [move[:, :2], turn[:, 2:]] if self._rigid == 3 else [move, turn], axis=1
-            )
-        u = np.clip((s - self._start) / self._knot, 0.0, self._count - 3 - 1e-9)
+        H[:, :, : self._rigid] = self._rigid_basis(np.minimum(np.maximum(s, self._span[0]), self._span[1]))
+        u = np.minimum(np.maximum((s - self._start) / self._knot, 0.0), self._count - 3 - 1e-9)
         j = u.astype(np.intp)
         u = u - j
         weights = (
@@ -183,6 +177,20 @@ class PathDeviation(DeviationModel):
         for i, block in enumerate(self._blocks()):
             H[rows, i, block.start + j[:, None] + np.arange(4)] = weights
         return H
+
+    def _rigid_at(self, s: Array) -> Array:
+        """Deviation per unit of the rigid motion's components at ``s (m,)``, ``(m, directions, 3 or 6)``."""
+        frames = self.reference.frames(s)
+        lever = frames.position - self._centre
+        # Axes of the surface at the path's start span the motion: g·(τ + φ × lever), and g·(e × lever) = e·(lever × g).
+        start = self.reference.frames(np.zeros(1))
+        axes = np.concatenate([start.tangent, start.normal, start.up])
+        rows = []
+        for g in (frames.normal, frames.up)[: self.directions]:
+            move, turn = g @ axes.T, cross(lever, g) @ axes.T
+            # In the surface there are two directions to move and one axis to turn about.
+            rows.append(np.concatenate([move[:, :2], turn[:, 2:]] if self._rigid == 3 else [move, turn], axis=1))
+        return np.stack(rows, axis=1)
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """Shifts the window by one knot once the arm has left it behind."""

@@ -108,13 +108,12 @@ class InverseKinematics:
         Raises:
             OutOfReachError: not solved in ten steps, or outside the joint limits.
         """
-        enough = np.sqrt(tolerance)
         solved = np.empty_like(q)
         for i, target in enumerate(targets):
             q_i = q[i]
             for _ in range(10):
                 q_i, error = self.step(target, q_i)
-                if error.max() < enough and error.min() > -enough:
+                if error @ error < tolerance:
                     break
             else:
                 raise OutOfReachError(_position(target), float(np.linalg.norm(error[:3])))

@@ -12,14 +12,18 @@ from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
 from planning.deviation_model import PathDeviation
-from planning.errors import LineLostError, LineNeverSeenError
+from planning.errors import LineLostError, LineNeverSeenError, PlanningError
 from planning.fusion import DeviationFilter, Fused, Measurement
 from planning.kinematics import InverseKinematics
 from planning.pose_history import PoseHistory
 from planning.reference import ReferencePath
 from planning.smoothing import Smoother
 from planning.speed_profile import JointPath, Limits, SpeedProfile
+from planning.vectors import cross, dot
 from sensing.line_detection import PredictedLine
+
+SILENCE = 0.25
+"""Time after which a camera that sends no fields at all counts as one that shows nothing [s]."""
 
 
 class SeenLine(Protocol):
@@ -58,6 +62,7 @@ class FollowerSettings:
         common: lateral error common to all points of a field, different from field to field [m].
         yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
         stamp: error of the time stamps, standard deviation [s]; estimated on the way.
+        view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         max_blind: distance that may be travelled without seeing the line [m].
         max_search: distance that may be travelled before the line is seen first [m].
         follow_tangent: whether the tool turns with the line seen, not only with the reference.
@@ -70,7 +75,8 @@ class FollowerSettings:
     common: float = 3e-5
     yaw: float = 0.003
     stamp: float = 0.0005
-    max_blind: float = 0.1
+    view: tuple[float, float] = (0.02, 0.17)
+    max_blind: float = 0.15
     max_search: float = 0.3
     follow_tangent: bool = False
 
@@ -81,6 +87,8 @@ class FollowerSettings:
         for key in ("frozen", "noise", "common", "yaw", "stamp"):
             if not getattr(self, key) >= 0:
                 raise InputError("expected zero or a positive number", field=key, value=getattr(self, key))
+        if not 0 <= self.view[0] < self.view[1]:
+            raise InputError("expected the nearer distance first", field="view", value=self.view)
 
 
 @dataclass(frozen=True)
@@ -163,6 +171,7 @@ class LineFollower:
         self._last_seen: tuple[float, float] | None = None
         self._front = -np.inf
         self._changed = False
+        self._field_t, self._age = -np.inf, 0.04
 
     def _tabulate(self, path: JointPath) -> None:
         """All of the reference that the real-time part needs, once for every cycle."""
@@ -176,7 +185,7 @@ class LineFollower:
         self._q_reference = self._kinematics.refine(self._targets, q, tolerance=1e-12)
         self._q = self._q_reference.copy()
         self._plan = np.zeros((3, cycles, 1))
-        self._planned_to = self._solved_to = -1
+        self._planned_to = self._solved_to = self._ever_solved = -1
 
     @property
     def q_start(self) -> Array:
@@ -206,10 +215,11 @@ class LineFollower:
 
         Args:
             t: instant of exposure [s].
-            ahead: distances from the TCP along the reference ``(m,)`` [m]; 20 to 110 mm by default.
+            ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will be
+                when the field takes effect.
         """
-        ahead = np.linspace(0.02, 0.11, 5) if ahead is None else ahead
-        s = float(self.profile.s(t - self.t_start)) + ahead
+        s_tcp = float(self.profile.s(t - self.t_start))
+        s = s_tcp + (self._where_to_look(t) if ahead is None else ahead)
         step = 1e-3
         deviation, variance = self.fusion.deviation(np.concatenate([s, s - step, s + step]))
         d, before, after = np.split(deviation[:, 0], 3)
@@ -221,6 +231,13 @@ class LineFollower:
         sigma = np.sqrt(variance[: len(s), 0])
         return LineAhead(s, frames.position + d[:, None] * frames.normal, tangents, frames.up, sigma)
 
+    def _where_to_look(self, t: float) -> Array:
+        """What the TCP passes before the field has come and gone into the plan need not be looked at."""
+        near, far = self.settings.view
+        passed = float(self.profile.speed(t - self.t_start)) * (self._age + 2 * self._T)
+        first = min(max(near, passed), max(near, far - 0.06))
+        return np.linspace(first, min(far, first + 0.1), 5)
+
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, whenever it arrives.
 
@@ -231,6 +248,7 @@ class LineFollower:
         Returns:
             what became of the points, or None if the field showed nothing.
         """
+        self._field_t = max(self._field_t, line.t)
         if not line.seen:
             return None
         self.fields_seen += 1
@@ -256,12 +274,13 @@ class LineFollower:
         frames = self.reference.frames(s)
         covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
         # A turned camera moves a point by up × lever, a wrong time stamp by the velocity it has on the tool.
-        turned = np.sum(frames.normal * np.cross(frames.up, lever), axis=1)
+        turned = dot(frames.normal, cross(frames.up, lever))
         try:
             velocity, rate = self.history.velocity(t)
-        except Exception:
+        except PlanningError:
+            # Poses given from outside, no history: then time stamps have to be right.
             velocity, rate = np.zeros(3), np.zeros(3)
-        moved = frames.normal @ velocity + np.sum(frames.normal * np.cross(rate, lever), axis=1)
+        moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
         return Measurement(t, s, value, covariance, bias=np.column_stack([turned, moved]))
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
@@ -283,6 +302,8 @@ class LineFollower:
         """
         k = self._cycle(t)
         self.fusion.travel(float(self._s[k]))
+        if self._changed:
+            self._age += 0.2 * (t - self._field_t - self._age)
         self._check_seen(t, float(self._s[k]))
         end = k + self.n_d
         if self._changed or self._planned_to < end:
@@ -319,12 +340,18 @@ class LineFollower:
         rotations = self._rotations[first:end]
         if self.settings.follow_tangent:
             rotations = self._turned(first, end) @ rotations
-        # Near the reference the joint angles differ from its ones as much as they did a cycle before.
-        start = self._q_reference[first:end] + (self._q[first - 1] - self._q_reference[first - 1] if first else 0.0)
+        # What was solved before is nearly right; behind it the offset from the reference's joint angles goes on.
+        start = self._q[first:end]
+        new = self._ever_solved + 1
+        if new < end:
+            start = start.copy()
+            offset = self._q[new - 1] - self._q_reference[new - 1] if new else 0.0
+            start[max(new - first, 0) :] = self._q_reference[max(new, first) : end] + offset
         targets = [pin.SE3(R, p) for R, p in zip(rotations, positions, strict=True)]
         self._q[first:end] = self._kinematics.refine(targets, start)
         self._targets[first:end] = targets
         self._solved_to = end - 1
+        self._ever_solved = max(self._ever_solved, end - 1)
 
     def _turned(self, first: int, end: int) -> Array:
         """Rotations about the surface normal from the reference's tangent to that of the desired path."""
@@ -334,11 +361,13 @@ class LineFollower:
         return np.array([pin.exp3(a * up) for a, up in zip(angle, self._frames.up[first:end], strict=True)])
 
     def _check_seen(self, t: float, s: float) -> None:
+        """Counts the blind distance from field to field, so that a late camera is not a blind one; a silent one is."""
         begin, end = self._line_span
+        looked = float(self.profile.s(max(self._field_t, t - SILENCE) - self.t_start))
         if self._last_seen is None:
-            if s - begin > self.settings.max_search:
+            if looked - begin > self.settings.max_search:
                 raise LineNeverSeenError(t, s, self.settings.max_search)
-        elif s - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
+        elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
             raise LineLostError(t, s, *self._last_seen, self.settings.max_blind)
 
 

@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
+from planning.vectors import cross, dot, exp, unit
 
 KNOT = 0.002
 """Spacing of the spline's knots [m]; the curvature is piecewise linear between them."""
@@ -110,7 +111,7 @@ class ReferencePath:
     def tangent(self, s: Array | float) -> Array:
         """Unit vectors of travel at ``s``, shape ``(m, 3)``."""
         c, u = self._piece(s)
-        return _unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
+        return unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
 
     def up(self, s: Array | float) -> Array:
         """Unit normals of the surface at ``s``, made square to the tangent, shape ``(m, 3)``."""
@@ -123,31 +124,32 @@ class ReferencePath:
     def frames(self, s: Array | float) -> PathFrames:
         """Points, tangents, lateral and surface normals at ``s``."""
         c, u = self._piece(s)
-        tangent = _unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
+        tangent = unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
         position = ((c[0] * u + c[1]) * u + c[2]) * u + c[3]
         return self._frames(s, position, tangent)
 
     def curvature(self, s: Array | float) -> Array:
         """Curvature in the surface [1/m], positive to the left, shape ``(m,)``; 0 beyond the ends."""
         c, u = self._piece(s)
-        return np.asarray(np.sum((6.0 * c[0] * u + 2.0 * c[1]) * self.normal(s), axis=-1))
+        return np.asarray(dot(6.0 * c[0] * u + 2.0 * c[1], self.normal(s)))
 
     def _piece(self, s: Array | float) -> tuple[Array, Array]:
         """Coefficients ``(4, m, 3)`` of the cubics at ``s`` and the distance from their left ends ``(m, 1)``."""
-        i = np.clip(np.floor(np.asarray(s) / self._knot).astype(np.intp) + 1, 0, self._cubics.shape[1] - 1)
+        i = np.floor(np.asarray(s) / self._knot).astype(np.intp) + 1
+        i = np.minimum(np.maximum(i, 0), self._cubics.shape[1] - 1)
         return self._cubics[:, i], np.asarray(s - self._left[i])[..., None]
 
     def _frames(self, s: Array | float, position: Array, tangent: Array) -> PathFrames:
         if self._flat:
-            normal = _unit(tangent @ self._turn_left)
+            normal = unit(tangent @ self._turn_left)
         else:
-            normal = _unit(_cross(self._up(np.clip(s, 0.0, self.length)), tangent))
-        return PathFrames(position, tangent, normal, _cross(tangent, normal))
+            normal = unit(cross(self._up(np.clip(s, 0.0, self.length)), tangent))
+        return PathFrames(position, tangent, normal, cross(tangent, normal))
 
     def rotation(self, s: Array | float) -> Array:
         """Tool orientations at ``s``, shape ``(m, 3, 3)``; constant beyond the ends."""
         w = self._turn(np.clip(s, 0.0, self.length))
-        return np.asarray(self._start @ _exp(w))
+        return np.asarray(self._start @ exp(w))
 
     def pose(self, s: float) -> pin.SE3:
         """TCP pose of the reference at one arc length."""
@@ -178,12 +180,12 @@ class ReferencePath:
             c, u = self._piece(s)
             velocity = (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
             away = points - (((c[0] * u + c[1]) * u + c[2]) * u + c[3])
-            bend = _dot(6.0 * c[0] * u + 2.0 * c[1], away)
+            bend = dot(6.0 * c[0] * u + 2.0 * c[1], away)
             # Newton on (x - p(s))·p'(s) = 0; the curvature term is kept away from the centre of curvature.
-            s = s + _dot(away, velocity) / np.maximum(_dot(velocity, velocity) - bend, 0.3)
+            s = s + dot(away, velocity) / np.maximum(dot(velocity, velocity) - bend, 0.3)
         frames = self.frames(s)
         away = points - frames.position
-        return s, _dot(away, frames.normal), _dot(away, frames.up)
+        return s, dot(away, frames.normal), dot(away, frames.up)
 
     def _orientation(
         self, knots: Array, turning: float, turn_smoothing: float, rotation: Array | None
@@ -193,12 +195,12 @@ class ReferencePath:
         chord = self.position(self.length) - self.position(0.0)
         closed = np.linalg.norm(chord) < 0.1 * self.length
         mean = frames.tangent[0] if closed else chord
-        ahead = _unit(mean - np.sum(mean * frames.up, axis=1)[:, None] * frames.up)
-        left = _cross(frames.up, ahead)
+        ahead = unit(mean - np.sum(mean * frames.up, axis=1)[:, None] * frames.up)
+        left = cross(frames.up, ahead)
         heading = np.unwrap(np.arctan2(np.sum(frames.tangent * left, axis=1), np.sum(frames.tangent * ahead, axis=1)))
         heading = turning * _averaged(heading[:, None], round(turn_smoothing / (knots[1] - knots[0])))[:, 0]
         x = np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left
-        R = np.stack([x, _cross(x, frames.up), -frames.up], axis=2)
+        R = np.stack([x, cross(x, frames.up), -frames.up], axis=2)
         if rotation is not None:
             # The given orientation holds where the heading is the mean direction; all others turn with the surface.
             mean_frame = np.column_stack([ahead[0], np.cross(ahead[0], frames.up[0]), -frames.up[0]])
@@ -254,34 +256,3 @@ def _averaged(values: Array, width: int) -> Array:
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
     window = 2 * half + 1
     return (total[window:] - total[:-window]) / window
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(np.einsum("...i,...i->...", a, b))
-
-
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.sqrt(_dot(vectors, vectors))[..., None])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """What ``np.cross`` does, in a third of its time for few vectors."""
-    return np.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        axis=-1,
-    )
-
-
-def _exp(w: Array) -> Array:
-    """Rotation matrices of rotation vectors: Rodrigues' formula for many at once."""
-    angle = np.linalg.norm(w, axis=-1)[..., None, None]
-    K = np.zeros((*np.shape(w)[:-1], 3, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -w[..., 2], w[..., 1], -w[..., 0]
-    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = w[..., 2], -w[..., 1], w[..., 0]
-    # sin(x)/x and (1 - cos x)/x², both well behaved at 0.
-    first, second = np.sinc(angle / np.pi), 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    return np.asarray(np.eye(3) + first * K + second * (K @ K))
