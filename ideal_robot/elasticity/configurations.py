@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.elasticity.clamp_compliance import compliance_shapes
-from ideal_robot.elasticity.stiffness import flange_jacobian
+from ideal_robot.elasticity.stiffness import condition_number, flange_jacobian
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
@@ -28,6 +28,7 @@ class ClampLimits:
         radius: distance of the flange from the vertical through the base [m].
         height: of the flange above the base [m].
         noise: standard deviation of sensed forces [N] and moments [N m].
+        condition: largest condition number of the Jacobian, moments divided by 1 m.
         stiffness_guess: joint stiffness as a multiple of the torque limit [1/rad].
     """
 
@@ -37,6 +38,7 @@ class ClampLimits:
     radius: tuple[float, float] = (0.9, 2.6)
     height: tuple[float, float] = (0.2, 2.2)
     noise: tuple[float, float] = (12.0, 4.0)
+    condition: float = 20.0
     stiffness_guess: float = 200.0
 
     @classmethod
@@ -103,14 +105,15 @@ def choose_configurations(robot: Robot, limits: ClampLimits, rng: np.random.Gene
         if np.max(stds[best]) <= target_percent:
             break
     return ChosenConfigurations(np.array(chosen), np.array(promised),
-                                np.array([np.linalg.cond(flange_jacobian(robot, q)) for q in chosen]))
+                                np.array([condition_number(robot, q) for q in chosen]))
 
 
 def _within(robot: Robot, q: Array, limits: ClampLimits) -> bool:
     pose = robot.fk()(q)
     x, y, z = pose.translation
     reach_ok = limits.radius[0] <= np.hypot(x, y) <= limits.radius[1] and x > 0
-    return bool(reach_ok and limits.height[0] <= z <= limits.height[1])
+    height_ok = limits.height[0] <= z <= limits.height[1]
+    return bool(reach_ok and height_ok and condition_number(robot, q) <= limits.condition)
 
 
 def _information(robot: Robot, q: Array, guess: Array, limits: ClampLimits) -> Array:

@@ -12,8 +12,8 @@ from ideal_robot.model import Model
 class GearDeflection:
     r"""Deflection :math:`q - q_a = \tau_g / k` with the gear torque of the desired path, [J] (1).
 
-    Sensors are mounted on the arm, encoders on the motors: a sensor value belongs to :math:`\hat q_a = q - \tau_g/k`. The
-    torque comes from the path that the arm is following, not from the noisy motor current.
+    Sensors are mounted on the arm, encoders on the motors: a sensor value belongs to :math:`\hat q_a = q - \tau_g/k`.
+    The torque comes from the path that the arm is following, not from the noisy motor current.
 
     Args:
         model: identified model; without a stiffness in it the deflection is zero.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,9 +91,8 @@ def clamped_signals(recording: Recording, robot: Robot) -> ClampedSignals:
         if "t_wrench" in recording.columns:
             clock = synchronise(t[keep], q_m, t_sensor, sensed)
         wrench = np.zeros((len(keep), 6))
-        for column, name in enumerate(measured):
-            wrench[:, WRENCH.index(name)] = _resampled(t[keep], clock.offset + (1 + clock.drift) * t_sensor,
-                                                       sensed[:, column])
+        columns = [WRENCH.index(name) for name in measured]
+        wrench[:, columns] = _resampled(t[keep], clock.offset + (1 + clock.drift) * t_sensor, sensed)
     load = _load(q_m, tau, wrench)
     unloaded = np.argsort(load)[: max(5, len(load) // 50)]
     return ClampedSignals(recording.source, t[keep], q_m, tau, wrench, measured, q_m[unloaded].mean(axis=0),
@@ -103,8 +103,13 @@ def lowpass(values: Array, rate: float) -> Array:
     """Zero-phase Butterworth at ``FILTER_HZ``, then at ``DECIMATE_HZ`` before decimation ([J] 4.3)."""
     for cut_off in (FILTER_HZ, DECIMATE_HZ):
         if cut_off < 0.45 * rate:
-            values = sosfiltfilt(butter(4, cut_off, fs=rate, output="sos"), values, axis=0)
+            values = sosfiltfilt(_butterworth(cut_off, round(rate, 6)), values, axis=0)
     return values
+
+
+@cache
+def _butterworth(cut_off: float, rate: float) -> Array:
+    return np.asarray(butter(4, cut_off, fs=rate, output="sos"))
 
 
 def _sensor_series(recording: Recording, measured: tuple[str, ...]) -> tuple[Array, Array]:
@@ -117,15 +122,16 @@ def _sensor_series(recording: Recording, measured: tuple[str, ...]) -> tuple[Arr
 
 
 def _resampled(t: Array, t_sensor: Array, values: Array) -> Array:
-    """Low-passed wrench at times ``t``, filtered block by block between silences; NaN in the silences."""
+    """Low-passed wrench ``(N, c)`` at times ``t``, filtered block by block between silences; NaN in the silences."""
     step = float(np.median(np.diff(t_sensor)))
-    result = np.full(len(t), np.nan)
+    result = np.full((len(t), values.shape[1]), np.nan)
     for block in np.split(np.arange(len(t_sensor)), np.flatnonzero(np.diff(t_sensor) > 3 * step) + 1):
         if len(block) < 50:
             continue
         smooth = lowpass(values[block], 1 / step)
         inside = (t >= t_sensor[block[0]]) & (t <= t_sensor[block[-1]])
-        result[inside] = np.interp(t[inside], t_sensor[block], smooth)
+        for column in range(values.shape[1]):
+            result[inside, column] = np.interp(t[inside], t_sensor[block], smooth[:, column])
     return result
 
 
