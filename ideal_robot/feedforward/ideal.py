@@ -77,8 +77,7 @@ class IdealRobot(Feedforward):
                  settle: float = 0.4) -> None:
         if n_d < 1:
             raise InputError("the horizon needs at least one row", field="n_d", value=n_d)
-        self.loop, self.n_d, self.t_ipo, self.elastic = loop, n_d, loop.t_ipo, elastic
-        self.settle_cycles = max(1, round(settle / loop.t_ipo))
+        self.loop, self.n_d, self.t_ipo, self.elastic, self.settle = loop, n_d, loop.t_ipo, elastic, settle
         T, fine = loop.t_ipo, loop.t_position
         self.n_d_needed = loop.delay + _CYCLES + _AFTER + 1
         t_rows = T * np.arange(-_BEFORE, self.n_d_needed, dtype=float)
@@ -86,6 +85,7 @@ class IdealRobot(Feedforward):
         t_coarse = T * (loop.delay - 2 + 0.5 * np.arange(2.0 * (_CYCLES + 4) + 1))
         # A position-loop output acts on average half its cycle later: torques are wanted there.
         t_fine = T * loop.delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
+        self._t_fine = t_fine
         self._coarse = spline_operators(t_rows, t_coarse, T, cutoff)
         self._fine = spline_operators(t_rows, t_fine, T, cutoff)
         self._torque = spline_operators(t_coarse, t_fine, T, cutoff)
@@ -120,14 +120,17 @@ class IdealRobot(Feedforward):
         if tau_ext_d is not None:
             load -= self._external(np.asarray(tau_ext_d, dtype=float))
         gear, gear_rate, gear_bend = (operator @ load for operator in self._torque)
-        rest = 1.0 - min(1.0, state.cycle / self.settle_cycles)
-        # Smooth from 1 to 0: the deflection at the start is taken up without a jerk.
-        ramp = rest * rest * (3.0 - 2.0 * rest)
-        q_m = self._fine[0] @ rows + self._compliance * gear - state.sag * ramp
+        q_m = self._fine[0] @ rows + self._compliance * gear
         if self.elastic:
             q_m -= np.where(np.isfinite(loop.stiffness), loop.damping, 0.0) * self._compliance**2 * gear_rate
         v_m = self._fine[1] @ rows + self._compliance * gear_rate
         a_m = self._fine[2] @ rows + self._compliance * gear_bend
+        begun = (state.cycle * self.t_ipo + self._t_fine) / self.settle
+        if begun[0] < 1.0:
+            # The deflection at the start is taken up smoothly, from nothing to all of it.
+            left = 1.0 - np.minimum(begun, 1.0)[:, None]
+            q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
+            v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
         smooth = gear + loop.rotor_inertia * a_m + loop.offset
         signal, u, tau, preslide = _position_loop_signal(
             self._drives, q_m, v_m, a_m, smooth, gear, self._lag, loop.t_position, loop.steps_ipo, state.u, state.tau,
