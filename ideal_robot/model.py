@@ -238,7 +238,10 @@ class Model:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(path.name + ".part")
-        partial.write_text(json.dumps(model_to_dict(self, SCHEMA), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        # One line per entry: still to be read by people, and the covariance does not fill thousands of lines.
+        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
+                 for key, value in model_to_dict(self, SCHEMA).items()]
+        partial.write_text("{" + ",\n ".join(lines) + "}\n", encoding="utf-8")
         partial.replace(path)
         return path
 

@@ -42,7 +42,7 @@ class Arctan(FrictionModel):
     coefficient_units = ("{F} / ({v})", "{F}", "{F}")
     shape_names = ("a4",)
     shape_units = ("1 / ({v})",)
-    shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((0.3, 300.0),)
+    shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((1.0, 300.0),)
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:

@@ -1,0 +1,191 @@
+"""Fourier-series motions that excite all base parameters within the limits of the arm (Swevers et al. 1997).
+
+The condition number of the scaled observation matrix is made small by random search over the coefficients, followed by
+changes of single coefficients that are kept where they help. Every candidate is scaled to reach the limits first, so
+whatever is found can be played.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.dynamics import base_parameters, full_regressor
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where the tool and the links may go, in the base frame.
+
+    Attributes:
+        z_min: lowest height of the tool and of every joint above the first two [m].
+        r_min: smallest distance of the tool from the base axis while it is lower than ``z_free`` [m].
+        z_free: height above which the base column is no obstacle [m].
+        beyond: extra length beyond the tool frame that must also keep clear [m].
+    """
+
+    z_min: float = 0.15
+    r_min: float = 0.35
+    z_free: float = 1.2
+    beyond: float = 0.0
+
+
+@dataclass(frozen=True)
+class FourierMotion:
+    """``q(t) = centre + Σ_k a_k sin(kωt)/(kω) - b_k cos(kωt)/(kω)``; at rest at ``t = 0`` and after each period.
+
+    Attributes:
+        centre: ``(n,)`` [rad].
+        a, b: ``(K, n)`` [rad/s].
+        period: [s].
+        condition_number: of the scaled observation matrix over one period, viscous and dry friction included.
+    """
+
+    centre: Array
+    a: Array
+    b: Array
+    period: float
+    condition_number: float
+
+    def at(self, t: Array) -> tuple[Array, Array, Array]:
+        """Positions, velocities and accelerations ``(N, n)`` each at times ``(N,)``."""
+        w = 2.0 * np.pi / self.period * np.arange(1, len(self.a) + 1)
+        s, c = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
+        q = self.centre + s @ (self.a / w[:, None]) - c @ (self.b / w[:, None])
+        return q, c @ self.a + s @ self.b, (c * w) @ self.b - (s * w) @ self.a
+
+
+def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float = 20.0, harmonics: int = 5,
+                      workspace: Workspace | None = None, trials: int = 150, refinements: int = 250,
+                      speed: float = 0.75, acceleration: float = 0.6, travel: float = 0.8) -> FourierMotion:
+    """Designs a motion with a small condition number within position, velocity, acceleration and workspace limits.
+
+    Args:
+        robot: limits and kinematics; nominal inertias only weigh torque against its limit.
+        rng: source of the random search.
+        period: of the motion [s].
+        harmonics: number of sines and cosines per joint, at least 3.
+        workspace: keeps the arm off floor and column; the default suits arms of one to two metres. None of it is
+            checked against cells or fixtures: look at the motion first.
+        trials, refinements: effort of the search.
+        speed, acceleration, travel: share of the velocity, acceleration and position limits that may be used.
+
+    Raises:
+        InputError: too few harmonics, or no motion within the limits was found.
+    """
+    if harmonics < 3:
+        raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
+                         field="harmonics", value=harmonics)
+    search = _Search(robot, period, harmonics, workspace or Workspace(), speed, acceleration, travel)
+    best: FourierMotion | None = None
+    for _ in range(trials):
+        motion = search.scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)), rng)
+        if motion is not None and (best is None or motion.condition_number < best.condition_number):
+            best = motion
+    if best is None:
+        raise InputError("no motion within position and workspace limits was found; relax the workspace",
+                         field="workspace")
+    for _ in range(refinements):
+        step = np.zeros((2, harmonics, robot.n))
+        step[rng.integers(2), rng.integers(harmonics), rng.integers(robot.n)] = rng.normal(scale=0.5)
+        size = np.abs(np.stack([best.a, best.b])).max(axis=(0, 1))
+        motion = search.scaled(np.stack([best.a, best.b]) + step * size, rng, best.centre)
+        if motion is not None and motion.condition_number < best.condition_number:
+            best = motion
+    return best
+
+
+class _Search:
+    """What stays the same over all candidates."""
+
+    def __init__(self, robot: Robot, period: float, harmonics: int, workspace: Workspace, speed: float,
+                 acceleration: float, travel: float) -> None:
+        self.robot, self.period, self.workspace = robot, period, workspace
+        self.independent = list(base_parameters(robot.model).independent)
+        half = 0.5 * travel * (robot.q_max - robot.q_min)
+        # Several turns of a wrist joint excite nothing that one does not.
+        self.half = np.minimum(half, np.pi)
+        self.middle = 0.5 * (robot.q_max + robot.q_min)
+        self.reach_low = np.maximum(robot.q_min + 0.5 * (1 - travel) * (robot.q_max - robot.q_min), -1.2 * np.pi)
+        self.reach_high = np.minimum(robot.q_max - 0.5 * (1 - travel) * (robot.q_max - robot.q_min), 1.2 * np.pi)
+        self.v_max = speed * np.where(np.isfinite(robot.v_max), robot.v_max, 2.0)
+        self.a_max = acceleration * np.where(np.isfinite(robot.a_max), robot.a_max, 10.0)
+        self.t = np.linspace(0.0, period, 120, endpoint=False)
+        self.t_fine = np.linspace(0.0, period, 40 * harmonics, endpoint=False)
+
+    def scaled(self, coefficients: Array, rng: np.random.Generator,
+               centre: Array | None = None) -> FourierMotion | None:
+        """The motion with these coefficients, made to start at rest and scaled into the limits; None if impossible."""
+        a, b = coefficients[0].copy(), coefficients[1].copy()
+        k = np.arange(1, len(a) + 1)[:, None]
+        a -= a.mean(axis=0)
+        b -= k * np.sum(k * b, axis=0) / np.sum(k**2)
+        motion = FourierMotion(np.zeros(self.robot.n), a, b, self.period, np.inf)
+        q, qd, qdd = motion.at(self.t_fine)
+        middle = 0.5 * (q.max(axis=0) + q.min(axis=0))
+        extent = np.maximum(0.5 * np.ptp(q, axis=0), 1e-9)
+        ratio = np.min([self.half / extent, self.v_max / np.abs(qd).max(axis=0), self.a_max / np.abs(qdd).max(axis=0)],
+                       axis=0)
+        for shrink in (1.0, 0.8, 0.6, 0.45):
+            gain = ratio * shrink
+            room_low = self.reach_low + gain * extent
+            room_high = np.maximum(self.reach_high - gain * extent, room_low)
+            at = (rng.uniform(room_low, room_high) if centre is None
+                  else np.clip(centre + gain * middle, room_low, room_high))
+            # ``centre`` is where the cosines and sines turn about; the extremes lie about it unevenly.
+            candidate = FourierMotion(at - gain * middle, a * gain, b * gain, self.period, np.inf)
+            q, qd, qdd = candidate.at(self.t)
+            if self._clear(q) and self._strong(q, qd, qdd):
+                return replace(candidate, condition_number=self._condition(q, qd, qdd))
+        return None
+
+    def _clear(self, q: Array) -> bool:
+        model, data, tool = self.robot.model, self.robot.model.createData(), self.robot.tool_id
+        w = self.workspace
+        for q_k in q:
+            pin.framesForwardKinematics(model, data, q_k)
+            tip = data.oMf[tool].act(np.array([0.0, 0.0, w.beyond]))
+            heights = [data.oMi[i].translation[2] for i in range(3, model.njoints)]
+            if min([tip[2], *heights]) < w.z_min:
+                return False
+            if tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min:
+                return False
+        return True
+
+    def _strong(self, q: Array, qd: Array, qdd: Array) -> bool:
+        """Whether the nominal arm could do it with three quarters of its torque."""
+        limit = 0.75 * self.robot.tau_max
+        data = self.robot.model.createData()
+        rotor = self.robot.rotor_inertia
+        return all(np.all(np.abs(pin.rnea(self.robot.model, data, a, b, c) + rotor * c) <= limit)
+                   for a, b, c in zip(q[::3], qd[::3], qdd[::3], strict=True))
+
+    def _condition(self, q: Array, qd: Array, qdd: Array) -> float:
+        n = self.robot.n
+        W = full_regressor(self.robot.model, q, qd, qdd)[:, :, self.independent]
+        friction = np.zeros((len(q), n, 2 * n))
+        joints = np.arange(n)
+        friction[:, joints, joints] = qd
+        friction[:, joints, n + joints] = np.sign(qd)
+        W = np.concatenate([W, friction], axis=2)
+        # A newton metre weighs as much as the joint can give of it.
+        weight = np.where(np.isfinite(self.robot.tau_max), self.robot.tau_max, np.std(W, axis=(0, 2)) + 1e-9)
+        flat = (W / weight[:, None]).reshape(len(q) * n, -1)
+        flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
+        s = np.linalg.svd(flat, compute_uv=False)
+        return float(s[0] / max(s[-1], 1e-12))
+
+
+def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:
+    """Commands ``(N, n)`` from rest at ``start`` to rest at ``goal``, all joints by one quintic; ``start`` left out."""
+    way = np.abs(goal - start)
+    # Largest velocity and acceleration of 10 s³ - 15 s⁴ + 6 s⁵ are 1.875 and 5.77.
+    duration = max(np.max(1.875 * way / (0.5 * v_max)), np.max(np.sqrt(5.78 * way / (0.5 * a_max))), t_ipo)
+    count = int(np.ceil(duration / t_ipo))
+    s = np.arange(1, count + 1)[:, None] / count
+    return np.asarray(start + (10 * s**3 - 15 * s**4 + 6 * s**5) * (goal - start))
