@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from ideal_robot.interface import Array
 from sim.bullet import pybullet
@@ -78,7 +77,7 @@ def links_urdf(model: pin.Model) -> str:
 
 
 def _rpy(rotation: Array) -> Array:
-    return np.asarray(Rotation.from_matrix(rotation).as_euler("xyz"))
+    return np.asarray(pin.rpy.matrixToRpy(np.ascontiguousarray(rotation)))
 
 
 def _text(values: Array) -> str:
