@@ -176,13 +176,25 @@ class DeviationFilter:
             ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
         """
         H = self.model.basis(s)
+        mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size), t)
+        return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2])
+
+    @property
+    def state(self) -> Array:
+        """State of the deviation model ``(size,)``."""
+        return np.asarray(self._track.kf.x[: self.model.size])
+
+    def mean(self, s: Array) -> Array:
+        """The deviation alone, ``(m, directions)`` [m]."""
+        return self.model.basis(s) @ self.state
+
+    def mean_and_variance(self, H: Array, t: float | None = None) -> tuple[Array, Array]:
+        """Mean and variance ``(m,)`` of linear functions ``H (m, size)`` of the state, e.g. rows of a basis."""
         size, kf = self.model.size, self._track.kf
         P = kf.P[:size, :size]
         if t is not None and self.model.drifts and np.isfinite(self.t):
             P = P + self.model.drift(max(t - self.t, 0.0))
-        flat = H.reshape(-1, size)
-        variance = np.einsum("ij,ij->i", flat @ P, flat).reshape(H.shape[:2])
-        return H @ kf.x[:size], variance
+        return H @ kf.x[:size], np.einsum("ij,ij->i", H @ P, H)
 
     def bias(self, sensor: str) -> tuple[Array, Array]:
         """Estimated errors of a sensor ``(b,)`` and their standard deviations."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -11,43 +10,18 @@ import pinocchio as pin
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
+from planning.desired_path import DesiredPath
 from planning.deviation_model import PathDeviation
 from planning.errors import LineLostError, LineNeverSeenError, PlanningError
 from planning.fusion import DeviationFilter, Fused, Measurement
-from planning.kinematics import InverseKinematics
+from planning.line_view import LineAhead, SeenLine
 from planning.pose_history import PoseHistory
 from planning.reference import ReferencePath
-from planning.smoothing import Smoother
 from planning.speed_profile import JointPath, Limits, SpeedProfile
-from planning.vectors import cross, dot
-from sensing.line_detection import PredictedLine
+from planning.vectors import cross, dot, unit
 
 SILENCE = 0.25
 """Time after which a camera that sends no fields at all counts as one that shows nothing [s]."""
-
-
-class SeenLine(Protocol):
-    """What the follower needs of a camera field; ``sensing.line_detection.LineField`` is one."""
-
-    @property
-    def t(self) -> float:
-        """Instant of exposure [s]."""
-
-    @property
-    def points_tcp(self) -> Array:
-        """Line points in the tool frame ``(m, 3)`` [m]."""
-
-    @property
-    def sigma(self) -> Array:
-        """Their lateral standard deviation ``(m,)`` [m]."""
-
-    @property
-    def used(self) -> Array:
-        """Which of them are good ``(m,)``."""
-
-    @property
-    def seen(self) -> bool:
-        """Whether there is a measurement at all."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +37,7 @@ class FollowerSettings:
         yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
         stamp: error of the time stamps, standard deviation [s]; estimated on the way.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
+        latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
         max_blind: distance that may be travelled without seeing the line [m].
         max_search: distance that may be travelled before the line is seen first [m].
         follow_tangent: whether the tool turns with the line seen, not only with the reference.
@@ -76,6 +51,7 @@ class FollowerSettings:
     yaw: float = 0.003
     stamp: float = 0.0005
     view: tuple[float, float] = (0.02, 0.17)
+    latency: float = 0.04
     max_blind: float = 0.15
     max_search: float = 0.3
     follow_tangent: bool = False
@@ -84,34 +60,11 @@ class FollowerSettings:
         for key in ("cutoff", "correction", "max_blind", "max_search"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
-        for key in ("frozen", "noise", "common", "yaw", "stamp"):
+        for key in ("frozen", "noise", "common", "yaw", "stamp", "latency"):
             if not getattr(self, key) >= 0:
                 raise InputError("expected zero or a positive number", field=key, value=getattr(self, key))
         if not 0 <= self.view[0] < self.view[1]:
             raise InputError("expected the nearer distance first", field="view", value=self.view)
-
-
-@dataclass(frozen=True)
-class LineAhead:
-    """Where the line should be at some places ahead.
-
-    Attributes:
-        s: arc lengths of the reference ``(m,)`` [m].
-        points: line points in the base frame ``(m, 3)`` [m].
-        tangents: unit tangents ``(m, 3)``.
-        up: unit surface normals ``(m, 3)``.
-        sigma: lateral standard deviations ``(m,)`` [m].
-    """
-
-    s: Array
-    points: Array
-    tangents: Array
-    up: Array
-    sigma: Array
-
-    def seen_from(self, pose: pin.SE3) -> PredictedLine:
-        """The same in the tool frame, for the line detection."""
-        return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose, float(self.sigma.max()))
 
 
 class LineFollower:
@@ -121,8 +74,8 @@ class LineFollower:
     :math:`\Delta x_r = \Delta x_a - (x_r - \hat x_a)`, [L] (5), in the direction of the path's lateral normal, at the
     pose of the exposure. The deviations are fused into a map over arc length, so it does not matter when and how often
     a place was seen. The desired path is :math:`x_r(s(t)) + d(t)\, n(s(t))`, [L] (6), with the smoothed deviation
-    ``d``; its speed is the
-    reference's. In directions that are not sensed it is the reference.
+    ``d``; its speed is the reference's. In directions that are not sensed it is the reference. Other sensors are fused
+    with ``fuse`` ([L] 4.3); with a filter of two directions the desired path also follows the height they measure.
 
     Args:
         robot: the arm.
@@ -149,53 +102,45 @@ class LineFollower:
         joint_path: JointPath | None = None,
         line_span: tuple[float, float] | None = None,
     ) -> None:
-        if n_d < 1:
-            raise InputError("expected at least 1", field="n_d", value=n_d)
         self.robot, self.reference, self.profile, self.n_d = robot, reference, profile, n_d
-        self.settings = settings or FollowerSettings()
+        self.settings = settings = settings or FollowerSettings()
         self.t_start = t_start
         self.history = PoseHistory(robot)
         self._T = robot.t_ipo
-        self._kinematics = InverseKinematics(robot)
-        self._samples = n_d + 12
-        horizon = self._samples * self._T * profile.top_speed
+        # A little more than the horizon and what the smoothing looks ahead behind it.
+        ahead = max(0.3, (n_d + 12) * self._T * profile.top_speed + 0.05)
         self.fusion = fusion or DeviationFilter(
-            PathDeviation(reference, ahead=max(0.3, horizon + 0.05)),
-            biases={"camera": (self.settings.yaw, self.settings.stamp)},
+            PathDeviation(reference, ahead=ahead), biases={"camera": (settings.yaw, settings.stamp)}
+        )
+        self.path = DesiredPath(
+            robot,
+            reference,
+            profile,
+            n_d,
+            directions=self.fusion.model.directions,
+            frozen=settings.frozen,
+            cutoff=settings.cutoff,
+            correction=settings.correction,
+            follow_tangent=settings.follow_tangent,
+            t_start=t_start,
+            joint_path=joint_path,
         )
         self._line_span = line_span or (0.0, reference.length)
-        self._smoother = Smoother(self._samples, self._T, self.settings.cutoff, self.settings.correction)
-        path = joint_path or JointPath.of(robot, reference)
-        self._tabulate(path)
         self.fields_seen = self.fields_used = 0
         self._last_seen: tuple[float, float] | None = None
         self._front = -np.inf
         self._changed = False
-        self._field_t, self._age = -np.inf, 0.04
-
-    def _tabulate(self, path: JointPath) -> None:
-        """All of the reference that the real-time part needs, once for every cycle."""
-        cycles = int(np.ceil(self.profile.duration / self._T)) + 2 * self._samples
-        self._s = self.profile.s(self._T * np.arange(cycles))
-        self._frames = self.reference.frames(self._s)
-        self._curvature = self.reference.curvature(self._s)
-        self._rotations = self.reference.rotation(self._s)
-        q = np.column_stack([np.interp(self._s, path.s, column) for column in path.q.T])
-        self._targets = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
-        self._q_reference = self._kinematics.refine(self._targets, q, tolerance=1e-12)
-        self._q = self._q_reference.copy()
-        self._plan = np.zeros((3, cycles, 1))
-        self._planned_to = self._solved_to = self._ever_solved = -1
+        self._field_t = -np.inf
 
     @property
     def q_start(self) -> Array:
         """Joint angles ``(n,)`` [rad] at the start of the reference, where the arm has to rest."""
-        return self._q_reference[0].copy()
+        return self.path.q_reference[0].copy()
 
     @property
     def q_reference(self) -> Array:
         """The reference in joint space at every cycle from the start on ``(K, n)`` [rad]: method ``none``."""
-        return self._q_reference
+        return self.path.q_reference
 
     @property
     def duration(self) -> float:
@@ -215,26 +160,25 @@ class LineFollower:
 
         Args:
             t: instant of exposure [s].
-            ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will be
-                when the field takes effect.
+            ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will
+                be when the field takes effect.
         """
         s_tcp = float(self.profile.s(t - self.t_start))
         s = s_tcp + (self._where_to_look(t) if ahead is None else ahead)
-        step = 1e-3
-        deviation, variance = self.fusion.deviation(np.concatenate([s, s - step, s + step]))
-        d, before, after = np.split(deviation[:, 0], 3)
+        step, m = 1e-3, len(s)
+        H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))[:, 0]
+        mean, variance = self.fusion.mean_and_variance(H[:m])
+        slope = (H[2 * m :] - H[m : 2 * m]) @ self.fusion.state / (2 * step)
         frames = self.reference.frames(s)
         # Derivative of p + d n by arc length: (1 - κ d) t + d' n.
-        stretch = 1.0 - self.reference.curvature(s) * d
-        along = stretch[:, None] * frames.tangent + ((after - before) / (2 * step))[:, None] * frames.normal
-        tangents = along / np.linalg.norm(along, axis=1, keepdims=True)
-        sigma = np.sqrt(variance[: len(s), 0])
-        return LineAhead(s, frames.position + d[:, None] * frames.normal, tangents, frames.up, sigma)
+        stretch = 1.0 - self.reference.curvature(s) * mean
+        tangents = unit(stretch[:, None] * frames.tangent + slope[:, None] * frames.normal)
+        return LineAhead(s, frames.position + mean[:, None] * frames.normal, tangents, frames.up, np.sqrt(variance))
 
     def _where_to_look(self, t: float) -> Array:
         """What the TCP passes before the field has come and gone into the plan need not be looked at."""
         near, far = self.settings.view
-        passed = float(self.profile.speed(t - self.t_start)) * (self._age + 2 * self._T)
+        passed = float(self.profile.speed(t - self.t_start)) * (self.settings.latency + 2 * self._T)
         first = min(max(near, passed), max(near, far - 0.06))
         return np.linspace(first, min(far, first + 0.1), 5)
 
@@ -256,14 +200,18 @@ class LineFollower:
         if not used.any():
             return None
         measurement = self.measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
-        fused = self.fusion.update(measurement)
+        fused = self.fuse(measurement)
         if fused.dof:
             self.fields_used += 1
-            self._changed = True
-            self._last_seen = max(
-                self._last_seen or (-np.inf, 0.0), (line.t, float(self.profile.s(line.t - self.t_start)))
-            )
+            seen = (line.t, float(self.profile.s(line.t - self.t_start)))
+            self._last_seen = max(self._last_seen or seen, seen)
             self._front = max(self._front, float(measurement.s[fused.used].max()))
+        return fused
+
+    def fuse(self, measurement: Measurement) -> Fused:
+        """Fuses a measurement of any sensor, [L] 4.3; camera fields come through ``update``."""
+        fused = self.fusion.update(measurement)
+        self._changed = self._changed or fused.dof > 0
         return fused
 
     def measurement(self, t: float, points_tcp: Array, sigma: Array, pose: pin.SE3 | None = None) -> Measurement:
@@ -281,7 +229,11 @@ class LineFollower:
             # Poses given from outside, no history: then time stamps have to be right.
             velocity, rate = np.zeros(3), np.zeros(3)
         moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
-        return Measurement(t, s, value, covariance, bias=np.column_stack([turned, moved]))
+        direction = None
+        if self.fusion.model.directions > 1:
+            direction = np.zeros((len(s), self.fusion.model.directions))
+            direction[:, 0] = 1.0
+        return Measurement(t, s, value, covariance, direction, bias=np.column_stack([turned, moved]))
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
         """Estimated lateral deviation of the line from the reference at ``s (m,)`` and its standard deviation [m]."""
@@ -290,8 +242,12 @@ class LineFollower:
 
     def planned(self, t: float) -> tuple[float, float, float]:
         """Desired lateral deviation at ``t``, its velocity and acceleration [m, m/s, m/s²]."""
-        k = self._cycle(t)
-        return float(self._plan[0, k, 0]), float(self._plan[1, k, 0]), float(self._plan[2, k, 0])
+        d, velocity, acceleration = self.path.deviation(t)[:, 0]
+        return float(d), float(velocity), float(acceleration)
+
+    def desired(self, t: float) -> pin.SE3:
+        """Desired TCP pose at ``t``, as planned so far."""
+        return self.path.pose(t)
 
     def horizon(self, t: float) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
@@ -300,65 +256,12 @@ class LineFollower:
             LineLostError: nothing was seen for longer than allowed.
             OutOfReachError: the seen line leads out of the arm's reach.
         """
-        k = self._cycle(t)
-        self.fusion.travel(float(self._s[k]))
-        if self._changed:
-            self._age += 0.2 * (t - self._field_t - self._age)
-        self._check_seen(t, float(self._s[k]))
-        end = k + self.n_d
-        if self._changed or self._planned_to < end:
-            self._replan(k)
-        first = max(self._solved_to + 1, k)
-        if first < end:
-            self._solve(first, end)
-        return self._q[k:end].copy()
-
-    def desired(self, t: float) -> pin.SE3:
-        """Desired TCP pose at ``t``, as planned so far."""
-        return self._targets[self._cycle(t)].copy()
-
-    def _cycle(self, t: float) -> int:
-        """Cycle of the instant; behind the end of the tables everything rests."""
-        k = round((t - self.t_start) / self._T)
-        return min(max(k, 0), len(self._s) - self._samples - 2)
-
-    def _replan(self, k: int) -> None:
-        """New desired deviation behind the cycles that are being executed, from the newest map."""
-        keep = k + self.settings.frozen if self._planned_to >= k else k
-        keep = min(keep, len(self._s) - self._samples - 1)
-        coming = slice(keep + 1, keep + 1 + self._samples)
-        estimate, _ = self.fusion.deviation(self._s[coming])
-        self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate[:, :1])
-        self._planned_to = keep + self._samples
-        self._solved_to = min(self._solved_to, keep)
+        s = float(self.path.s[self.path.cycle(t)])
+        self.fusion.travel(s)
+        self._check_seen(t, s)
+        q = self.path.horizon(t, self.fusion.mean, self._changed)
         self._changed = False
-
-    def _solve(self, first: int, end: int) -> None:
-        """Inverse kinematics of the cycles ``first … end - 1``."""
-        d = self._plan[0, first:end]
-        positions = self._frames.position[first:end] + d * self._frames.normal[first:end]
-        rotations = self._rotations[first:end]
-        if self.settings.follow_tangent:
-            rotations = self._turned(first, end) @ rotations
-        # What was solved before is nearly right; behind it the offset from the reference's joint angles goes on.
-        start = self._q[first:end]
-        new = self._ever_solved + 1
-        if new < end:
-            start = start.copy()
-            offset = self._q[new - 1] - self._q_reference[new - 1] if new else 0.0
-            start[max(new - first, 0) :] = self._q_reference[max(new, first) : end] + offset
-        targets = [pin.SE3(R, p) for R, p in zip(rotations, positions, strict=True)]
-        self._q[first:end] = self._kinematics.refine(targets, start)
-        self._targets[first:end] = targets
-        self._solved_to = end - 1
-        self._ever_solved = max(self._ever_solved, end - 1)
-
-    def _turned(self, first: int, end: int) -> Array:
-        """Rotations about the surface normal from the reference's tangent to that of the desired path."""
-        speed = np.gradient(self._s, self._T)[first:end]
-        forward = speed * (1.0 - self._curvature[first:end] * self._plan[0, first:end, 0])
-        angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
-        return np.array([pin.exp3(a * up) for a, up in zip(angle, self._frames.up[first:end], strict=True)])
+        return q
 
     def _check_seen(self, t: float, s: float) -> None:
         """Counts the blind distance from field to field, so that a late camera is not a blind one; a silent one is."""

@@ -114,22 +114,6 @@ class SpeedProfile:
         travelled = np.maximum.accumulate(self.s(ticks))
         return float(ticks[min(int(np.searchsorted(travelled, s)), len(ticks) - 1)])
 
-    def stopped(self, t: float, limits: Limits) -> SpeedProfile:
-        """The same travel, but braking to rest from ``t`` on, on the path and within ``limits``."""
-        ticks = TICK * np.arange(max(round(t / TICK), 0) + 1)
-        s, v, a = self.s(ticks), float(self.speed(t)), float(self.acceleration(t))
-        samples = [s]
-        position = float(s[-1])
-        while v > 1e-6:
-            # Towards the deceleration that is still allowed when it has to fade out in time to end at rest.
-            wanted = -min(limits.acceleration, np.sqrt(2.0 * limits.jerk * v))
-            a += float(np.clip(wanted - a, -limits.jerk * TICK, limits.jerk * TICK))
-            v_next = max(v + a * TICK, 0.0)
-            position += 0.5 * (v + v_next) * TICK
-            v = v_next
-            samples.append(np.array([position]))
-        return SpeedProfile(np.concatenate([*samples, [position] * 3]), self.slowed)
-
     @classmethod
     def plan(
         cls, robot: Robot, reference: ReferencePath, limits: Limits | float, joint_path: JointPath | None = None
