@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
+from ideal_robot.recording_ros import SUFFIXES, read_joint_states
 
 
 @dataclass(frozen=True)
@@ -112,15 +113,18 @@ class Recording:
 
     @classmethod
     def read(cls, path: str | Path) -> Recording:
-        """Reads Parquet or CSV.
+        """Reads Parquet, CSV, or joint states from a ROS 2 bag or MCAP file.
 
         Raises:
             InputError: no such file, not readable, or a column that is not numeric.
         """
         path = Path(path)
-        if not path.is_file():
+        if not path.exists():
             raise InputError("no such recording", file=path)
-        meta: dict[str, Any] = {}
+        if path.is_dir() or path.suffix in SUFFIXES:
+            columns, meta = read_joint_states(path)
+            return cls(columns, meta, str(path))
+        meta = {}
         try:
             if path.suffix == ".csv":
                 frame = pd.read_csv(path)
@@ -130,7 +134,8 @@ class Recording:
                 meta = json.loads(raw) if raw else {}
                 frame = table.to_pandas()
         except Exception as error:
-            raise InputError(f"not a readable recording ({error}); expected Parquet or CSV", file=path) from error
+            raise InputError(f"not a readable recording ({error}); expected Parquet, CSV, a ROS 2 bag or MCAP",
+                             file=path) from error
         columns = {}
         for name in frame.columns:
             try:

@@ -34,7 +34,7 @@ def identification_motion(robot: Robot, start: Array, *, seed: int = 1, period: 
     """Commands ``(N, n)`` from ``start`` through periods of an optimised Fourier motion and slow reversals."""
     rng = np.random.default_rng(seed)
     motion = design_excitation(robot, rng, period=period)
-    t: Array = np.arange(1, round(periods * period / t_ipo) + 1) * t_ipo
+    t = np.asarray(np.arange(1, round(periods * period / t_ipo) + 1) * t_ipo, dtype=float)
     q = motion.at(t)[0]
     first = motion.at(np.zeros(1))[0][0]
     a_max = np.where(np.isfinite(robot.a_max), robot.a_max, 10.0)

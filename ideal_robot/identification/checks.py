@@ -44,6 +44,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     if recording.n != n:
         raise InputError(f"the recording has {recording.n} joints (q_1 to q_{recording.n}), the robot {robot.name} "
                          f"has {n}", file=source, field="q_i")
+    recording = _in_robot_order(recording, robot)
     if not recording.has("tau"):
         recording, text = _with_torque(recording, robot)
         warnings += text
@@ -72,6 +73,19 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
         if np.ptp(tau[:, j]) == 0.0:
             warnings.append(f"constant-torque: tau_{j + 1} never changes")
     return recording, warnings
+
+
+def _in_robot_order(recording: Recording, robot: Robot) -> Recording:
+    """Columns renumbered where the recording names its joints (bags do, often in alphabetical order)."""
+    names, wanted = recording.meta.get("joints"), list(robot.model.names)[1:]
+    if not names or names == wanted or set(names) != set(wanted):
+        return recording
+    columns = dict(recording.columns)
+    for prefix in {name.rsplit("_", 1)[0] for name in columns if name.endswith("_1")}:
+        if recording.has(prefix):
+            for i, name in enumerate(wanted):
+                columns[f"{prefix}_{i + 1}"] = recording.columns[f"{prefix}_{names.index(name) + 1}"]
+    return replace(recording, columns=columns, meta={**recording.meta, "joints": wanted})
 
 
 def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
