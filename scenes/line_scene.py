@@ -135,6 +135,8 @@ class LineScene(Scene):
     calibration: Calibration = Calibration()
     points: int = pydantic.Field(default=5, ge=3, le=25)
     """Line points looked for in each field; [L] takes 5."""
+    tracker: bool = True
+    """Whether the recording holds an external measuring device's arm angles and TCP."""
     max_gap: float = pydantic.Field(default=0.15, gt=0, le=5)
     """Distance that may be travelled without a seen line before it counts as lost [m]."""
 

@@ -10,11 +10,13 @@ import importlib
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Self, TypeVar
 
 import pydantic
 
 from ideal_robot.errors import InputError
+
+S = TypeVar("S", bound="Scene")
 
 KINDS = {
     "line": "scenes.line_following",
@@ -37,11 +39,11 @@ class Scene(pydantic.BaseModel):
     robot: str = "kr6"
     seed: int = pydantic.Field(default=1, ge=0)
     model: str = "shipped"
-    """Where the ideal robot's model comes from: ``shipped`` (identified beforehand by ``make models``), ``identify``
-    (identified in this world before the run), or the path of a model file."""
+    """Where the ideal robot's model comes from: ``shipped`` (identified beforehand on recordings of the robot's
+    default world, ``make models``) or the path of a model file."""
     world: dict[str, Any] = pydantic.Field(default_factory=dict)
 
-    def changed(self, **changes: Any) -> Scene:
+    def changed(self, **changes: Any) -> Self:
         """A checked copy with some keys changed; nested tables are given as dictionaries and merged."""
         values = self.model_dump()
         for key, value in changes.items():
@@ -112,7 +114,7 @@ def _find(wanted: str) -> Path:
     return found[0]
 
 
-def _checked(model: type[Scene], values: dict[str, Any], path: Path) -> Scene:
+def _checked(model: type[S], values: dict[str, Any], path: Path) -> S:
     try:
         return model(**values)
     except pydantic.ValidationError as error:

@@ -1,0 +1,320 @@
+"""Plays a line-following scene: camera, sensing, planning and ideal robot around the simulated arm ([L] Fig. 1)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+from planning.direct_feedback import DirectFeedback
+from planning.errors import LineLostError, OutOfReachError
+from planning.line_follower import FollowerSettings, LineFollower
+from planning.reference import ReferencePath
+from planning.speed_profile import Limits, SpeedProfile
+from planning.stopping import stopping_rows
+from scenes.line_compare import LineComparison, compare_lines
+from scenes.line_recording import line_recording
+from scenes.line_result import SETTLING, ControlError, FieldShown, LineResult, Timing
+from scenes.line_scene import Geometry, LineScene, calibration_sizes, geometry
+from scenes.metrics import PathErrors, path_errors
+from scenes.models import model_for
+from scenes.result import Progress, silent
+from sensing.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.field import Field
+from sensing.line_detection import DetectionSettings, LineField, detect_line, search_windows
+from sim.arm import SimulatedArm
+from sim.camera import CameraSettings, RenderedCamera
+from sim.surface import DrawnLine
+from sim.surface import Feature as DrawnFeature
+from sim.world import World
+
+SceneModel = LineScene
+METHODS = ("none", "direct_feedback", "sensor_path", "ideal")
+N_D = 25
+"""Desired positions handed to the ideal robot: 0.3 s, several times the arm's main time constant ([L] 2.2)."""
+REST = 0.2
+"""Time the recording goes on after the path has come to rest [s]."""
+SHOWN = 4
+"""Camera fields kept as pictures."""
+
+
+@dataclass
+class Cell:
+    """Everything of one run that is set up before anything moves."""
+
+    scene: LineScene
+    robot: Robot
+    world: World
+    geometry: Geometry
+    line: DrawnLine
+    true_camera: CameraModel
+    camera: CameraModel
+    reference: ReferencePath
+    follower: LineFollower
+    noise: np.random.Generator
+    camera_noise: np.random.Generator
+
+
+def curves(scene: LineScene) -> dict[str, Array]:
+    """Drawn line and reference path ``(N, 3)`` [m], for the viewer."""
+    where = geometry(scene, _streams(scene)[0])
+    return {"line": where.drawn, "reference": where.reference}
+
+
+def run(scene: LineScene, *, method: str | None = None, out: Path | None = None, progress: Progress = silent,
+        gains: tuple[float, float] | None = None) -> LineResult:
+    """Follows the line once.
+
+    Args:
+        scene: what to play.
+        method: one of ``METHODS``; the scene's own if None.
+        out: folder for recording and report; nothing is written without.
+        progress: told how far it is.
+        gains: K_p, K_d of direct sensor feedback; found by search if None.
+
+    Raises:
+        InputError: the scene cannot be played: unknown method, line out of reach, unreachable speed.
+    """
+    method = method or scene.method
+    if method not in METHODS:
+        raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
+    if method == "direct_feedback" and gains is None:
+        from scenes.line_compare import best_gains
+
+        gains = best_gains(scene, progress=lambda fraction, text: progress(0.8 * fraction, text))[0]
+    result = _play(set_up(scene), method, gains, progress)
+    if out is None:
+        return result
+    from scenes.line_report import write_run
+
+    return write_run(result, out)
+
+
+def compare(scene: LineScene, *, out: Path | None = None, progress: Progress = silent) -> LineComparison:
+    """Plays the scene with every method and with direct sensor feedback at its best gain."""
+    return compare_lines(scene, run, out=out, progress=progress)
+
+
+def set_up(scene: LineScene) -> Cell:
+    """Builds world, camera, reference and follower of a scene.
+
+    Raises:
+        InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
+    """
+    robot = Robot.load(scene.robot)
+    world = World.from_table(scene.robot, scene.world)
+    place, noise, camera_noise, calibration = _streams(scene)
+    where = geometry(scene, place)
+    line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
+                     background=scene.line.background, edge=1e-3 * scene.line.edge_mm, features=_features(scene))
+    table = scene.camera
+    believed = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
+                                   default_mount(table.mount_height, table.mount_ahead))
+    true_camera = believed.perturbed(**CalibrationError(**calibration_sizes(scene.calibration)).signed(calibration))
+    reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
+    try:
+        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
+        begin = scene.reference.run_up
+        follower = LineFollower(
+            robot, reference, profile, N_D, line_span=(begin, reference.length - scene.reference.run_out),
+            settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05))
+    except OutOfReachError as error:
+        raise InputError(f"the line is out of reach: {error}", field="surface.origin",
+                         value=list(scene.surface.origin)) from error
+    return Cell(scene, robot, world, where, line, true_camera, believed, reference, follower, noise, camera_noise)
+
+
+def _streams(scene: LineScene) -> list[np.random.Generator]:
+    """Independent random streams, so that changing one effect does not change the draws of another."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(4)]
+
+
+def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
+    return tuple(
+        DrawnFeature(kind=f.kind, at=1e-3 * f.at_mm, length=1e-3 * f.length_mm, offset=1e-3 * f.offset_mm,
+                     angle=float(np.radians(f.angle_deg)), width=1e-3 * f.width_mm, gray=f.gray)
+        for f in scene.feature)
+
+
+@dataclass
+class _Log:
+    """What is written down while the scene is played."""
+
+    t: list[float] = field(default_factory=list)
+    q_d: list[Array] = field(default_factory=list)
+    fields: list[LineField] = field(default_factory=list)
+    shown: list[FieldShown] = field(default_factory=list)
+    cycles: list[float] = field(default_factory=list)
+    with_field: list[bool] = field(default_factory=list)
+    used: int = 0
+    first_used: float = np.nan
+    failure: str | None = None
+
+
+class _Loop:
+    """The two loops of [L] Fig. 1 around one arm, one method of turning ``q_d`` into ``q_c``."""
+
+    def __init__(self, cell: Cell, method: str, gains: tuple[float, float] | None) -> None:
+        self.cell, self.method, self.follower = cell, method, cell.follower
+        self.detection = DetectionSettings(line_width=cell.line.width, dark=cell.line.gray < cell.line.background)
+        self.feedforward: Feedforward = PassThrough(cell.world.t_ipo)
+        self.deflection = None
+        if method == "ideal":
+            from ideal_robot.elasticity.deflection import GearDeflection
+            from ideal_robot.feedforward.ideal import IdealRobot
+
+            model = model_for(cell.scene, cell.robot)
+            self.feedforward = IdealRobot.of(model, cell.robot, N_D, delay=int(cell.world.correction_delay))
+            self.deflection = GearDeflection(model, cell.world.t_ipo)
+        self.direct = DirectFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
+        self.state = self.feedforward.init(self.follower.q_start)
+
+    def sense(self, arrived: Field) -> LineField:
+        """Line points of a field and what follows from them for the path."""
+        follower = self.follower
+        pose = follower.history.pose(arrived.t_stamp)
+        seen = detect_line(arrived, self.cell.camera, follower.predict(arrived.t_stamp).seen_from(pose), self.detection)
+        if self.direct is not None:
+            self.direct.update(seen, pose)
+        follower.update(seen, pose)
+        return seen
+
+    def desired(self, t: float) -> Array:
+        """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""
+        if self.method in ("sensor_path", "ideal"):
+            return self.follower.horizon(t)
+        self.follower.fusion.travel(float(self.follower.profile.s(t)))
+        k = min(round(t / self.cell.world.t_ipo), len(self.follower.q_reference) - N_D)
+        return self.follower.q_reference[k : k + N_D]
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint positions ``(n,)``."""
+        if self.direct is not None:
+            return self.direct.command(t)
+        q_c, self.state = self.feedforward.step(self.state, q_d)
+        return q_c
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at ``t``; the arm's are those less the gears' deflection, where a model knows it."""
+        q_a = q if self.deflection is None else q - self.deflection.at(q_d)
+        self.follower.observe(t, q_a)
+
+
+def _play(cell: Cell, method: str, gains: tuple[float, float] | None, progress: Progress) -> LineResult:
+    scene, follower = cell.scene, cell.follower
+    loop, log = _Loop(cell, method, gains), _Log()
+    settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
+                                 if key != "phase"})
+    with (SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm,
+          RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera):
+        started = time.perf_counter()
+        _cycles(loop, arm, camera, log, progress)
+        wall = time.perf_counter() - started
+        history = arm.history()
+        tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
+        recording = line_recording(arm, scene, method, np.array(log.t), np.array(log.q_d), log.fields, log.failure)
+    whole, error, followed_from = _control_error(cell, history["t"], tcp, log.first_used)
+    return LineResult(
+        scene=scene, method=method, control_error=error, control_error_from_start=whole,
+        path_errors=_path_errors(cell, log, history["t"], tcp), fields_seen=len(log.fields), fields_used=log.used,
+        recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
+                                           float(history["t"][-1])),
+        geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
+        shown=tuple(log.shown), world=cell.world.table())
+
+
+def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, progress: Progress) -> None:
+    """Cycle by cycle until the path is done and the arm at rest."""
+    follower, T = loop.follower, arm.t_ipo
+    count = int(np.ceil((follower.duration + REST) / T))
+    picture_at = set(np.linspace(0.15 * count, 0.9 * count, SHOWN).astype(int))
+    under_way: list[Field] = []
+    q = follower.q_start
+    stopping: Iterator[Array] | None = None
+    last = np.tile(q, (N_D, 1))
+    for k in range(count):
+        t = k * T
+        begin = time.perf_counter()
+        loop.observe(t, q, last)
+        new = [item for item in under_way if item.t_arrival <= t]
+        under_way = [item for item in under_way if item.t_arrival > t]
+        if stopping is None:
+            try:
+                for item in sorted(new, key=lambda late: late.t_arrival):
+                    seen = loop.sense(item)
+                    log.fields.append(seen)
+                    log.used += int(seen.seen)
+                    if seen.seen and not np.isfinite(log.first_used):
+                        log.first_used = t
+                last = loop.desired(t)
+            except (LineLostError, OutOfReachError) as error:
+                log.failure = str(error)
+                speed = float(follower.profile.speed(t))
+                stopping = stopping_rows(last[1:], T, speed, loop.cell.scene.reference.acceleration)
+        if stopping is not None:
+            last = next(stopping)
+        q_c = loop.command(t, last) if log.failure is None or loop.direct is None else loop.direct.command(t)
+        log.cycles.append(time.perf_counter() - begin)
+        log.with_field.append(bool(new))
+        log.t.append(t)
+        log.q_d.append(last[0])
+        exposures = camera.due(t, t + T)
+        windows = []
+        for exposure in exposures:
+            pose = follower.history.pose(exposure)
+            windows.append(search_windows(loop.cell.camera, follower.predict(exposure).seen_from(pose), loop.detection))
+        q = arm.cycle(q_c).q
+        for exposure, wanted in zip(exposures, windows, strict=True):
+            under_way.append(camera.windows(exposure, arm.tcp_at, wanted))
+        if k in picture_at and new and log.fields and log.fields[-1].seen:
+            log.shown.append(_picture(loop, camera, arm, log.fields[-1], new[-1]))
+            picture_at.discard(k)
+        elif k in picture_at:
+            picture_at.discard(k)
+            picture_at.add(k + 1)
+        if stopping is not None and np.allclose(last, last[0], atol=1e-9):
+            break
+        if k % 8 == 0:
+            progress(k / count, loop.method)
+
+
+def _picture(loop: _Loop, camera: RenderedCamera, arm: SimulatedArm, seen: LineField, raw: Field) -> FieldShown:
+    """The whole image of a field, with what was found in it and the line as it is believed to be."""
+    follower = loop.follower
+    ahead = follower.predict(seen.t, np.linspace(-0.02, 0.15, 60)).seen_from(follower.history.pose(seen.t))
+    return FieldShown(seen.t, camera.frame(arm.tcp_at(seen.t)), tuple(tuple(w) for w in raw.windows),  # type: ignore[misc]
+                      seen.pixels, seen.used, loop.cell.camera.project_tool(ahead.points))
+
+
+def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError, float]:
+    """Distance of the true TCP from the drawn line: over all of it, and from 0.3 s after it is first followed."""
+    up = cell.geometry.plane.rotation[:, 2]
+    nearest = cell.line.nearest(tcp - np.outer((tcp - cell.geometry.plane.translation) @ up, up))
+    inside = (nearest.s > 1e-6) & (nearest.s < cell.line.length - 1e-6)
+    if not inside.any() or not np.isfinite(first_used):
+        nothing = ControlError.of(np.empty(0), np.empty(0), np.empty(0))
+        return nothing, nothing, float("nan")
+    followed_from = max(first_used, float(t[np.argmax(inside)]))
+    counts = inside & (t >= followed_from + SETTLING)
+    whole, counted = (ControlError.of(t[which], nearest.s[which], nearest.lateral[which]) for which in (inside, counts))
+    return whole, counted, followed_from
+
+
+def _path_errors(cell: Cell, log: _Log, t: Array, tcp: Array) -> PathErrors | None:
+    """The true TCP against the desired path, once the line is followed."""
+    times, q_d = np.array(log.t), np.array(log.q_d)
+    moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-7)
+    if len(moving) < 8:
+        return None
+    pose = cell.robot.fk()
+    part = slice(moving[0], moving[-1] + 1)
+    x_d = np.array([pose(q).translation for q in q_d[part]])
+    return path_errors(times[part], x_d, t, tcp)

@@ -1,0 +1,245 @@
+"""The page about a line-following run, and the one that compares methods."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+from scenes.line_compare import LineComparison
+from scenes.line_result import FieldShown, LineResult
+from scenes.report import Report, write_json
+from sim.picture import picture
+
+INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
+COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT}
+PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
+"""[L] 5: mean control error at top speed."""
+
+
+def write_run(result: LineResult, out: Path) -> LineResult:
+    """Writes recording, figures and page into ``out`` and returns the result with their paths."""
+    recording = result.recording.write(out / "recording.parquet")
+    result = replace(result, recording_path=recording, report=out / "report.html")
+    run_page(result).write(out / "report.html")
+    write_json(out / "report.json", result.json())
+    return result
+
+
+def write_comparison(comparison: LineComparison, out: Path) -> LineComparison:
+    """Writes each run's recording and the common page into ``out``."""
+    runs = {method: replace(run, recording_path=run.recording.write(out / f"{method}.parquet"))
+            for method, run in comparison.runs.items()}
+    comparison = replace(comparison, runs=runs, report=out / "report.html")
+    comparison_page(comparison).write(out / "report.html")
+    write_json(out / "report.json", comparison.json())
+    return comparison
+
+
+def run_page(result: LineResult) -> Report:
+    """The page of one run."""
+    scene, error = result.scene, result.control_error
+    mm = error.json_mm()
+    _, across, turn = result.geometry.displacement
+    report = Report(
+        f"{scene.title}: {scene.speed:g} m/s, {result.method}",
+        f"The tool stayed {mm['mean']:.2f} mm from the line on average (95 % of the time within {mm['p95']:.2f} mm), "
+        f"although the line lay {1e3 * abs(across):.1f} mm beside and {np.degrees(abs(turn)):.2f}° across its "
+        f"reference path and the camera was {1e3 * scene.camera.latency:.0f} ms late.")
+    if result.failure:
+        report.warning(f"The run ended early: {result.failure}")
+    report.figures([("mean distance from the line", f"{mm['mean']:.3f} mm"), ("95 % within", f"{mm['p95']:.3f} mm"),
+                    ("largest", f"{mm['max']:.3f} mm"),
+                    ("fields used", f"{result.fields_used} of {result.fields_seen}"),
+                    ("real-time factor", f"{result.timing.real_time_factor:.1f}")])
+    report.heading("The cell")
+    report.figure(_cell(result), "The arm at the middle of the path, and the surface from above with the "
+                  "drawn line, the reference path and where the tool truly went.")
+    report.heading("What the camera saw")
+    if result.shown:
+        report.figure(_fields(result.shown), "Camera fields along the way: search windows (blue), detected line "
+                      "points (orange; grey: left out), and the line as the fusion believed it to be (green). While "
+                      "the arm moves only the windows are rendered; the whole images are for this page.")
+    else:
+        report.text("No field with a detected line was kept.")
+    report.heading("Along the line")
+    report.figure(_along(result), "Signed distance of the true tool centre point from the drawn line over its "
+                  "length; the grey part at the start does not count (0.3 s after the line is first followed).")
+    report.heading("Errors")
+    report.table(["", "mean mm", "95 % mm", "max mm", "speed m/s"],
+                 [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
+                  ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
+                 "Distance from the line, in the surface. [L] reports about 0.6 mm mean control error at 0.7 m/s.")
+    if result.path_errors is not None:
+        path = result.path_errors.json_mm()
+        report.table(["path error against q_d", "E_car mm", "E_max mm"],
+                     [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
+                      for kind in ("time_matched", "aligned", "geometric")],
+                     f"[G] (14), (21); aligned after removing {path['delay_ms']:.2f} ms. All three directions, from "
+                     "rest to rest: also what the camera cannot see.")
+    _timing(report, result)
+    _settings(report, result)
+    return report
+
+
+def comparison_page(comparison: LineComparison) -> Report:
+    """The page that compares the methods on one scene."""
+    runs = comparison.runs
+    ideal, sensor, direct = (1e3 * runs[method].control_error.mean
+                             for method in ("ideal", "sensor_path", "direct_feedback"))
+    report = Report(
+        f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
+        f"Mean distance from the line: {ideal:.2f} mm with the ideal robot, {sensor:.2f} mm with the sensed path "
+        f"alone, {direct:.2f} mm with direct sensor feedback at its best gain.")
+    columns, rows = comparison.table()
+    report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")
+    report.figure(_along_all(comparison), "Distance from the line along the line, one curve a method. The lower "
+                  "picture leaves out those that need another scale.")
+    report.heading("Direct sensor feedback: how much gain?")
+    report.text(
+        f"x_c(k) = x_c(k-1) + K_p Δs(k) + K_d (Δs(k) - Δs(k-1)), [L] (1). A sideways step of 10 mm overshoots by more "
+        f"than 5 % from K_p just above {comparison.overshoot_gain:.3g} per cycle on, because corrections are repeated "
+        f"until the late camera sees their effect. The best gain on this scene, found by search, is "
+        f"K_p = {comparison.gains[0]:.3g}, K_d = {comparison.gains[1]:.3g}.")
+    report.figure(_gains(comparison), "Left: mean error on this scene over the gain. Right: overshoot over a sideways "
+                  "step over the gain.")
+    report.heading("The ideal robot in this comparison")
+    _timing(report, runs["ideal"])
+    _settings(report, runs["ideal"])
+    return report
+
+
+def _timing(report: Report, result: LineResult) -> None:
+    time = result.timing.json_ms()
+    report.heading("Timing")
+    report.table(
+        ["sensing + planning + feedforward", "ms"],
+        [["median of all cycles", time["median"]], ["99 %", time["p99"]], ["largest", time["max"]],
+         ["median of cycles with a new field", time["median_with_field"]],
+         ["median of cycles without", time["median_without_field"]]],
+        "On this machine; one cycle is 12 ms. Rendering and simulation are not part of it. "
+        f"{result.timing.simulated:.2f} s were simulated in {result.timing.wall:.2f} s.")
+
+
+def _settings(report: Report, result: LineResult) -> None:
+    scene = result.scene
+    report.heading("The world, as it was set")
+    report.table(["world", "value"], [[key, _short(value)] for key, value in result.world.items()],
+                 "Nothing of this is known to sensing, planning or the ideal robot.")
+    tables: list[tuple[str, dict[str, Any]]] = [("camera", scene.camera.model_dump()),
+                                                ("calibration errors", scene.calibration.model_dump()),
+                                                ("displacement (sizes)", scene.displacement.model_dump())]
+    for title, table in tables:
+        report.table([title, "value"], [[key, _short(value)] for key, value in table.items()])
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return ", ".join(f"{item:g}" if isinstance(item, (int, float)) else str(item) for item in value)
+    return value if isinstance(value, (int, float, str)) else str(value)
+
+
+def _in_plane(points: Array, plane: pin.SE3) -> Array:
+    return np.asarray(((points - plane.translation) @ plane.rotation)[:, :2])
+
+
+def _cell(result: LineResult) -> Figure:
+    figure = Figure(figsize=(11, 8.2))
+    left, right = figure.subplots(2, 1, height_ratios=[2.6, 1])
+    robot = Robot.load(result.scene.robot)
+    q = result.recording.joints("q")
+    left.imshow(picture(robot, q[len(q) // 2], lines=(result.geometry.drawn,)))
+    left.set_axis_off()
+    plane = result.geometry.plane
+    drawn, reference = (1e3 * _in_plane(points, plane) for points in (result.geometry.drawn, result.geometry.reference))
+    right.plot(*reference.T, "--", color=BLUE, lw=1.2, label="reference path x_r")
+    right.plot(*drawn.T, color=INK, lw=3.5, alpha=0.75, label="drawn line")
+    if all(name in result.recording.columns for name in "xyz"):
+        tcp = np.column_stack([result.recording.columns[name] for name in "xyz"])
+    else:
+        pose = robot.fk()
+        tcp = np.array([pose(row).translation for row in q[::5]])
+    right.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
+    right.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
+    right.margins(y=0.25)
+    right.grid(alpha=0.25)
+    right.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.02))
+    figure.tight_layout()
+    return figure
+
+
+def _fields(shown: tuple[FieldShown, ...]) -> Figure:
+    figure = Figure(figsize=(11, 2.6 if len(shown) > 2 else 4))
+    for axes, field in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
+        height, width = field.image.shape
+        axes.imshow(field.image, cmap="gray", vmin=0, vmax=255)
+        for u, v, w, h in field.windows:
+            axes.add_patch(Rectangle((u - 0.5, v - 0.5), w, h, fill=False, color=BLUE, lw=0.9))
+        axes.plot(*field.polynomial_pixels.T, color=GREEN, lw=1.0)
+        axes.plot(*field.pixels[~field.used].T, "x", color=SOFT, ms=6)
+        axes.plot(*field.pixels[field.used].T, "o", color=ACCENT, ms=4)
+        axes.set(xlim=(0, width), ylim=(height, 0), title=f"t = {field.t:.2f} s")
+        axes.set_axis_off()
+    figure.tight_layout()
+    return figure
+
+
+def _along(result: LineResult) -> Figure:
+    figure = Figure(figsize=(11, 3.2))
+    axes = figure.subplots()
+    whole, error = result.control_error_from_start, result.control_error
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.plot(1e3 * whole.s, 1e3 * whole.lateral, color=SOFT, lw=1.2, label="while the line is being found")
+    axes.plot(1e3 * error.s, 1e3 * error.lateral, color=ACCENT, lw=1.5, label="counts")
+    limit = 3.0 * max(1e3 * error.p95, 0.1) if len(error.s) else 5.0
+    axes.set(xlabel="along the line [mm]", ylabel="distance to the left [mm]", ylim=(-limit, limit))
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, ncols=2)
+    figure.tight_layout()
+    return figure
+
+
+def _along_all(comparison: LineComparison) -> Figure:
+    figure = Figure(figsize=(11, 5.6))
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    best = min(run.control_error.p95 for run in comparison.runs.values())
+    for method, run in comparison.runs.items():
+        whole = run.control_error_from_start
+        upper.plot(1e3 * whole.s, 1e3 * whole.lateral, color=COLOURS[method], label=method.replace("_", " "))
+        if run.control_error.p95 < 12 * best:
+            lower.plot(1e3 * run.control_error.s, 1e3 * run.control_error.lateral, color=COLOURS[method])
+    for axes in (upper, lower):
+        axes.axhline(0, color=INK, lw=0.8)
+        axes.grid(alpha=0.25)
+        axes.set_ylabel("distance to the left [mm]")
+    upper.legend(frameon=False, ncols=4)
+    lower.set_xlabel("along the line [mm]")
+    figure.tight_layout()
+    return figure
+
+
+def _gains(comparison: LineComparison) -> Figure:
+    figure = Figure(figsize=(11, 3.4))
+    left, right = figure.subplots(1, 2)
+    tried = sorted((p, 1e3 * e) for p, d, e in comparison.tried if d == 0.0 and np.isfinite(e))
+    left.semilogx(*np.array(tried).T, "o-", color=BLUE, label="direct feedback, K_d = 0")
+    with_d = [(p, 1e3 * e) for p, d, e in comparison.tried if d > 0.0 and np.isfinite(e)]
+    if with_d:
+        left.semilogx(*np.array(with_d).T, "s", color=GREEN, label="with K_d")
+    left.axhline(1e3 * comparison.runs["ideal"].control_error.mean, color=ACCENT, label="ideal robot")
+    left.set(xlabel="K_p per cycle", ylabel="mean error [mm]", ylim=(0, None))
+    left.legend(frameon=False)
+    right.semilogx(*np.array([(k, 100 * o) for k, o in comparison.overshoots]).T, "o-", color=BLUE)
+    right.axhline(5, color=INK, lw=0.8, ls="--")
+    right.set(xlabel="K_p per cycle", ylabel="overshoot [%]")
+    for axes in (left, right):
+        axes.grid(alpha=0.25)
+    figure.tight_layout()
+    return figure

@@ -1,0 +1,40 @@
+"""Where the ideal robot's model comes from: shipped, or a file of the user's."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+from ideal_robot.errors import InputError
+from ideal_robot.model import Model
+from ideal_robot.robot import Robot
+from scenes.scene import Scene
+
+
+def shipped_model(robot_name: str) -> Path:
+    """File of the model that was identified beforehand on recordings of the robot's default world (``make models``)."""
+    return Path(str(resources.files("scenes"))) / "models" / f"{robot_name}.json"
+
+
+def model_for(scene: Scene, robot: Robot) -> Model:
+    """The model that a scene asks for.
+
+    Raises:
+        InputError: no shipped model for that robot, no such file, or a model of another robot.
+    """
+    path = shipped_model(robot.name) if scene.model == "shipped" else Path(scene.model)
+    if not path.is_file():
+        raise InputError("no such model file" if scene.model != "shipped" else
+                         f"no model is shipped for {robot.name}; identify one and give its path", field="model",
+                         value=scene.model)
+    model = _load(path, path.stat().st_mtime_ns)
+    if model.n != robot.n:
+        raise InputError(f"the model has {model.n} joints, {robot.name} has {robot.n}", file=path, field="model")
+    return model
+
+
+@lru_cache(maxsize=8)
+def _load(path: Path, changed: int) -> Model:
+    """Loads once as long as the file does not change."""
+    return Model.load(path)
