@@ -9,12 +9,12 @@ from types import TracebackType
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.errors import InputError, LimitError
 from ideal_robot.interface import Array, RobotState
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
 from sim.body import load_links, start_physics
 from sim.bullet import pybullet
+from sim.checks import checked_command, checked_posture, require_integrable
 from sim.controller import X_END, X_START
 from sim.drive import (
     LOGGED,
@@ -63,6 +63,8 @@ class SimulatedArm:
         world: the true world.
         rng: source of the measurement noise.
         q0: motor angles at the start ``(n,)`` [rad]; the robot's home posture if None.
+        tool_radius: radius of a ball about the TCP that collides with other bodies of the physics client [m]; None:
+            the arm touches nothing but what ``step_hook`` applies.
 
     Raises:
         InputError: ``q0`` of wrong size or outside the limits, a world the step cannot integrate.
@@ -76,7 +78,8 @@ class SimulatedArm:
         step_hook: called with the time [s] before every 0.5 ms step, e.g. to apply contact forces.
     """
 
-    def __init__(self, robot: Robot, world: World, rng: np.random.Generator, q0: Array | None = None) -> None:
+    def __init__(self, robot: Robot, world: World, rng: np.random.Generator, q0: Array | None = None, *,
+                 tool_radius: float | None = None) -> None:
         self.robot, self.world = robot, world
         self.t_ipo = world.t_ipo
         self._rng = rng
@@ -91,7 +94,7 @@ class SimulatedArm:
         self._with_rotors.armature = self._rotor_of_rigid
         self._dynamics = self._with_rotors.createData()
         self._kinematics = self._model.createData()
-        self._require_integrable()
+        require_integrable(self._model, robot.home, self._p)
         self._steps_per_cycle = round(world.t_ipo / STEP)
         self._joints = list(range(robot.n))
         frame = robot.model.frames[robot.tool_id]
@@ -99,7 +102,7 @@ class SimulatedArm:
         self.tool_offset: pin.SE3 = frame.placement.copy()
         self.step_hook: Callable[[float], None] | None = None
         self.client = start_physics()
-        self.body = load_links(self._model, self.client)
+        self.body = load_links(self._model, self.client, self.tool_offset if tool_radius else None, tool_radius or 0.0)
         self.reset(robot.home if q0 is None else q0)
 
     def reset(self, q0: Array) -> None:
@@ -107,7 +110,7 @@ class SimulatedArm:
 
         Temperatures start anew too. Raises ``InputError`` for a posture of wrong size or outside the limits.
         """
-        q0 = self._checked_posture(np.asarray(q0, dtype=float), "q0")
+        q0 = checked_posture(self.robot, q0)
         n = self.robot.n
         stiffness = np.where(self._p[P_ELASTIC] > 0.0, self.world.per_joint("stiffness", n), np.inf)
         q_a = q0.copy()
@@ -136,10 +139,7 @@ class SimulatedArm:
             InputError: wrong size or not finite.
             LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
         """
-        q_c = np.asarray(q_c, dtype=float)
-        if q_c.shape != (self.robot.n,) or not np.isfinite(q_c).all():
-            raise InputError(f"a command must be {self.robot.n} finite joint angles", field="q_c", value=q_c.tolist())
-        self._check_limits(q_c)
+        q_c = checked_command(self.robot, q_c, self._pending, self.t_ipo)
         x = self._x
         x[X_START] = x[X_END]
         x[X_END] = self._pending if self.world.correction_delay else q_c
@@ -250,40 +250,3 @@ class SimulatedArm:
     def _reserve(self) -> None:
         if self._rows + self._steps_per_cycle + 1 > len(self._log):
             self._log = np.concatenate([self._log, np.zeros_like(self._log)])
-
-    def _checked_posture(self, q: Array, name: str) -> Array:
-        if q.shape != (self.robot.n,) or not np.isfinite(q).all():
-            raise InputError(f"expected {self.robot.n} finite joint angles", field=name, value=q.tolist())
-        if np.any(q < self.robot.q_min) or np.any(q > self.robot.q_max):
-            raise InputError("posture is outside the joint limits", field=name, value=np.round(q, 4).tolist())
-        return q.copy()
-
-    def _check_limits(self, q_c: Array) -> None:
-        robot = self.robot
-        outside = np.flatnonzero((q_c < robot.q_min) | (q_c > robot.q_max))
-        if outside.size:
-            j = int(outside[0])
-            limit = robot.q_min[j] if q_c[j] < robot.q_min[j] else robot.q_max[j]
-            raise LimitError(j + 1, "commanded angle [rad]", q_c[j], limit, "command angles within the joint limits")
-        speed = np.abs(q_c - self._pending) / self.t_ipo
-        fast = np.flatnonzero(speed > 2.0 * robot.v_max)
-        if fast.size:
-            j = int(fast[0])
-            raise LimitError(j + 1, "commanded velocity [rad/s]", speed[j], 2.0 * robot.v_max[j],
-                             "hand over a path that starts where the arm is and keeps the velocity limits")
-
-    def _require_integrable(self) -> None:
-        """Refuses gears whose fastest oscillation the 0.5 ms step cannot follow."""
-        elastic = self._p[P_ELASTIC] > 0.0
-        if not elastic.any():
-            return
-        n = self.robot.n
-        mass = pin.crba(self._model, self._kinematics, self.robot.home)
-        mass = np.triu(mass) + np.triu(mass, 1).T
-        root = np.sqrt(np.where(elastic, np.where(elastic, self.world.per_joint("stiffness", n), 0.0), 0.0))
-        rotor = np.where(elastic, 1.0 / np.where(elastic, self._individual.rotor_inertia, 1.0), 0.0)
-        coupling = root[:, None] * (np.linalg.inv(mass) + np.diag(rotor)) * root[None, :]
-        fastest = float(np.sqrt(np.linalg.eigvalsh(coupling).max()))
-        if fastest * STEP > 1.2:
-            raise InputError(f"gears are too stiff for the {STEP * 1e3} ms step (fastest oscillation "
-                             f"{fastest / 2 / np.pi:.0f} Hz); use inf for a rigid gear", field="world.stiffness")

@@ -24,18 +24,22 @@ def start_physics() -> int:
     return int(client)
 
 
-def load_links(model: pin.Model, client: int) -> int:
+def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> int:
     """Loads the links of a serial arm and switches off whatever PyBullet adds of its own.
 
     Joints keep their order; link ``i`` of the body is the one that joint ``i`` (from 0) moves, in the joint's frame.
     Joint limits are left to the controller: a limit constraint would be an effect of its own.
+
+    Args:
+        tool: pose of the TCP in the frame of the last joint, if a ball about it shall collide with other bodies.
+        tool_radius: its radius [m].
 
     Returns:
         PyBullet's id of the body.
     """
     with tempfile.TemporaryDirectory(prefix="arm-") as folder:
         path = Path(folder) / "links.urdf"
-        path.write_text(links_urdf(model), encoding="utf-8")
+        path.write_text(links_urdf(model, tool, tool_radius), encoding="utf-8")
         body = pybullet.loadURDF(str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                                  physicsClientId=client)
     for link in range(-1, model.nv):
@@ -46,7 +50,7 @@ def load_links(model: pin.Model, client: int) -> int:
     return int(body)
 
 
-def links_urdf(model: pin.Model) -> str:
+def links_urdf(model: pin.Model, tool: pin.SE3 | None = None, tool_radius: float = 0.0) -> str:
     """A URDF with the bare links of a serial Pinocchio model: one link per joint, inertias about principal axes.
 
     Principal axes spare PyBullet its own diagonalisation, which is less exact.
@@ -66,7 +70,11 @@ def links_urdf(model: pin.Model) -> str:
             f'<link name="link_{joint}"><inertial>'
             f'<origin xyz="{_text(inertia.lever)}" rpy="{_text(_rpy(directions))}"/><mass value="{inertia.mass:.17g}"/>'
             f'<inertia ixx="{moments[0]:.17g}" ixy="0" ixz="0" iyy="{moments[1]:.17g}" iyz="0" '
-            f'izz="{moments[2]:.17g}"/></inertial></link>')
+            f'izz="{moments[2]:.17g}"/></inertial>')
+        if tool is not None and joint == model.njoints - 1:
+            parts.append(f'<collision><origin xyz="{_text(tool.translation)}"/><geometry>'
+                         f'<sphere radius="{tool_radius:.17g}"/></geometry></collision>')
+        parts.append("</link>")
         kind = ('type="continuous"', "") if revolute else (
             'type="prismatic"', '<limit lower="-1e6" upper="1e6" effort="0" velocity="0"/>')
         parts.append(

@@ -159,9 +159,9 @@ def test_commands_are_checked() -> None:
         for wrong in (np.zeros(5), np.full(6, np.nan)):
             with pytest.raises(InputError, match="q_c"):
                 arm.cycle(wrong)
-        with pytest.raises(LimitError, match="joint 2.*angle"):
+        with pytest.raises(LimitError, match=r"joint 2.*angle"):
             arm.cycle(np.where(np.arange(6) == 1, 3.0, ROBOT.home))
-        with pytest.raises(LimitError, match="joint 4.*velocity"):
+        with pytest.raises(LimitError, match=r"joint 4.*velocity"):
             arm.cycle(ROBOT.home + np.array([0, 0, 0, 0.5, 0, 0]))
     with pytest.raises(InputError, match="outside the joint limits"):
         arm_of(DEFAULT, q0=np.full(6, 3.0))
