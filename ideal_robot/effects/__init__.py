@@ -2,25 +2,72 @@
 
 from __future__ import annotations
 
-from ideal_robot.effects.base import Effect, EffectParameter, FittedEffect, Signals
+from functools import cache
 
-__all__ = ["Effect", "EffectParameter", "FittedEffect", "Signals", "effect_of", "library"]
+from ideal_robot.effects.base import (
+    ARM_POSITION,
+    MOTOR_TORQUE,
+    SENSOR,
+    TCP_POSITION,
+    Effect,
+    EffectParameter,
+    FittedEffect,
+    Signals,
+)
+
+__all__ = ["ARM_POSITION", "MOTOR_TORQUE", "SENSOR", "TCP_POSITION", "Effect", "EffectParameter", "FittedEffect",
+           "Signals", "effect_of", "library", "names"]
 
 
-def library() -> dict[str, Effect]:
-    """All effects by name."""
-    return {}
+@cache
+def library() -> tuple[Effect, ...]:
+    """All effects; the same cause may stand there several times, once for each place where it shows."""
+    from ideal_robot.effects.arm_dead_time import ArmDeadTime
+    from ideal_robot.effects.asymmetric_friction import AsymmetricFriction
+    from ideal_robot.effects.axis_coupling import AxisCoupling
+    from ideal_robot.effects.backlash import ArmBacklash, Backlash
+    from ideal_robot.effects.cable_spring import CableSpring
+    from ideal_robot.effects.coulomb import Coulomb
+    from ideal_robot.effects.current_offset import CurrentOffset
+    from ideal_robot.effects.dead_time import DeadTime, PositionDeadTime
+    from ideal_robot.effects.degressive import Degressive
+    from ideal_robot.effects.drive_gain import DriveGain
+    from ideal_robot.effects.gravity_spring import GravitySpring
+    from ideal_robot.effects.joint_elasticity import ArmElasticity, JointElasticity
+    from ideal_robot.effects.load_dependent_friction import LoadDependentFriction
+    from ideal_robot.effects.payload import Payload
+    from ideal_robot.effects.presliding_hysteresis import PreslidingHysteresis
+    from ideal_robot.effects.rotor_inertia import RotorInertia
+    from ideal_robot.effects.stribeck import Stribeck
+    from ideal_robot.effects.thermal_drift import ThermalDrift
+    from ideal_robot.effects.torque_ripple import TorqueRipple
+    from ideal_robot.effects.transmission_error import TransmissionError
+    from ideal_robot.effects.viscous import Viscous
+
+    return (Viscous(), Coulomb(), Degressive(), Stribeck(), AsymmetricFriction(), LoadDependentFriction(),
+            ThermalDrift(), PreslidingHysteresis(), TorqueRipple(), CurrentOffset(), DriveGain(), RotorInertia(),
+            GravitySpring(), CableSpring(), Payload(), AxisCoupling(), DeadTime(), PositionDeadTime(),
+            JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash())
+
+
+def names() -> tuple[str, ...]:
+    """Names of all effects, each once."""
+    return tuple(dict.fromkeys(effect.name for effect in library()))
 
 
 def effect_of(fitted: FittedEffect) -> Effect:
-    """The library's effect behind a fitted one.
+    """The library's effect behind a fitted one, by its name and the channel it was found in.
 
     Raises:
         InputError: a model file names an effect that this version does not know.
     """
+    from ideal_robot.effects.unknown import Unknown
     from ideal_robot.errors import InputError
 
-    known = library()
-    if fitted.name not in known:
-        raise InputError(f"unknown effect; known are {', '.join(sorted(known))}", field="effects", value=fitted.name)
-    return known[fitted.name]
+    if fitted.name == "unknown":
+        return Unknown.from_data(dict(fitted.data))
+    for effect in library():
+        if effect.name == fitted.name and effect.acts_on(fitted.channel):
+            return effect
+    raise InputError(f"unknown effect in channel {fitted.channel!r}; known are {', '.join(names())}", field="effects",
+                     value=fitted.name)

@@ -42,6 +42,8 @@ class Signals:
         temperature: gear temperature ``(N, n)`` [°C], or None where it was not measured.
         rigid: the rigid body as a function, for effects that change positions; None where there is none.
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
+        payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
+        v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
     """
 
     t: Array
@@ -54,6 +56,8 @@ class Signals:
     temperature: Array | None = None
     rigid: RigidBody | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
+    payload: Array | None = None
+    v_small: Array | None = None
 
     @property
     def n(self) -> int:
@@ -64,6 +68,19 @@ class Signals:
     def dt(self) -> float:
         """Sampling interval [s]; 1 for a single sample, where nothing may depend on it."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
+
+    def direction(self, qd: Array, joint: int) -> Array:
+        """Sign of a velocity ``(N,)`` of ``joint`` (from 1), smooth where it is lost in noise."""
+        if self.v_small is None:
+            return np.sign(qd)
+        return np.tanh(qd / self.v_small[joint - 1])
+
+    def on_joint(self, joint: int, *columns: Array) -> Array:
+        """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``."""
+        result = np.zeros((len(self.t), self.n, len(columns)))
+        for i, column in enumerate(columns):
+            result[:, joint - 1, i] = column
+        return result
 
     def rate(self, values: Array) -> Array:
         """Time derivative ``(N, …)`` by central differences; zero for a single sample."""
@@ -112,6 +129,16 @@ class Effect(ABC):
     coefficient_units: ClassVar[tuple[str, ...]] = ("N m",)
     in_base: ClassVar[bool] = False
     source: ClassVar[str] = ""
+
+    def acts_on(self, channel: str) -> bool:
+        """Whether a fitted effect of this name in ``channel`` is one of these."""
+        heads = {MOTOR_TORQUE: ("tau",), ARM_POSITION: ("qa",), TCP_POSITION: ("tcp",), SENSOR: ("line", "force")}
+        return channel.startswith(heads[self.domain])
+
+    def channel(self, joint: int) -> str:
+        """Name of the channel it is reported in."""
+        head = {MOTOR_TORQUE: "tau", ARM_POSITION: "qa", TCP_POSITION: "tcp", SENSOR: "line"}[self.domain]
+        return f"{head}_{joint}" if joint else head
 
     def joints(self, signals: Signals) -> Iterator[int]:
         """Joints (from 1; 0 for the whole arm) at which the effect may sit."""

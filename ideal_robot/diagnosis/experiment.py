@@ -1,0 +1,236 @@
+"""From a recording and a model to a regression: what was measured, what the model expects, what may be changed in it.
+
+One row per joint and time step: the motor torque minus the model's, and the derivative of the model with respect to
+all of its parameters (``ideal_robot.parametrisation``), both through the same decimation filter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ideal_robot.dynamics import regressor
+from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
+from ideal_robot.effects.base import Signals
+from ideal_robot.errors import InputError
+from ideal_robot.identification.preprocess import Signals as Filtered
+from ideal_robot.identification.preprocess import preprocess
+from ideal_robot.interface import Array
+from ideal_robot.model import Model
+from ideal_robot.parametrisation import sensitivity
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+
+HIGHEST_RATE = 100.0
+"""Rate after decimation [Hz]: far above what a robot arm's torque follows, low enough for whole recordings at once."""
+ROWS = 150_000
+"""Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
+_REST = 0.15
+"""A joint that stands still longer than this [s] is held by friction that no law knows; those samples do not count."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The regression of one recording.
+
+    Attributes:
+        t: decimated times from the start of the recording ``(N,)`` [s].
+        channels, units: names and units of the ``c`` channels.
+        y: measured minus predicted ``(N, c)``.
+        measured: what was measured ``(N, c)``.
+        W: derivative of the prediction by the model's parameters ``(N, c, p)``.
+        use: samples that count ``(N, c)``.
+        signals: undecimated signals for effects.
+        filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
+        undecided: joints (from 1) that move too little, with the reason.
+        quiet: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
+    """
+
+    t: Array
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    y: Array
+    measured: Array
+    W: Array
+    use: np.ndarray
+    signals: Signals
+    filtered: Filtered = field(repr=False)
+    undecided: dict[int, str]
+    quiet: Array
+
+    def decimate(self, columns: Array) -> Array:
+        """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""
+        return self.filtered.decimate(columns)
+
+    def decimated_signals(self) -> Signals:
+        """The signals at the rows of ``y``, sampled (not filtered): for plots and dependence measures."""
+        s, step, keep = self.signals, self.filtered.factor, self.filtered.keep
+
+        def at(values: Array) -> Array:
+            return np.asarray(values[::step][keep])
+
+        return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
+                       friction=at(s.friction), temperature=None if s.temperature is None else at(s.temperature), payload=None, rigid=None,
+                       extra={name: at(values) for name, values in s.extra.items()})
+
+
+def torque_recording(recording: Recording, robot: Robot) -> tuple[Recording, bool]:
+    """The recording with ``tau_i``, made of ``current_i`` where it has none, and whether torques are comparable.
+
+    With currents only and no drive gains in the robot's data file, the joints' torques are in amperes, each with its
+    own unknown factor: then they must not share inertias.
+
+    Raises:
+        InputError: no torque and no current, a joint count other than the URDF's, columns that are not finite.
+    """
+    if recording.n != robot.n:
+        raise InputError(f"the recording has {recording.n} joints (q_1 …), the URDF has {robot.n}",
+                         file=recording.source, field="q_i", value=recording.n)
+    for name, values in recording.columns.items():
+        if name.startswith(("t", "q_", "tau_", "current_")) and not np.all(np.isfinite(values)):
+            raise InputError(f"{int(np.sum(~np.isfinite(values)))} of {len(values)} values are not finite numbers",
+                             file=recording.source, field=name)
+    if recording.has("tau"):
+        return recording, True
+    if not recording.has("current"):
+        missing = next(i for i in range(1, recording.n + 2) if f"tau_{i}" not in recording.columns)
+        raise InputError("column is missing; tau_i [N m] or current_i [A] is needed for every joint",
+                         file=recording.source, field=f"tau_{missing}")
+    gains = robot.drive_gain
+    columns = dict(recording.columns)
+    for i in range(recording.n):
+        columns[f"tau_{i + 1}"] = np.array(recording.columns[f"current_{i + 1}"]) * gains[i]
+    known = bool(np.any(gains != 1.0))
+    return Recording(columns, dict(recording.meta), recording.source), known
+
+
+def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
+               shared: bool = True) -> Experiment:
+    """Builds the regression of the motor torques.
+
+    Args:
+        recording: with ``q_i`` and ``tau_i``.
+        robot: whose URDF it is.
+        model: what predicts, and whose parameters may change.
+        cutoff: of the position filter [Hz], from the data if None.
+        shared: whether the joints share inertias; False gives each joint its own copy of all parameters.
+
+    Raises:
+        InputError: see ``torque_recording`` and ``preprocess``.
+    """
+    n = robot.n
+    rate = (len(recording.t) - 1) / max(float(recording.t[-1] - recording.t[0]), 1e-9)
+    duration = len(recording.t) / rate
+    wanted = min(HIGHEST_RATE, ROWS / (n * duration))
+    filtered = preprocess(recording, cutoff=cutoff)
+    wanted = min(0.5 * wanted, filtered.cutoff, 0.5 * rate)
+    filtered = preprocess(recording, cutoff=filtered.cutoff, cutoff_decimation=wanted)
+    q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
+    t = filtered.t - filtered.t[0]
+    temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
+                   if recording.has("temp") else None)
+
+    chain = chain_of(model._exact_model)
+    load = inverse_dynamics(chain, q, qd, qdd)
+    friction = model.friction.torque(qd, load)
+    rotor = model._exact[10 * n : 11 * n]
+    torque = load + rotor * qdd + model.offset + friction
+    v_small = _small_velocity(recording, filtered)
+    payload = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :]
+    extra = {name: values for name, values in filtered.columns.items() if not _is_joint_column(name)}
+    signals = Signals(t, q, qd, qdd, load, torque, friction, temperature,
+                      rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c), extra=extra, payload=payload,
+                      v_small=v_small)
+    prediction = torque
+    if model.effects:
+        prediction = torque + np.sum([e.contribution(signals) for e in model.effects if e.channel.startswith("tau")],
+                                     axis=0)
+    W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
+    _soften(W, model, signals)
+    W = filtered.decimate(W)
+    if not shared:
+        W = _own_copies(W)
+    moving, undecided = _moving(t, q, qd, v_small, robot)
+    use = moving[:: filtered.factor][filtered.keep]
+    measured = filtered.decimate(filtered.tau)
+    units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
+    return Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
+                      measured - filtered.decimate(prediction), measured, W, use, signals, filtered, undecided,
+                      _noise(filtered))
+
+
+def _soften(W: Array, model: Model, signals: Signals) -> None:
+    """Replaces the sign of velocity in linear friction columns by one that noise does not flip."""
+    at = model.base.count
+    for j, law in enumerate(model.friction.laws):
+        for i, name in enumerate(law.coefficient_names):
+            if name in ("Fc", "a2"):
+                W[:, j, at + i] = signals.direction(signals.qd[:, j], j + 1)
+        at += len(law.coefficients)
+
+
+def _own_copies(W: Array) -> Array:
+    N, c, _ = W.shape
+    blocks = []
+    for j in range(c):
+        kept = np.flatnonzero(np.any(W[:, j] != 0.0, axis=0))
+        block = np.zeros((N, c, len(kept)))
+        block[:, j] = W[:, j][:, kept]
+        blocks.append(block)
+    return np.concatenate(blocks, axis=2)
+
+
+def _is_joint_column(name: str) -> bool:
+    head, _, tail = name.rpartition("_")
+    return tail.isdigit() and head in {"q", "qd", "qdd", "tau", "current", "temp", "q_c", "q_d", "qa"}
+
+
+def _prismatic(robot: Robot, j: int) -> bool:
+    return bool(robot.model.joints[j + 1].shortname().startswith("JointModelP"))
+
+
+def _small_velocity(recording: Recording, filtered: Filtered) -> Array:
+    """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
+    raw = np.column_stack([np.interp(filtered.t, recording.t, recording.columns[f"q_{j + 1}"])
+                           for j in range(recording.n)])
+    noise = np.std(np.diff(raw, 3, axis=0), axis=0) / np.sqrt(20.0)
+    # White position noise through the low-pass, differentiated: integral of (2 pi f)^2 up to the cut-off.
+    share = 2.0 * np.pi * filtered.cutoff * np.sqrt(2.0 * filtered.cutoff * filtered.dt / 3.0)
+    top = np.percentile(np.abs(filtered.qd), 99, axis=0)
+    return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
+
+
+def _moving(t: Array, q: Array, qd: Array, v_small: Array, robot: Robot) -> tuple[Array, dict[int, str]]:
+    """Samples at which each joint moves (short passages through zero included), and joints that move too little."""
+    dt = float(t[1] - t[0])
+    moving = np.ones(q.shape, dtype=bool)
+    undecided: dict[int, str] = {}
+    for j in range(q.shape[1]):
+        slow = np.abs(qd[:, j]) < np.maximum(2.0 * v_small[j], 0.004 * np.percentile(np.abs(qd[:, j]), 99))
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if (stop - start) * dt > _REST:
+                moving[start:stop, j] = False
+        seconds = float(np.sum(moving[:, j]) * dt)
+        travel = float(np.ptp(q[:, j]))
+        turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
+        noise_travel = 20.0 * v_small[j] * dt
+        if seconds < 2.0 or travel < max(noise_travel, 0.004 if _prismatic(robot, j) else 0.02):
+            unit = "m" if _prismatic(robot, j) else "rad"
+            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {unit}; "
+                                "at least 2 s and 0.02 rad (4 mm) are needed")
+        elif turns < 2:
+            undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"
+    return moving, undecided
+
+
+def _noise(filtered: Filtered) -> Array:
+    """Noise of the torque measurement in the band that is looked at: the floor of its spectrum above the band."""
+    from scipy import signal
+
+    rate = 1.0 / filtered.dt
+    band = min(filtered.cutoff_decimation, 0.5 * rate)
+    f, power = signal.welch(filtered.tau, fs=rate, nperseg=min(len(filtered.tau), 1024), axis=0)
+    above = f >= 0.8 * f[-1]
+    return np.sqrt(np.median(power[above], axis=0) / np.log(2.0) * band)

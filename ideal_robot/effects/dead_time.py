@@ -1,0 +1,88 @@
+"""A channel that is late."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.interface import Array
+
+
+def delayed(values: Array, delay: float, dt: float) -> Array:
+    """``values (N, …)`` late by ``delay`` [s], linearly interpolated; the ends are held."""
+    if len(values) < 2:
+        return values
+    at = np.arange(len(values)) - delay / dt
+    low = np.clip(np.floor(at).astype(int), 0, len(values) - 2)
+    weight = np.clip(at - low, 0.0, 1.0)
+    shaped = weight.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray((1.0 - shaped) * values[low] + shaped * values[low + 1])
+
+
+class DeadTime(Effect):
+    """The torque of one joint is recorded late by ``delta``: ``tau_j(t) = tau_model,j(t - delta)``.
+
+    To first order ``-delta d tau_model/dt``; linear in ``delta``, which is how it competes with a soft gear, whose
+    trace is the *second* derivative of the load. Negative: the torque is early, i.e. the positions are late.
+    """
+
+    name = "dead_time"
+    coefficient_names = ("delay",)
+    coefficient_units = ("s",)
+    source = "first-order expansion of a pure delay"
+    longest = 0.06
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, -signals.rate(signals.torque[:, joint - 1]))
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """Milliseconds, not tenths of a second."""
+        return bool(abs(coefficients[0]) < self.longest)
+
+
+class PositionDeadTime(Effect):
+    """The position of one joint is recorded late by ``delta``: every torque is computed from an old angle.
+
+    ``delta tau = delta (dtau/dq_j qd_j + dtau/dqd_j qdd_j + dtau/dqdd_j d(qdd_j)/dt)`` on all joints, from differences
+    of the rigid body.
+    """
+
+    name = "dead_time"
+    coefficient_names = ("delay",)
+    coefficient_units = ("s",)
+    source = "first-order expansion of a pure delay"
+    longest = 0.06
+    _step = 1e-3
+
+    def acts_on(self, channel: str) -> bool:
+        """Reported in the position's channel, to be told from a late torque."""
+        return channel.startswith("q_")
+
+    def channel(self, joint: int) -> str:
+        """The late channel."""
+        return f"q_{joint}"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """With one joint alone it is the torque's delay with the other sign."""
+        return signals.n > 1 and signals.rigid is not None
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        if signals.rigid is None or len(signals.t) < 3:
+            return np.zeros((len(signals.t), signals.n, 1))
+        j, h = joint - 1, self._step
+        ahead = []
+        for sign in (1.0, -1.0):
+            q, qd, qdd = signals.q.copy(), signals.qd.copy(), signals.qdd.copy()
+            q[:, j] += sign * h * signals.qd[:, j]
+            qd[:, j] += sign * h * signals.qdd[:, j]
+            qdd[:, j] += sign * h * signals.rate(signals.qdd[:, j])
+            ahead.append(signals.rigid(q, qd, qdd))
+        column = (ahead[0] - ahead[1]) / (2.0 * h)
+        column[:, j] += signals.rate(signals.torque[:, j] - signals.load[:, j])
+        return np.asarray(column[:, :, None])
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """Milliseconds, not tenths of a second."""
+        return bool(abs(coefficients[0]) < self.longest)
