@@ -1,0 +1,191 @@
+"""Learning: the commands of one path become better each time the path is played, [G] (10), (11).
+
+    q_c^(p+1) = q_c^p + Δq_c^(p+1) ,   G Δq_c^(p+1) = q_d - q^p
+
+``G`` is the linear closed loop written out. It is inverted by regularised least squares, in information form, or with
+less regularisation and a Butterworth filter behind it (Norrlöf and Gunnarsson, cited by [G] 4.2.1).
+
+[G] finds that convergence cannot be guaranteed. Here it need not be: the best commands so far are kept, a step that
+makes the path worse is halved and taken from the best, and learning stops when halving does not help.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.signal import butter, sosfiltfilt
+
+from ideal_robot.closed_loop import simulate
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.linear_loop import LinearLoop
+from ideal_robot.interface import Array
+from ideal_robot.loop_model import LoopModel
+
+_SMALLEST_STEP = 0.2
+"""Learning stops when a step this much smaller than the full one still makes the path worse."""
+
+
+class LearningLaw:
+    """Turns the errors of one play into the correction for the next, [G] (11).
+
+    Args:
+        loop: linear closed loops of the joints.
+        length: number of cycles of the path.
+        inverse: ``least_squares``, or ``butterworth`` for the variant with a filter.
+        smoothness: weight of the correction's second differences; what keeps noise out of the commands.
+        cutoff: of the Butterworth filter [Hz].
+    """
+
+    def __init__(self, loop: LinearLoop, length: int, *,
+                 inverse: Literal["least_squares", "butterworth"] = "least_squares", smoothness: float = 0.3,
+                 cutoff: float = 8.0) -> None:
+        if inverse not in ("least_squares", "butterworth"):
+            raise InputError("expected least_squares or butterworth", field="inverse", value=inverse)
+        self.length = length
+        self._filter = None
+        if inverse == "butterworth":
+            smoothness *= 0.1
+            self._filter = butter(3, min(0.95, 2 * cutoff * loop.t_ipo), output="sos")
+        second = np.diff(np.eye(length), 2, axis=0)
+        penalty = smoothness**2 * second.T @ second + 1e-8 * np.eye(length)
+        self._G = [loop.matrix(i, length, length) for i in range(loop.n)]
+        self._factors = [cho_factor(G.T @ G + penalty) for G in self._G]
+
+    def correction(self, error: Array) -> Array:
+        """``Δq_c (N, n)`` [rad] for the errors ``q_d - q (N, n)`` of the last play."""
+        steps = [cho_solve(factor, G.T @ error[:, i])
+                 for i, (G, factor) in enumerate(zip(self._G, self._factors, strict=True))]
+        correction = np.column_stack(steps)
+        if self._filter is not None:
+            correction = sosfiltfilt(self._filter, correction, axis=0)
+        return np.asarray(correction)
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Outcome of learning one path.
+
+    Attributes:
+        q_c: best commands ``(N, n)`` [rad].
+        criterion: error criterion of every play, the first before any learning.
+        kept: best commands after 0, 1, … learning steps, so ``kept[p]`` is what ``learned_p`` plays.
+        stopped: why learning ended before its last step, or None.
+    """
+
+    q_c: Array
+    criterion: tuple[float, ...]
+    kept: tuple[Array, ...]
+    stopped: str | None
+
+    @property
+    def best(self) -> float:
+        """Smallest criterion reached; never above the first."""
+        return min(self.criterion)
+
+
+def learn(play: Callable[[Array], Array], q_c: Array, law: LearningLaw, *, iterations: int = 4,
+          limits: tuple[Array, Array] | None = None, step_max: Array | None = None,
+          criterion: Callable[[Array], float] | None = None) -> Learned:
+    """Plays and corrects a path.
+
+    Args:
+        play: plays commands ``(N, n)`` and returns the errors ``q_d - q (N, n)`` [rad] at the same instants.
+        q_c: commands to start from ``(N, n)`` [rad].
+        law: makes corrections out of errors.
+        iterations: number of learning steps.
+        limits: lowest and highest command ``(n,)`` each [rad].
+        step_max: largest change of a command from one cycle to the next ``(n,)`` [rad].
+        criterion: what shall become small; root mean square of the errors if not given.
+
+    Raises:
+        InputError: path and law differ in length.
+    """
+    if len(q_c) != law.length:
+        raise InputError(f"the learning law is made for {law.length} cycles", field="q_c", value=len(q_c))
+    measure = criterion or (lambda error: float(np.sqrt(np.mean(error**2))))
+
+    def safe(commands: Array) -> Array:
+        if limits is not None:
+            commands = np.clip(commands, *limits)
+        if step_max is not None:
+            commands = _slew(commands, step_max)
+        return commands
+
+    best = np.array(q_c)
+    error = play(best)
+    history, kept = [measure(error)], [best]
+    lowest, gain, stopped = history[0], 1.0, None
+    if not np.isfinite(lowest):
+        return Learned(best, (float("inf"),), (best,), "the first play has no finite error")
+    for _ in range(iterations):
+        trial = safe(best + gain * law.correction(error))
+        played = play(trial)
+        value = measure(played) if np.isfinite(played).all() else float("inf")
+        history.append(value)
+        if value < lowest:
+            best, error, lowest = trial, played, value
+            gain = min(1.0, 1.5 * gain)
+        else:
+            gain *= 0.5
+        kept.append(best)
+        if gain < _SMALLEST_STEP:
+            stopped = "smaller steps do not help any more; the best commands are kept"
+            break
+    return Learned(best, tuple(history), tuple(kept), stopped)
+
+
+def learn_on_model(loop: LoopModel, q_d: Array, q_c: Array | None = None, *, iterations: int = 8,
+                   linear: LinearLoop | None = None) -> Learned:
+    """Learns a path on the identified closed loop, before the arm moves at all.
+
+    Args:
+        loop: the identified closed loop.
+        q_d: desired arm positions at the instants ``t_k`` ``(N, n)`` [rad].
+        q_c: commands to start from; the desired positions if not given.
+        iterations: learning steps; each simulates the path once.
+        linear: linear closed loop to invert; linearised at the middle of the path if not given.
+    """
+    start = q_d if q_c is None else q_c
+    inverse = LinearLoop.of(loop, q_d[len(q_d) // 2]) if linear is None else linear
+    law = LearningLaw(inverse, len(q_d), smoothness=0.05)
+    return learn(lambda commands: np.asarray(q_d - simulate(loop, commands).q_a[:-1]), start, law,
+                 iterations=iterations, limits=(loop.q_min, loop.q_max), step_max=1.5 * loop.v_max * loop.t_ipo)
+
+
+def _slew(commands: Array, step_max: Array) -> Array:
+    """Commands whose steps are at most ``step_max``; unchanged where they are."""
+    if np.all(np.abs(np.diff(commands, axis=0)) <= step_max):
+        return commands
+    limited = commands.copy()
+    for k in range(1, len(limited)):
+        limited[k] = np.clip(limited[k], limited[k - 1] - step_max, limited[k - 1] + step_max)
+    return limited
+
+
+class Playback(Feedforward):
+    """Plays commands that were found beforehand, cycle by cycle; holds the last one behind their end.
+
+    The desired positions are not looked at: learned commands belong to one path.
+
+    Args:
+        q_c: commands ``(N, n)`` [rad].
+        t_ipo: the cycle they were found for [s].
+    """
+
+    n_d = 1
+
+    def __init__(self, q_c: Array, t_ipo: float) -> None:
+        self.t_ipo = t_ipo
+        self._q_c = np.array(q_c, dtype=float)
+        self._q_c.setflags(write=False)
+
+    def init(self, q0: Array) -> int:
+        return 0
+
+    def step(self, state: int, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, int]:
+        return self._q_c[min(state, len(self._q_c) - 1)], state + 1
