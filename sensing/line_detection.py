@@ -20,6 +20,9 @@ from sensing.camera_model import CameraModel
 from sensing.field import Field, Window
 from sensing.line_profile import find_sections
 
+SAMPLING = 0.01
+"""Error of a point that comes from sampling by pixels, not from noise; standard deviation [px]."""
+
 
 @dataclass(frozen=True)
 class PredictedLine:
@@ -258,7 +261,7 @@ def detect_line(
                     continue
                 c = own[0]
             lateral[i], quality[i] = deviation[c], grade[c]
-            sigma[i] = np.hypot(sections[c, 4] * max(sections[c, 3], s.noise), 0.02) * abs(image.metres[i])
+            sigma[i] = np.hypot(sections[c, 4] * max(sections[c, 3], s.noise), SAMPLING) * abs(image.metres[i])
             pixels[i, image.axis[i]] = sections[c, 0]
             pixels[i, 1 - image.axis[i]] = image.pixels[i, 1 - image.axis[i]] + sections[c, 5]
             height = float(prediction.normal @ prediction.points[i])
