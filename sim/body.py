@@ -60,7 +60,7 @@ def links_urdf(model: pin.Model, tool: pin.SE3 | None = None, tool_radius: float
     parts = ['<robot name="arm">', '<link name="link_0"><inertial><mass value="1"/>'
              '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>']
     for joint in range(1, model.njoints):
-        column = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)[:, joint - 1]
+        column = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL).reshape(6, -1)[:, joint - 1]
         revolute = np.linalg.norm(column[3:]) > 0.5
         axis = column[3:] if revolute else column[:3]
         inertia, placement = model.inertias[joint], model.jointPlacements[joint]

@@ -45,6 +45,7 @@ def draw_individual(robot: Robot, world: World) -> Individual:
         extension = 1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, 3)
         model.inertias[joint] = _scaled(model.inertias[joint], mass_factor, extension)
     rotor = robot.rotor_inertia * (1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, n))
+    rotor = rotor + world.per_joint("extra_rotor_inertia", n)
     gain = 1.0 + world.drive_gain_error * rng.uniform(-1.0, 1.0, n)
     phase = rng.uniform(0.0, 2.0 * np.pi, n)
     if world.payload_mass > 0.0:

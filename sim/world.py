@@ -17,6 +17,8 @@ import numpy as np
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+from sim.generic_world import generic_world
 from sim.world_values import checked_value
 
 STEP = 0.0005
@@ -71,6 +73,7 @@ class World:
         inertia_tolerance: largest relative difference of the link masses; the extension of the masses differs by
             a third of it, rotor inertias too.
         drive_gain_error: largest relative difference of the true torque per ampere from the data sheet's.
+        extra_rotor_inertia: of each drive beyond the data sheet's, on the joint side [kg m²].
         payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
             centre, the same about all axes].
         log_cycle: cycle of the recording [s].
@@ -125,6 +128,7 @@ class World:
     individual: int = 1
     inertia_tolerance: float = 0.15
     drive_gain_error: float = 0.02
+    extra_rotor_inertia: PerJoint = 0.0
     payload_mass: float = 0.0
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     payload_inertia: float = 0.0
@@ -148,10 +152,14 @@ class World:
 
     @classmethod
     def default(cls, robot_name: str) -> World:
-        """The unkind world of a shipped robot: everything a real arm has is on, at realistic size.
+        """The unkind world of a robot: everything a real arm has is on, at realistic size.
+
+        Args:
+            robot_name: a shipped robot, or the path of a URDF; a robot without a world of its own gets one in
+                proportion to its inertias and torque limits.
 
         Raises:
-            InputError: there is no world for that robot.
+            InputError: there is no such robot.
         """
         return cls(robot=robot_name, **_table(robot_name))
 
@@ -213,10 +221,8 @@ TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.na
 """What a scene's ``[world]`` table may hold."""
 
 def _table(robot_name: str) -> dict[str, Any]:
-    folder = Path(str(resources.files("sim"))) / "worlds"
-    path = folder / f"{robot_name}.toml"
-    if not path.is_file():
-        known = ", ".join(sorted(file.stem for file in folder.glob("*.toml")))
-        raise InputError(f"there is no simulated world for this robot; there are {known}", field="robot",
-                         value=robot_name)
-    return tomllib.loads(path.read_text(encoding="utf-8"))
+    """Settings of a shipped world, or such in proportion for any other robot; a wrong name fails in ``Robot.load``."""
+    path = Path(str(resources.files("sim"))) / "worlds" / f"{robot_name}.toml"
+    if path.is_file():
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    return generic_world(Robot.load(robot_name))

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
+from ideal_robot.robot import Robot
+from sim.arm import SimulatedArm
 from sim.world import TABLE_KEYS, World
 
 
@@ -73,6 +76,37 @@ def test_lists_must_fit_the_robot() -> None:
 def test_no_world_for_an_unknown_robot() -> None:
     with pytest.raises(InputError, match="kr6"):
         World.default("kr7")
+
+
+URDF = """<robot name="two"><link name="a"/><link name="b"><inertial><origin xyz="0.3 0 0"/><mass value="5"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0.01" izz="0.2"/></inertial></link><link name="c"><inertial>
+<origin xyz="0 0 0.1" rpy="0.3 0 0"/><mass value="2"/><inertia ixx="0.02" ixy="0.001" ixz="0" iyy="0.02" iyz="0"
+izz="0.01"/></inertial></link><link name="tip"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" effort="{effort}" velocity="2"/></joint>
+<joint name="k" type="{second}"><parent link="b"/><child link="c"/><origin xyz="0.6 0 0" rpy="0 0.4 0"/>
+<axis xyz="0 0.6 0.8"/><limit lower="-1" upper="1" effort="{effort}" velocity="2"/></joint>
+<joint name="f" type="fixed"><parent link="c"/><child link="tip"/><origin xyz="0 0 0.2"/></joint></robot>"""
+DATA = "[joints]\ngear_ratio = [100, 100]\nrotor_inertia = [1e-4, 5e-5]\n"
+
+
+@pytest.mark.parametrize("effort", [0, 300])
+@pytest.mark.parametrize("second", ["revolute", "prismatic"])
+@pytest.mark.parametrize("data", ["", DATA])
+def test_any_arm_gets_a_world_that_it_can_move_in(tmp_path: Path, effort: int, second: str, data: str) -> None:
+    urdf = tmp_path / "two.urdf"
+    urdf.write_text(URDF.format(effort=effort, second=second))
+    if data:
+        urdf.with_suffix(".toml").write_text(data)
+    world, robot = World.default(str(urdf)), Robot.load(urdf)
+    assert np.all(world.per_joint("extra_rotor_inertia", 2) > 0) is np.bool(not data)
+    with SimulatedArm(robot, world, np.random.default_rng(0), q0=np.array([0.1, 0.2])) as arm:
+        for k in range(150):
+            state = arm.cycle(np.array([0.1, 0.2]) + 0.1 * np.sin(np.pi * min(k, 100) / 100) ** 2)
+        log = arm.history()
+    np.testing.assert_allclose(state.q, [0.1, 0.2], atol=2e-3)
+    assert np.abs(log["q_a"] - log["q_c"]).max() < 0.03
+    assert np.all(np.ptp(log["q_a"], axis=0) > 0.08)
 
 
 def test_replace_names_what_does_not_exist() -> None:
