@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array

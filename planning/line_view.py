@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.interface import Array
 from sensing.line_detection import PredictedLine
@@ -27,7 +29,7 @@ class SeenLine(Protocol):
         """Their lateral standard deviation ``(m,)`` [m]."""
 
     @property
-    def used(self) -> Array:
+    def used(self) -> NDArray[np.bool_]:
         """Which of them are good ``(m,)``."""
 
     @property

@@ -79,7 +79,8 @@ class ReferencePath:
         spline = CubicSpline(knots, even)
         # One straight piece more at each end.
         zero = np.zeros(3)
-        before, after = [zero, zero, spline(0.0, 1), even[0]], [zero, zero, spline(self.length, 1), even[-1]]
+        before = [zero, zero, unit(spline(0.0, 1)), even[0]]
+        after = [zero, zero, unit(spline(self.length, 1)), even[-1]]
         self._cubics = np.concatenate([np.array(before)[:, None], spline.c, np.array(after)[:, None]], axis=1)
         self._left = np.concatenate([[0.0], knots])
         normals = (
