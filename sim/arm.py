@@ -15,8 +15,12 @@ from ideal_robot.robot import Robot
 from sim.body import load_links, start_physics
 from sim.bullet import pybullet
 from sim.checks import checked_command, checked_posture, require_integrable
-from sim.controller import X_END, X_START
+from sim.controller import C_INCREMENT, X_END, X_START
 from sim.drive import (
+    L_ANGLE,
+    L_EXTRA,
+    L_TORQUE,
+    L_VELOCITY,
     LOGGED,
     P_ELASTIC,
     P_NOISE,
@@ -87,8 +91,8 @@ class SimulatedArm:
         self._model = self._individual.model
         self._p, self._shared, self._counts = drive_parameters(
             world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.ripple_phase)
-        rigid = self._p[P_ELASTIC] == 0.0
-        self._rotor_of_rigid = np.where(rigid, self._individual.rotor_inertia, 0.0)
+        self._elastic = self._p[P_ELASTIC] > 0.0
+        self._rotor_of_rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
         self._any_rigid = bool(np.any(self._rotor_of_rigid > 0.0))
         self._with_rotors = self._model.copy()
         self._with_rotors.armature = self._rotor_of_rigid
@@ -112,7 +116,7 @@ class SimulatedArm:
         """
         q0 = checked_posture(self.robot, q0)
         n = self.robot.n
-        stiffness = np.where(self._p[P_ELASTIC] > 0.0, self.world.per_joint("stiffness", n), np.inf)
+        stiffness = np.where(self._elastic, self.world.per_joint("stiffness", n), np.inf)
         q_a = q0.copy()
         for _ in range(30):
             holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a)
@@ -121,8 +125,9 @@ class SimulatedArm:
         self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
         self._tick = 0
         self._pending = q0.copy()
-        self._q_a, self._qd_a = q_a, np.zeros(n)
-        self._torque, self._no_extra = np.zeros(n), np.zeros(n)
+        self._links = np.zeros((4, n))
+        self._links[L_ANGLE] = q_a
+        self._q_a, self._qd_a = self._links[L_ANGLE], self._links[L_VELOCITY]
         self._log = np.zeros((2048, 1 + len(LOGGED) * n))
         self._rows = 0
         for joint in self._joints:
@@ -151,41 +156,38 @@ class SimulatedArm:
 
     def _run(self, noise: Array) -> None:
         """The steps of one cycle: 2000 of them make a second, so names are looked up before the loop."""
-        client, body, joints, p, s, counts, x = (self.client, self.body, self._joints, self._p, self._shared,
-                                                 self._counts, self._x)
-        q_a, qd_a, torque, extra, tick, every = (self._q_a, self._qd_a, self._torque, self._no_extra, self._tick,
-                                                 int(self._counts[3]))
-        extra_torque, rigid, hook = self.world.extra_torque, self._any_rigid, self.step_hook
-        command, step, states_of, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
-                                          pybullet.getJointStates, pybullet.TORQUE_CONTROL)
+        client, body, joints = self.client, self.body, self._joints
+        p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
+        q_a, qd_a, torque = self._q_a, self._qd_a, links[L_TORQUE]
+        every, rigid, extra_torque, hook = int(counts[3]), self._any_rigid, self.world.extra_torque, self.step_hook
+        set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
+                                               pybullet.getJointStates, pybullet.TORQUE_CONTROL)
         for line in noise[:-1]:
+            tick = self._tick
             if extra_torque is not None:
-                extra = np.asarray(extra_torque(tick * STEP, x[X_MOTOR], x[X_MOTOR_VELOCITY], q_a), dtype=float)
-            drive_step(tick, p, s, counts, x, q_a, qd_a, extra, line, torque, self._log[self._rows])
+                links[L_EXTRA] = extra_torque(tick * STEP, x[X_MOTOR].copy(), x[X_MOTOR_VELOCITY].copy(), q_a.copy())
+            drive_step(tick, p, s, counts, x, links, line, self._log[self._rows])
             if tick % every == 0:
                 self._rows += 1
             if rigid:
                 acceleration = pin.aba(self._with_rotors, self._dynamics, q_a, qd_a, torque)
-                forces = (torque - self._rotor_of_rigid * acceleration).tolist()
-            else:
-                forces = torque.tolist()
-            command(body, joints, mode, forces=forces, physicsClientId=client)
+                torque -= self._rotor_of_rigid * acceleration
+            set_torques(body, joints, mode, forces=torque.tolist(), physicsClientId=client)
             if hook is not None:
                 hook(tick * STEP)
-            step(physicsClientId=client)
-            states = states_of(body, joints, physicsClientId=client)
-            # New arrays, not the old ones refilled: hooks may have kept the old ones.
-            q_a = np.array([state[0] for state in states])
-            qd_a = np.array([state[1] for state in states])
-            tick += 1
-            self._q_a, self._qd_a, self._tick = q_a, qd_a, tick
+            step(client)
+            states = get_states(body, joints, client)
+            q_a[:] = [state[0] for state in states]
+            qd_a[:] = [state[1] for state in states]
+            self._tick = tick + 1
 
     def _state(self, noise: Array) -> RobotState:
         """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""
-        increment = self._p[5]
-        q_m = np.where(self._p[P_ELASTIC] > 0.0, self._x[X_MOTOR], self._q_a)
-        q = np.where(increment > 0.0, np.floor(q_m / np.where(increment > 0.0, increment, 1.0) + 0.5) * increment, q_m)
-        if not np.isfinite(q).all() or np.abs(q).max() > 1.0e3:
+        q = np.where(self._elastic, self._x[X_MOTOR], self._q_a)
+        if self.world.quantisation:
+            increment = self._p[C_INCREMENT]
+            q = np.floor(q / increment + 0.5) * increment
+        if not (np.abs(q) < 1.0e3).all():
             raise SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
                            "make it unstable (check stiffness, damping and controller gains)")
         return RobotState(self.t, q, self._x[X_CURRENT] + self._p[P_NOISE] * noise)
@@ -196,9 +198,14 @@ class SimulatedArm:
         return self._tick * STEP
 
     @property
+    def q_a(self) -> Array:
+        """True arm angles now ``(n,)``; not to be written to."""
+        return self._q_a
+
+    @property
     def truth(self) -> TrueState:
         """The true arm now."""
-        q_m = np.where(self._p[P_ELASTIC] > 0.0, self._x[X_MOTOR], self._q_a)
+        q_m = np.where(self._elastic, self._x[X_MOTOR], self._q_a)
         return TrueState(self.t, self._q_a.copy(), q_m, self.tcp_of(self._q_a))
 
     def tcp_of(self, q_a: Array) -> pin.SE3:

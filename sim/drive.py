@@ -50,6 +50,8 @@ STATES = CONTROLLER_STATES + 7
 SHARED = 11
 # Step counts of the cycles.
 (N_IPO, N_POSITION, N_VELOCITY, N_LOG) = range(4)
+# Rows of what is exchanged with the links.
+(L_ANGLE, L_VELOCITY, L_EXTRA, L_TORQUE) = range(4)
 # Columns of a row of the log, each n wide, after the time.
 LOGGED = ("q_c", "q", "tau", "q_m", "q_a", "qd_a", "qd_m", "tau_motor", "tau_gear", "temperature")
 
@@ -141,22 +143,22 @@ def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) 
 
 
 @njit(cache=True)
-def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, q_a: Array, qd_a: Array,
-               extra: Array, noise: Array, torque: Array, row: Array) -> None:
-    """One step of controller, motors and gears; the torque for the links is left in ``torque (n,)``.
+def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, links: Array, noise: Array,
+               row: Array) -> None:
+    """One step of controller, motors and gears; the torque for the links is left in ``links[L_TORQUE]``.
 
     Args:
         tick: number of the step since the start.
         p, s, counts: see ``drive_parameters``.
         x: state block, changed in place.
-        q_a, qd_a: arm angles and velocities ``(n,)`` [rad, rad/s].
-        extra: additional torque on the motor side ``(n,)`` [N m].
+        links: ``(4, n)``: arm angles [rad], arm velocities [rad/s], additional torque on the motor side [N m], and, as
+            the result, for elastic gears the gear torque [N m]; for rigid ones motor torque less friction, to be
+            applied to link *and* rotor.
         noise: standard normal numbers for the measured current, one per joint.
-        torque: for elastic gears the gear torque; for rigid ones motor torque less friction, to be applied to
-            link *and* rotor.
         row: row of the log to be filled if the step is due for logging.
     """
     dt = s[S_DT]
+    q_a, qd_a, extra, torque = links[L_ANGLE], links[L_VELOCITY], links[L_EXTRA], links[L_TORQUE]
     n = q_a.shape[0]
     fraction = (tick % counts[N_IPO]) / counts[N_IPO]
     position_due = tick % counts[N_POSITION] == 0

@@ -8,7 +8,17 @@ import numpy as np
 
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
-from sim.drive import LOGGED, X_LUBRICANT, X_TEMPERATURE, drive_parameters, drive_start, drive_step
+from sim.drive import (
+    L_ANGLE,
+    L_TORQUE,
+    L_VELOCITY,
+    LOGGED,
+    X_LUBRICANT,
+    X_TEMPERATURE,
+    drive_parameters,
+    drive_start,
+    drive_step,
+)
 from sim.friction import steady_friction
 from sim.world import STEP, World
 
@@ -29,11 +39,12 @@ class Rig:
     def turn(self, speed: Array) -> Array:
         """Friction ``(N, n)`` at imposed speeds ``(N, n)``."""
         friction = np.zeros_like(speed)
-        torque, row, none = np.zeros(N), np.zeros(1 + len(LOGGED) * N), np.zeros(N)
+        links, row, none = np.zeros((4, N)), np.zeros(1 + len(LOGGED) * N), np.zeros(N)
         motor = 1 + LOGGED.index("tau_motor") * N
         for k, v in enumerate(speed):
-            drive_step(self.tick, self.p, self.s, self.counts, self.x, self.q, v, none, none, torque, row)
-            friction[k] = row[motor: motor + N] - torque
+            links[L_ANGLE], links[L_VELOCITY] = self.q, v
+            drive_step(self.tick, self.p, self.s, self.counts, self.x, links, none, row)
+            friction[k] = row[motor: motor + N] - links[L_TORQUE]
             self.q = self.q + STEP * v
             self.tick += 1
         return friction
