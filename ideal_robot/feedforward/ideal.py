@@ -92,7 +92,7 @@ class IdealRobot(Feedforward):
         self._inverse = command_inverse(loop, _CYCLES)
         self._compliance = loop.compliance if elastic else np.zeros(loop.n)
         self._lag = loop.t_filter + 0.5 * loop.t_velocity
-        self._drives = loop.drives(loop.stiffness, loop.damping)
+        self.drives = loop.drives(loop.stiffness, loop.damping)
         self._step_max = 1.5 * loop.v_max * T
 
     @classmethod
@@ -109,6 +109,11 @@ class IdealRobot(Feedforward):
             tau=gravity + self.loop.offset, preslide=np.zeros(self.loop.n), sag=gravity * self._compliance, cycle=0)
 
     def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
+        return self.step_with(self.drives, state, q_d, tau_ext_d)
+
+    def step_with(self, drives: Drives, state: IdealState, q_d: Array, tau_ext_d: Array | None = None
+                  ) -> tuple[Array, IdealState]:
+        """``step`` with other drives than the identified ones, for adaptation."""
         loop = self.loop
         q_d = np.asarray(q_d, dtype=float)
         if q_d.ndim != 2 or q_d.shape[1] != loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():
@@ -133,7 +138,7 @@ class IdealRobot(Feedforward):
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
         smooth = gear + loop.rotor_inertia * a_m + loop.offset
         signal, u, tau, preslide = _position_loop_signal(
-            self._drives, q_m, v_m, a_m, smooth, gear, self._lag, loop.t_position, loop.steps_ipo, state.u, state.tau,
+            drives, q_m, v_m, a_m, smooth, gear, self._lag, loop.t_position, loop.steps_ipo, state.u, state.tau,
             state.preslide)
         q_c = np.einsum("ij,ji->i", self._inverse.wanted, signal) + np.einsum("ij,ji->i", self._inverse.past, state.q_c)
         last = state.q_c[-1]
