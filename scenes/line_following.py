@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.passthrough import PassThrough
@@ -20,6 +21,7 @@ from planning.line_follower import FollowerSettings, LineFollower
 from planning.reference import ReferencePath
 from planning.speed_profile import Limits, SpeedProfile
 from planning.stopping import stopping_rows
+from scenes.line_calibration import calibrate_by_moving
 from scenes.line_compare import LineComparison, compare_lines
 from scenes.line_recording import line_recording
 from scenes.line_result import SETTLING, ControlError, FieldShown, LineResult, Timing
@@ -40,6 +42,8 @@ SceneModel = LineScene
 METHODS = ("none", "direct_feedback", "sensor_path", "ideal")
 N_D = 25
 """Desired positions handed to the ideal robot: 0.3 s, several times the arm's main time constant ([L] 2.2)."""
+START = 0.48
+"""Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
 REST = 0.2
 """Time the recording goes on after the path has come to rest [s]."""
 SHOWN = 4
@@ -57,6 +61,7 @@ class Cell:
     line: DrawnLine
     true_camera: CameraModel
     camera: CameraModel
+    """As it is believed: by hand at first, then as calibrated."""
     reference: ReferencePath
     follower: LineFollower
     noise: np.random.Generator
@@ -124,12 +129,17 @@ def set_up(scene: LineScene) -> Cell:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
         begin = scene.reference.run_up
         follower = LineFollower(
-            robot, reference, profile, N_D, line_span=(begin, reference.length - scene.reference.run_out),
+            robot, reference, profile, N_D, t_start=START,
+            line_span=(begin, reference.length - scene.reference.run_out),
             settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
     return Cell(scene, robot, world, where, line, true_camera, believed, reference, follower, noise, camera_noise)
+
+
+def _detection(cell: Cell) -> DetectionSettings:
+    return DetectionSettings(line_width=cell.line.width, dark=cell.line.gray < cell.line.background)
 
 
 def _streams(scene: LineScene) -> list[np.random.Generator]:
@@ -164,11 +174,10 @@ class _Loop:
 
     def __init__(self, cell: Cell, method: str, gains: tuple[float, float] | None) -> None:
         self.cell, self.method, self.follower = cell, method, cell.follower
-        self.detection = DetectionSettings(line_width=cell.line.width, dark=cell.line.gray < cell.line.background)
+        self.detection = _detection(cell)
         self.feedforward: Feedforward = PassThrough(cell.world.t_ipo)
-        self.deflection = None
+        self.deflection: GearDeflection | None = None
         if method == "ideal":
-            from ideal_robot.elasticity.deflection import GearDeflection
             from ideal_robot.feedforward.ideal import IdealRobot
 
             model = model_for(cell.scene, cell.robot)
@@ -191,8 +200,8 @@ class _Loop:
         """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""
         if self.method in ("sensor_path", "ideal"):
             return self.follower.horizon(t)
-        self.follower.fusion.travel(float(self.follower.profile.s(t)))
-        k = min(round(t / self.cell.world.t_ipo), len(self.follower.q_reference) - N_D)
+        self.follower.fusion.travel(float(self.follower.profile.s(t - START)))
+        k = min(max(round((t - START) / self.cell.world.t_ipo), 0), len(self.follower.q_reference) - N_D)
         return self.follower.q_reference[k : k + N_D]
 
     def command(self, t: float, q_d: Array) -> Array:
@@ -210,11 +219,21 @@ class _Loop:
 
 def _play(cell: Cell, method: str, gains: tuple[float, float] | None, progress: Progress) -> LineResult:
     scene, follower = cell.scene, cell.follower
-    loop, log = _Loop(cell, method, gains), _Log()
+    log = _Log()
     settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
                                  if key != "phase"})
     with (SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera):
+        hand_eye = None
+        if scene.calibration.by_moving:
+            progress(0.0, "calibrating the camera")
+            deflection = GearDeflection(model_for(scene, cell.robot), cell.world.t_ipo)
+            middle = 0.5 * (scene.reference.run_up + cell.reference.length - scene.reference.run_out)
+            hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
+                                           _detection(cell))
+            cell.camera = hand_eye.camera
+            arm.reset(follower.q_start)
+        loop = _Loop(cell, method, gains)
         started = time.perf_counter()
         _cycles(loop, arm, camera, log, progress)
         wall = time.perf_counter() - started
@@ -228,14 +247,14 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, progress: 
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(history["t"][-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
-        shown=tuple(log.shown), world=cell.world.table())
+        shown=tuple(log.shown), world=cell.world.table(), hand_eye=hand_eye)
 
 
 def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, progress: Progress) -> None:
     """Cycle by cycle until the path is done and the arm at rest."""
     follower, T = loop.follower, arm.t_ipo
-    count = int(np.ceil((follower.duration + REST) / T))
-    picture_at = set(np.linspace(0.15 * count, 0.9 * count, SHOWN).astype(int))
+    count = int(np.ceil((START + follower.duration + REST) / T))
+    picture_at = set(np.linspace(0.35 * count, 0.9 * count, SHOWN).astype(int))
     under_way: list[Field] = []
     q = follower.q_start
     stopping: Iterator[Array] | None = None
@@ -257,7 +276,7 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
                 last = loop.desired(t)
             except (LineLostError, OutOfReachError) as error:
                 log.failure = str(error)
-                speed = float(follower.profile.speed(t))
+                speed = float(follower.profile.speed(t - START))
                 stopping = stopping_rows(last[1:], T, speed, loop.cell.scene.reference.acceleration)
         if stopping is not None:
             last = next(stopping)

@@ -69,6 +69,18 @@ def run_page(result: LineResult) -> Report:
                       "the arm moves only the windows are rendered; the whole images are for this page.")
     else:
         report.text("No field with a detected line was kept.")
+    if result.hand_eye is not None:
+        calibrated = result.hand_eye
+        report.text(
+            "Before the run the camera was calibrated by moving it over a piece of the line ([L] 4.4): seen from 20 "
+            f"poses, its points lay {1e3 * calibrated.residual_before:.2f} mm (RMS) from one common curve with the camera "
+            f"as mounted by hand, and {1e3 * calibrated.residual_after:.3f} mm with the camera as calibrated.")
+        units = {"roll": ("°", 57.2958), "pitch": ("°", 57.2958), "yaw": ("°", 57.2958), "height": ("mm", 1e3),
+                 "lateral": ("mm", 1e3), "forward": ("mm", 1e3), "focal": ("%", 100.0), "principal_u": ("px", 1.0),
+                 "principal_v": ("px", 1.0), "k1": ("", 1.0)}
+        report.table(["correction found", "value", "± σ", "unit"],
+                     [[name, calibrated.parameters[name] * scale, calibrated.sigma[name] * scale, unit]
+                      for name, (unit, scale) in units.items()])
     report.heading("Along the line")
     report.figure(_along(result), "Signed distance of the true tool centre point from the drawn line over its "
                   "length; the grey part at the start does not count (0.3 s after the line is first followed).")

@@ -13,6 +13,7 @@ from ideal_robot.interface import Array
 from ideal_robot.recording import Recording
 from scenes.line_scene import Geometry, LineScene
 from scenes.metrics import PathErrors
+from sensing.hand_eye import HandEye
 
 SETTLING = 0.3
 """Time from when the line is first followed until the error counts [s]."""
@@ -113,6 +114,7 @@ class LineResult:
         failure: why the run ended early, or None.
         shown: fields for the report.
         world: the world's settings.
+        hand_eye: how the camera was calibrated before the run, if it was.
         recording_path, report: files written, if any.
     """
 
@@ -131,6 +133,7 @@ class LineResult:
     urdf: Path
     shown: tuple[FieldShown, ...] = field(repr=False, default=())
     world: dict[str, Any] = field(repr=False, default_factory=dict)
+    hand_eye: HandEye | None = field(repr=False, default=None)
     recording_path: Path | None = None
     report: Path | None = None
 

@@ -108,16 +108,18 @@ class Camera(_Table):
 
 
 class Calibration(_Table):
-    """Sizes of the errors between the camera and what is believed of it; the seed draws their signs."""
+    """Sizes of the errors between the camera as mounted and what is believed of it; the seed draws their signs."""
 
-    roll_deg: float = pydantic.Field(default=0.02, ge=0, le=10)
-    pitch_deg: float = pydantic.Field(default=0.05, ge=0, le=10)
-    yaw_deg: float = pydantic.Field(default=0.05, ge=0, le=10)
-    height_mm: float = pydantic.Field(default=0.5, ge=0, le=50)
-    lateral_mm: float = pydantic.Field(default=0.03, ge=0, le=50)
-    focal_percent: float = pydantic.Field(default=0.1, ge=0, le=20)
-    principal_px: float = pydantic.Field(default=0.05, ge=0, le=50)
-    k1: float = pydantic.Field(default=0.005, ge=0, le=1)
+    roll_deg: float = pydantic.Field(default=0.3, ge=0, le=10)
+    pitch_deg: float = pydantic.Field(default=0.3, ge=0, le=10)
+    yaw_deg: float = pydantic.Field(default=0.3, ge=0, le=10)
+    height_mm: float = pydantic.Field(default=1.0, ge=0, le=50)
+    lateral_mm: float = pydantic.Field(default=0.5, ge=0, le=50)
+    focal_percent: float = pydantic.Field(default=0.3, ge=0, le=20)
+    principal_px: float = pydantic.Field(default=1.0, ge=0, le=50)
+    k1: float = pydantic.Field(default=0.01, ge=0, le=1)
+    by_moving: bool = True
+    """Whether the camera is calibrated by moving it over a piece of the line before the run ([L] 4.4)."""
 
 
 class LineScene(Scene):

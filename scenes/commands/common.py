@@ -46,12 +46,12 @@ def progress_bar(title: str) -> Iterator[result.Progress]:
 
 
 def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    """Prints a table; floats with four significant digits."""
+    """Prints a table; floats with three significant digits."""
     table = Table(title=title, title_justify="left")
     for column in columns:
         table.add_column(column)
     for row in rows:
-        cells = (f"{cell:.4g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row)
+        cells = (f"{cell:.3g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row)
         table.add_row(*cells)
     Console().print(table)
 

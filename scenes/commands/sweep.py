@@ -36,13 +36,16 @@ def command(
     if json is not None:
         write_json(json, {"runs": answers})
     frame = pd.json_normalize(answers)
-    shown = ["scene", "method", "speed_m_s", "seed", *[key for key in FIGURES if key in frame], "failure"]
+    names = {key: title for key, title in FIGURES.items() if key in frame}
+    frame = frame.rename(columns=names)
+    shown = ["scene", "method", "seed", *names.values(), "failure"]
     if csv is not None:
         csv.parent.mkdir(parents=True, exist_ok=True)
         frame[shown].to_csv(csv, index=False)
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
 
 
-FIGURES = ("control_error_mm.mean", "control_error_mm.p95", "control_error_mm.max", "path_error_mm.time_matched.E_car",
-           "path_error_mm.aligned.E_car", "path_error_mm.geometric.E_car", "force_error_N.rms")
-"""Figures of a run that the table shows where the kind of scene has them."""
+FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_error_mm.p95": "95 % mm",
+           "control_error_mm.max": "max mm", "path_error_mm.time_matched.E_car": "E_car mm",
+           "force_error_N.rms": "force N"}
+"""Figures of a run that the table shows where the kind of scene has them, and the columns' titles."""
