@@ -114,6 +114,9 @@ class DesiredPath:
         """New desired deviation behind the cycles that are being executed."""
         keep = k + self._frozen if self._planned_to >= k + self._frozen else max(k, 0)
         keep = min(keep, len(self.s) - self.samples - 1)
+        if self._planned_to < keep:
+            # Cycles that nobody asked for: the deviation stayed where it was.
+            self._plan[0, self._planned_to + 1 : keep + 1] = self._plan[0, max(self._planned_to, 0)]
         coming = slice(keep + 1, keep + 1 + self.samples)
         self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate(self.s[coming]))
         self._planned_to = keep + self.samples

@@ -84,10 +84,10 @@ class DeviationFilter:
     wrong mounting angle) and noise :math:`v` with the covariance stated by the measurement. A point of the path that is
     seen several times from different places tells :math:`\beta` and :math:`\Delta x_r` apart.
 
-    A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if its normalised
-    innovation squared is beyond the ``significance`` bound. Measurements left out feed a rival hypothesis that starts
-    from the prior; after ``confirm`` of them in a row that agree with one another it takes over: then the map was
-    wrong, not the sensor.
+    A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if most of its
+    values are, or if its normalised innovation squared is beyond the ``significance`` bound. Measurements left out feed
+    a rival hypothesis that starts from the prior; after ``confirm`` of them in a row that agree with one another it
+    takes over: then the map was wrong, not the sensor.
 
     Args:
         model: what the deviation looks like.
@@ -246,8 +246,9 @@ class DeviationFilter:
         innovation = measurement.value - H @ kf.x
         S = H @ kf.P @ H.T + R
         used = innovation**2 <= self._gate**2 * np.diag(S)
-        if not used.any():
-            return Fused(used, innovation, float("nan"), 0, "all values beyond the gate")
+        if 2 * used.sum() < len(used):
+            # Among many wrong values a few pass by chance.
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate")
         reason = "" if used.all() else "some values beyond the gate"
         if not used.all():
             H, R, S = H[used], R[np.ix_(used, used)], S[np.ix_(used, used)]

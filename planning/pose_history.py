@@ -30,6 +30,11 @@ class PoseHistory:
         self._t: deque[float] = deque()
         self._q: deque[Array] = deque()
 
+    @property
+    def first(self) -> float:
+        """Earliest instant one can ask for [s]."""
+        return self._t[0]
+
     def add(self, t: float, q: Array) -> None:
         """Adds one sample ``q (n,)`` [rad] valid at ``t`` [s]; samples come in the order of time."""
         if self._t and t <= self._t[-1]:

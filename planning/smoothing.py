@@ -73,9 +73,9 @@ class Smoother:
             shape ``(3, samples, directions)`` [m, m/s, m/s²].
         """
         stacked = np.concatenate([state, estimate])
-        bend = np.diff(estimate, 2, axis=0) / self._t**2
+        bend = np.diff(estimate, 2, axis=0)[np.maximum(np.arange(self.samples - 1) - 1, 0)] / self._t**2
         for law in self._laws:
             planned = (law @ stacked).reshape(3, self.samples, -1)
-            if np.abs(planned[2, 1:-1] - bend).max(initial=0.0) <= self._acceleration:
+            if np.abs(planned[2, :-1] - bend).max() <= self._acceleration:
                 break
         return np.asarray(planned)

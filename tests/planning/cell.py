@@ -128,7 +128,7 @@ def follow(
         latency: from exposure to arrival [s].
         rate: fields a second.
         blind: arc lengths of the TCP between which nothing is seen [m].
-        shuffle: two fields at a time arrive in the wrong order.
+        shuffle: every third field is so late that the next two overtake it.
         stamp: error of the time stamps [s].
     """
     kinematics = follower.robot.fk()
@@ -139,8 +139,6 @@ def follow(
         t = k * T
         arrived = [f for due, f in under_way if due <= t]
         under_way = [(due, f) for due, f in under_way if due > t]
-        if shuffle and len(arrived) == 1 and len(under_way) and not exposures % 3:
-            arrived, under_way = [under_way[0][1], arrived[0]], under_way[1:]
         for seen in arrived:
             follower.update(seen)
             fields.append(seen)
@@ -159,5 +157,6 @@ def follow(
             s = float(follower.profile.s(exposure))
             if blind[0] < s < blind[1]:
                 seen = Seen(seen.t, seen.points_tcp, seen.sigma, np.zeros(len(seen.used), dtype=bool), False)
-            under_way.append((max(exposure + latency, t + 1e-9), seen))
+            delay = latency + (0.05 if shuffle and exposures % 3 == 0 else 0.0)
+            under_way.append((max(exposure + delay, t + 1e-9), seen))
     return Run(np.array(times), np.array(tcp), horizons, fields)
