@@ -5,11 +5,9 @@ from __future__ import annotations
 import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
-import pybullet_data
 from numpy.typing import NDArray
 
 from ideal_robot.errors import InputError
@@ -45,10 +43,6 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
         raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        floor = str(Path(pybullet_data.getDataPath()) / "plane.urdf")
-        plane = pybullet.loadURDF(floor, physicsClientId=client)
-        pybullet.changeVisualShape(plane, -1, textureUniqueId=-1, rgbaColor=[0.86, 0.88, 0.90, 1.0],
-                                   physicsClientId=client)
         with quiet():  # frames without inertia, which Bullet warns of, are no concern of a picture
             body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
         order = {pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode(): i
@@ -58,9 +52,14 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
         for line in lines:
             _draw(np.asarray(line, dtype=float), client)
         low, high = _extent(body, len(order), client)
+        # A slab that the shadow map covers: on an endless plane its border would show as a false shadow.
+        size = float(np.linalg.norm(high - low))
+        floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
+                                           rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
         centre = [float(x) for x in (0.5 * (low + high) if target is None else target)]
-        far = 1.25 * float(np.linalg.norm(high - low)) if distance is None else distance
-        return _render(client, width, height, centre, far, azimuth, elevation)
+        far = 1.25 * size if distance is None else distance
+        return _render(client, width, height, centre, far, azimuth, elevation, light=2.5 * size)
     finally:
         pybullet.disconnect(client)
 
@@ -71,13 +70,14 @@ def has_shapes(robot: Robot) -> bool:
 
 
 def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,
-            elevation: float) -> Picture:
+            elevation: float, light: float) -> Picture:
     """Renders at twice the size and averages, which smooths the edges that TinyRenderer leaves jagged."""
     view = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, azimuth, elevation, 0.0, 2,
                                                       physicsClientId=client)
     lens = pybullet.computeProjectionMatrixFOV(40.0, width / height, 0.05, 10.0 * distance, physicsClientId=client)
     image = pybullet.getCameraImage(2 * width, 2 * height, view, lens, lightDirection=[1.2, -1.6, 3.0],
-                                    lightAmbientCoeff=0.55, lightDiffuseCoeff=0.5, lightSpecularCoeff=0.15, shadow=1,
+                                    lightDistance=light, lightAmbientCoeff=0.55, lightDiffuseCoeff=0.5,
+                                    lightSpecularCoeff=0.15, shadow=1,
                                     renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)[2]
     rgb = np.asarray(image, dtype=np.uint8).reshape(2 * height, 2 * width, 4)[:, :, :3]
     return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
