@@ -29,9 +29,10 @@ from sim.world import World
 ITERATIONS = 4
 """Learning steps on the arm, as in [G] 4.3."""
 N_D = 30
-METHODS = ("none", "linear", "trained", "precorrected", "model_learned",
+METHODS = ("none", "linear", "trained", "precorrected_1", "precorrected", "model_learned",
            *(f"learned_{p}" for p in range(1, ITERATIONS + 1)), "ideal", "adapted")
-"""Keys without suffix; ``_delay`` behind one keeps the standard path planner's delay in force."""
+"""Keys without suffix; ``_delay`` behind one keeps the standard path planner's delay in force. ``precorrected_1`` is
+[G] as printed: no look ahead, no gear elasticity."""
 
 
 @dataclass
@@ -85,6 +86,8 @@ class Workshop:
         if method == "linear":
             return LinearInverse(self.linear(), N_D, limits=limits), None
         if method == "precorrected":
+            return Precorrection.complete(self.model, robot, delay=self.delay), None
+        if method == "precorrected_1":
             return Precorrection(self.model, robot), None
         if method == "ideal":
             return IdealRobot(self.loop(), N_D), None
@@ -111,7 +114,8 @@ class Workshop:
             motion = training_motion(self.path, self.world.t_ipo)
             self._training = motion, self._learn(motion, progress).q_c
         motion, q_c = self._training
-        return train([(motion.q_d, q_c)], self.world.t_ipo, base=base, limits=(self.robot.q_min, self.robot.q_max))
+        return train([(motion.q_d, q_c)], self.world.t_ipo, chain=self.loop().chain, base=base,
+                     limits=(self.robot.q_min, self.robot.q_max))
 
     def adapted(self) -> tuple[Feedforward, object]:
         """The ideal robot, its friction adapted on the training motion before the path, and going on while it plays."""

@@ -1,12 +1,15 @@
-"""Nonlinear precorrection as [G] has it: inverse dynamics, then the inverted controller, at the interpolation cycle.
+"""Nonlinear precorrection: inverse dynamics, then the inverted controller, at the interpolation cycle.
 
     τ_d = M(q_d) q̈_d + c + g + τ_f(q̇_d)                                            [G] (8)
     u_d(k) = (τ_d(k) - τ_d(k-1) + u_d(k-1)) / (1 + k_I)                              [G] (18)
     Δq(k) = (u_d(k) + k_D Δq(k-1)/T - k_1 q̇_d(k) - k_2 q̈_d(k)) / (k_P + k_D/T)      [G] (19)
     q_c(k) = q_d(k) + Δq(k)                                                          [G] (20)
 
-At rest τ_d is constant, so u_d and with it Δq fade to zero: the static accuracy is the controller's own. What [G]
-leaves out — delay, command low-pass, interpolation, elastic gears — is :mod:`ideal_robot.feedforward.ideal`'s.
+At rest τ_d is constant, so u_d and with it Δq fade to zero: the static accuracy is the controller's own.
+
+[G] leaves three things out that :meth:`Precorrection.complete` adds: the desired path is looked at ahead by the delay
+that planner, interpolation and command low-pass make; and where the gears' stiffness is known, q_d is the *arm's* and
+the motor has to be at q_d + τ_g/k.
 """
 
 from __future__ import annotations
@@ -16,16 +19,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.controller_model import ControllerModel
+from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.interface import Array
+from ideal_robot.loop_model import low_pass_taps
 from ideal_robot.model import Model
 from ideal_robot.robot import Robot
+
+_BEFORE, _AFTER = 4, 4
+"""Desired positions used on either side of the instant that counts, for its derivatives."""
+_STILL = 1e-4
+"""Below this speed a joint counts as at rest [rad/s]: rounding at standstill must not switch friction."""
 
 
 @dataclass(frozen=True)
 class PrecorrectionState:
-    """What one cycle hands to the next: last desired position, last ``τ_d``, ``u_d``, ``Δq``, each ``(n,)``."""
+    """What one cycle hands to the next: desired positions before ``(4, n)``, last ``τ_d``, ``u_d``, ``Δq`` ``(n,)``."""
 
     q_d: Array
     tau: Array
@@ -36,49 +47,74 @@ class PrecorrectionState:
 class Precorrection(Feedforward):
     """Nonlinear precorrection, [G] (8), (9), (16)–(20).
 
-    Velocity and acceleration of the desired path are central differences, so one position ahead is enough.
-
     Args:
         model: identified model with a controller.
         robot: cycle time and limits.
-        lead: cycles by which the path is looked at ahead of time. 0 is [G]; more undoes that much of the delay of the
-            standard path planner and the interpolation, which [G] 5.2.1 calls inevitable.
+        lead: how far ahead the path is looked at [s]. 0 is [G]: the correction is right for the instant at which the
+            command is handed over, not for the one at which it acts.
+        elastic: whether the gears' deflection is compensated; needs a stiffness. The command at rest then differs from
+            the desired position by the deflection under gravity, else by nothing.
 
     Raises:
-        InputError: the model has no controller.
+        InputError: the model has no controller, or no stiffness for ``elastic``.
     """
 
-    def __init__(self, model: Model, robot: Robot, *, lead: int = 0) -> None:
+    def __init__(self, model: Model, robot: Robot, *, lead: float = 0.0, elastic: bool = False) -> None:
         if model.controller is None:
             raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
                              field="controller")
+        if elastic and model.stiffness is None:
+            raise InputError("the model holds no stiffness of the gears", field="stiffness")
         if lead < 0:
             raise InputError("cannot be negative", field="lead", value=lead)
-        self.t_ipo, self.lead, self.n_d = robot.t_ipo, lead, lead + 2
-        self._torque = model.torque_function()
-        self._controller = at_cycle(model.controller, robot.t_ipo)
+        T = robot.t_ipo
+        self.t_ipo, self.n_d = T, int(np.ceil(lead / T)) + _AFTER + 1
+        self._chain, self._rotor = chain_of(model.dynamics), np.array(model.rotor_inertia)
+        self._friction, self._offset = model.friction, np.array(model.offset)
+        self._compliance = 1.0 / np.array(model.stiffness) if elastic else np.zeros(robot.n)
+        self._controller = at_cycle(model.controller, T)
         self._range = robot.q_min, robot.q_max
+        rows = T * np.arange(-_BEFORE, self.n_d, dtype=float)
+        self._at = spline_operators(rows, lead + T * np.array([-1.0, 0.0, 1.0]), T, cutoff=16.0)
+
+    @classmethod
+    def complete(cls, model: Model, robot: Robot, *, delay: int) -> Precorrection:
+        """With the delay of the planner (``delay`` cycles), the interpolation and the low-pass undone by the horizon,
+        and with elastic gears where their stiffness is known."""
+        controller = model.controller
+        lag = 0.0
+        if controller is not None:
+            taps = low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, robot.n)
+            lag = robot.t_position * float(np.mean(np.arange(len(taps)) @ taps))
+        # A command is reached one cycle after its interpolation began.
+        return cls(model, robot, lead=(delay + 1) * robot.t_ipo + lag, elastic=model.stiffness is not None)
 
     def init(self, q0: Array) -> PrecorrectionState:
         q0 = np.array(q0, dtype=float)
-        rest = np.zeros(len(q0))
-        return PrecorrectionState(q0, self._torque(q0, rest, rest), rest, rest)
+        still = np.zeros((1, len(q0)))
+        tau = inverse_dynamics(self._chain, q0[None], still, still)[0] + self._offset
+        return PrecorrectionState(np.tile(q0, (_BEFORE, 1)), tau, still[0], still[0])
 
     def step(self, state: PrecorrectionState, q_d: Array, tau_ext_d: Array | None = None
              ) -> tuple[Array, PrecorrectionState]:
         T, gains = self.t_ipo, self._controller
-        now = q_d[min(self.lead, len(q_d) - 1)]
-        ahead = q_d[self.lead + 1] if len(q_d) > self.lead + 1 else 2 * now - state.q_d
-        qd = (ahead - state.q_d) / (2 * T)
-        qdd = (ahead - 2 * now + state.q_d) / T**2
-        tau = self._torque(now, qd, qdd)
+        rows = np.concatenate([state.q_d, q_d[: self.n_d]])
+        missing = len(self._at[0][0]) - len(rows)
+        if missing > 0:
+            rows = np.concatenate([rows, rows[-1] + np.arange(1, missing + 1)[:, None] * (rows[-1] - rows[-2])])
+        arm, speed, acceleration = (operator @ rows for operator in self._at)
+        load = inverse_dynamics(self._chain, arm, speed, acceleration)
         if tau_ext_d is not None:
-            tau = tau - tau_ext_d[min(self.lead, len(tau_ext_d) - 1)]
+            load = load - tau_ext_d[min(self.n_d - _AFTER - 1, len(tau_ext_d) - 1)]
+        motor = arm + self._compliance * load
+        qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2
+        friction = self._friction.torque(np.where(np.abs(qd) < _STILL, 0.0, qd), load[1])
+        tau = load[1] + self._rotor * qdd + self._offset + friction
         u = (tau - state.tau + state.u) / (1 + gains.k_i)
         correction = ((u + gains.k_d * state.correction / T - gains.k_1 * qd - gains.k_2 * qdd)
                       / (gains.k_p + gains.k_d / T))
-        q_c = np.clip(now + correction, *self._range)
-        return q_c, PrecorrectionState(np.array(now), tau, u, correction)
+        q_c = np.clip(motor[1] + correction, *self._range)
+        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), tau, u, correction)
 
 
 def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:

@@ -2,9 +2,12 @@
 
     q_c(k) = base(k) + Σ_l r(l) (q_d(k + l) - q_d(k))
                      + Σ_l s(l) (sign(q̇_d(k + l)) - sign(q̇_d(k)))
+                     + Σ_l w(l) τ_d(k + l)
 
-With the plain desired position as base this is [G] (13), without the second sum (12). With another feedforward as base
-(nonlinear precorrection, or the whole ideal robot) it learns only what that one leaves.
+With the plain desired position as base the first two sums are [G] (13), the first alone (12). These are decoupled, so
+couplings between links are lost on them ([G] 4.3 sees it on the edge); the third sum lets each joint weigh the
+rigid-body torque it will carry, which brings couplings and the gears' deflection within reach, and stays linear. With
+another feedforward as base (the ideal robot, say) training learns only what that one leaves.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.information_filter import InformationFilter
@@ -32,22 +36,25 @@ class Lags:
     Attributes:
         past, ahead: desired positions of so many cycles before and after now, ``m_1 = -past`` and ``m = ahead``.
         sign_past, sign_ahead: signs of velocity likewise; both 0 for [G] (12).
+        torque_past, torque_ahead: rigid-body torques likewise, used only where a chain is given.
     """
 
     past: int = 10
     ahead: int = 14
     sign_past: int = 10
     sign_ahead: int = 6
+    torque_past: int = 3
+    torque_ahead: int = 5
 
     @property
     def before(self) -> int:
         """Desired positions of the past that are needed: velocities are backward differences."""
-        return max(self.past, self.sign_past) + 1
+        return max(self.past, self.sign_past, self.torque_past) + 1
 
     @property
     def n_d(self) -> int:
         """Length of the horizon that is needed."""
-        return max(self.ahead, self.sign_ahead) + 1
+        return max(self.ahead, self.sign_ahead, self.torque_ahead + 1) + 1
 
 
 class Trained(Feedforward):
@@ -56,16 +63,18 @@ class Trained(Feedforward):
     Args:
         r: weights of the positions ``(past + ahead, n)``.
         s: weights of the signs ``(sign_past + sign_ahead, n)`` [rad].
-        lags: what the rows belong to, in ascending order of ``l`` without 0.
+        w: weights of the torques ``(torque_past + torque_ahead + 1, n)`` [rad/(N m)], or no rows.
+        lags: what the rows belong to, in ascending order of ``l``, without 0 for ``r`` and ``s``.
         t_ipo: cycle [s].
+        chain: rigid body whose torques are weighed; None for [G] (12), (13) proper.
         base: what the sums are added to.
         limits: lowest and highest command ``(n,)`` each [rad].
     """
 
-    def __init__(self, r: Array, s: Array, lags: Lags, t_ipo: float, *, base: Feedforward | None = None,
-                 limits: tuple[Array, Array] | None = None) -> None:
+    def __init__(self, r: Array, s: Array, w: Array, lags: Lags, t_ipo: float, *, chain: Chain | None = None,
+                 base: Feedforward | None = None, limits: tuple[Array, Array] | None = None) -> None:
         self.base = PassThrough(t_ipo) if base is None else base
-        self.r, self.s, self.lags, self.t_ipo = r, s, lags, t_ipo
+        self.r, self.s, self.w, self.lags, self.t_ipo, self.chain = r, s, w, lags, t_ipo, chain
         self.n_d = max(lags.n_d, self.base.n_d)
         self._limits = limits
 
@@ -79,21 +88,24 @@ class Trained(Feedforward):
         rows = np.concatenate([past, q_d[: self.lags.n_d]])
         if len(q_d) < self.lags.n_d:
             rows = np.concatenate([rows, np.tile(q_d[-1], (self.lags.n_d - len(q_d), 1))])
-        positions, signs = _regressors(rows[None], self.lags, self.t_ipo)
+        positions, signs, torques = _regressors(rows[None], self.lags, self.t_ipo, self.chain)
         q_c = q_c + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
+        q_c = q_c + np.sum(self.w * torques[0], axis=0)
         if self._limits is not None:
             q_c = np.clip(q_c, *self._limits)
         return q_c, (np.concatenate([past[1:], q_d[:1]]), inner)
 
 
 def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | None = None,
-          base: Feedforward | None = None, noise: float = 2e-5, limits: tuple[Array, Array] | None = None) -> Trained:
+          chain: Chain | None = None, base: Feedforward | None = None, noise: float = 2e-5,
+          limits: tuple[Array, Array] | None = None) -> Trained:
     """Fits the weights of [G] (12) or (13) to learned commands, by least squares in information form.
 
     Args:
         paths: pairs of desired positions and learned commands, each ``(N, n)`` [rad], all from rest.
         t_ipo: cycle [s].
-        lags: structure; default is [G] (13).
+        lags: which neighbours in time count.
+        chain: rigid body whose torques are weighed too; None for [G] (12), (13) proper.
         base: feedforward that gave the commands learning started from; the desired positions if None.
         noise: learned commands are believed to this [rad]; small weights are preferred within it.
         limits: passed on to the trained feedforward.
@@ -106,26 +118,33 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
         raise InputError("expected at least one pair of desired positions and commands of the same shape",
                          field="paths", value=[(q_d.shape, q_c.shape) for q_d, q_c in paths])
     n = paths[0][0].shape[1]
-    count, signs_count = lags.past + lags.ahead, lags.sign_past + lags.sign_ahead
-    filters = [InformationFilter(count + signs_count) for _ in range(n)]
+    positions_count, signs_count = lags.past + lags.ahead, lags.sign_past + lags.sign_ahead
+    torque_count = 0 if chain is None else lags.torque_past + lags.torque_ahead + 1
+    size = positions_count + signs_count + torque_count
+    filters = [InformationFilter(size) for _ in range(n)]
+    torque_scale = np.full(n, 1e-12)
     for q_d, q_c in paths:
         padded = np.concatenate([np.tile(q_d[0], (lags.before, 1)), q_d, np.tile(q_d[-1], (lags.n_d, 1))])
         windows = np.stack([padded[k : k + lags.before + lags.n_d] for k in range(len(q_d))])
-        positions, signs = _regressors(windows, lags, t_ipo)
-        left = q_c - _played(base, q_d) if base is not None else q_c - q_d
+        columns = np.concatenate(_regressors(windows, lags, t_ipo, chain), axis=1)
+        if chain is not None:
+            torque_scale = np.maximum(torque_scale, np.abs(columns[:, -torque_count:]).max(axis=(0, 1)))
+        left = q_c - (_played(base, q_d) if base is not None else q_d)
         for i in range(n):
-            filters[i].update(np.hstack([positions[:, :, i], signs[:, :, i]]), left[:, i], noise)
-    weights = np.empty((count + signs_count, n))
+            filters[i].update(columns[:, :, i], left[:, i], noise)
+    weights = np.empty((size, n))
     for i in range(n):
-        # Prior: position weights of order 1, friction's share of the command of order a milliradian.
-        filters[i].update(np.eye(count + signs_count)[:count], np.zeros(count), 1.0)
-        filters[i].update(np.eye(count + signs_count)[count:], np.zeros(signs_count), 1e-3)
+        # Prior: position weights of order 1, friction's and torque's share of the command of order a milliradian.
+        prior = np.concatenate([np.ones(positions_count), np.full(signs_count, 1e-3),
+                                np.full(torque_count, 1e-3 / torque_scale[i])])
+        filters[i].update(np.diag(1.0 / prior), np.zeros(size), 1.0)
         weights[:, i] = filters[i].solve()
-    return Trained(weights[:count], weights[count:], lags, t_ipo, base=base, limits=limits)
+    r, s, w = np.split(weights, [positions_count, positions_count + signs_count])
+    return Trained(r, s, w, lags, t_ipo, chain=chain, base=base, limits=limits)
 
 
-def _regressors(windows: Array, lags: Lags, t_ipo: float) -> tuple[Array, Array]:
-    """The differences of (13) for windows ``(N, before + n_d, n)`` in which now is row ``before``."""
+def _regressors(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> tuple[Array, Array, Array]:
+    """The differences of (13), and the torques, for windows ``(N, before + n_d, n)`` in which now is row ``before``."""
     now = lags.before
     ahead = [lag for lag in range(-lags.past, lags.ahead + 1) if lag != 0]
     positions = windows[:, [now + lag for lag in ahead]] - windows[:, [now]]
@@ -134,7 +153,20 @@ def _regressors(windows: Array, lags: Lags, t_ipo: float) -> tuple[Array, Array]
     signed = [lag for lag in range(-lags.sign_past, lags.sign_ahead + 1) if lag != 0]
     # Row j of the differences is the velocity at row j + 1.
     signs = sign[:, [now + lag - 1 for lag in signed]] - sign[:, [now - 1]]
-    return positions, signs
+    return positions, signs, _torques(windows, lags, t_ipo, chain)
+
+
+def _torques(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> Array:
+    """Rigid-body torques ``(N, torque_past + torque_ahead + 1, n)`` by central differences; no rows without a chain."""
+    N, _, n = windows.shape
+    if chain is None:
+        return np.empty((N, 0, n))
+    around = windows[:, lags.before - lags.torque_past - 1 : lags.before + lags.torque_ahead + 2]
+    q = around[:, 1:-1]
+    qd = (around[:, 2:] - around[:, :-2]) / (2 * t_ipo)
+    qdd = (around[:, 2:] - 2 * q + around[:, :-2]) / t_ipo**2
+    flat = [np.ascontiguousarray(values.reshape(-1, n)) for values in (q, qd, qdd)]
+    return inverse_dynamics(chain, *flat).reshape(q.shape)
 
 
 def _played(base: Feedforward, q_d: Array) -> Array:
