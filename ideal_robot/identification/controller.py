@@ -1,0 +1,224 @@
+"""Joint controllers from logged command, position and torque, [G] 5.2.2, equations (15) to (17).
+
+With the integrator the torque is the PI-filtered output of the PD part; filtered that way, each column of (16) gives a
+column of the simulated torque, which is linear in the gains. So for a given k_I the whole controller is *simulated* by
+one small least-squares fit, and k_I is the value whose simulation comes closest to the measured torque. Estimating k_I
+directly, from one step to the next, lets errors add up in the integrator: [G] Fig. 17, kept here for the comparison.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+
+from ideal_robot.controller_model import ControllerModel
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.recording import Recording
+
+_K_I_RANGE = (1e-4, 2.0)
+
+
+@dataclass(frozen=True)
+class ControllerIdentification:
+    """Result of ``identify_controller``.
+
+    Attributes:
+        model: the controllers, with standard deviations.
+        error_percent: ``100 ‖τ - τ̂‖ / ‖τ - mean‖`` of the simulated controller per joint ``(n,)``.
+        k_i_direct: integral gain of the one-step estimate ``(n,)``, for the comparison only.
+        t: sampling instants of the first recording ``(N,)`` [s].
+        measured, simulated, drifting: measured torque of the first recording, the simulation with the model's k_I,
+            and that with ``k_i_direct`` ``(N, n)`` [N m].
+    """
+
+    model: ControllerModel
+    error_percent: Array
+    k_i_direct: Array
+    t: Array
+    measured: Array
+    simulated: Array
+    drifting: Array
+
+
+def identify_controller(recordings: Sequence[Recording], t_cycle: float,
+                        without_integrator: Sequence[Recording] = ()) -> ControllerIdentification:
+    """Identifies the joint controllers at the interpolation cycle.
+
+    Args:
+        recordings: with ``q_c_i`` (or ``q_d_i``), ``q_i`` and ``tau_i``, the integrator on.
+        t_cycle: the cycle the gains shall belong to [s]; recordings may be sampled faster.
+        without_integrator: recordings made with the integral gain set to zero, where the controller allows it. k_P,
+            k_D, k_1 and k_2 then come from these alone, as in [G]; otherwise they come along with k_I.
+
+    Raises:
+        InputError: no command columns, a sampling time that does not divide the cycle, a joint that does not move.
+    """
+    if not recordings:
+        raise InputError("no recording given", field="recordings")
+    n = recordings[0].n
+    for j in range(n):
+        if max(np.ptp(recording.joints("q")[:, j]) for recording in recordings) < 1e-2:
+            raise InputError("the joint hardly moves; its controller cannot be identified", file=recordings[0].source,
+                             field=f"q_{j + 1}")
+    delay = _command_delay(recordings, t_cycle)
+    series = [part for recording in recordings for part in _series(recording, t_cycle, delay)]
+    pd_series = [part for recording in without_integrator for part in _series(recording, t_cycle, delay)]
+    gains, std, k_i, k_i_std = np.empty((4, n)), np.empty((4, n)), np.empty(n), np.empty(n)
+    direct, error = np.empty(n), np.empty(n)
+    for j in range(n):
+        joint = _Joint(series, j)
+        fixed = None
+        if pd_series:
+            fixed, std[:, j] = _pd_gains(_Joint(pd_series, j))
+        k_i[j], k_i_std[j] = _integral_gain(joint, fixed)
+        fit = _simulation(joint, k_i[j], fixed)
+        gains[:, j], error[j] = fit.gains, fit.error_percent
+        if fixed is None:
+            std[:, j] = fit.std
+        direct[j] = _direct_integral_gain(joint, gains[:, j])
+    spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2"))}
+    model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
+                            filter_time=np.zeros(n), delay=delay, std={**spread, "k_i": k_i_std.tolist()})
+    first = series[0]
+    return ControllerIdentification(model, error, direct, first.t, first.tau, _simulated(first, gains, k_i),
+                                    _simulated(first, gains, direct))
+
+
+def _command_delay(recordings: Sequence[Recording], t_cycle: float) -> float:
+    """The delay of the command with which the simulated controllers come closest to the torque [s]."""
+    def cost(delay: float) -> float:
+        series = [_series(recording, t_cycle, delay, offsets=False)[0] for recording in recordings]
+        total = 0.0
+        for j in range(recordings[0].n):
+            joint = _Joint(series, j)
+            total += min(_simulation(joint, k, None).error_percent ** 2 for k in np.geomspace(0.02, 0.8, 8))
+        return total
+
+    grid = np.linspace(0.0, 0.75 * t_cycle, 7)
+    i = int(np.argmin([cost(d) for d in grid]))
+    found = optimize.minimize_scalar(cost, bounds=(grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]),
+                                     method="bounded", options={"xatol": 0.01 * t_cycle})
+    return float(found.x)
+
+
+def _simulated(series: _Series, gains: Array, k_i: Array) -> Array:
+    """Torque ``(N, n)`` of the controllers for a measured motion, [G] (16), (17), from the first measured torque on."""
+    tau = np.einsum("knc,cn->kn", series.columns + k_i[:, None] * series.integrals, gains)
+    return tau - tau[0] + series.tau[0]
+
+
+@dataclass(frozen=True)
+class _Series:
+    """Signals of one recording as means over the cycles: ``columns`` of (16) ``(N, n, 4)``, what the integrator has
+    made of them ``integrals`` (their integrals over the time in cycles), and torque ``(N, n)``."""
+
+    t: Array
+    columns: Array
+    integrals: Array
+    tau: Array
+
+
+def _series(recording: Recording, t_cycle: float, delay: float, offsets: bool = True) -> list[_Series]:
+    """Means over cycles of ``t_cycle``; one series for each offset of the faster samples.
+
+    Inputs change within a cycle. Averaged over it, the difference quotient of (16) *is* the derivative, and torque and
+    columns belong to the same instant; sampled, they would lie half a cycle apart.
+
+    Args:
+        delay: by which the controller sees the command later than it was logged [s]: that of its low-pass.
+        offsets: whether to use all samples; only the first series otherwise.
+    """
+    command = recording.joints("q_c" if recording.has("q_c") else "q_d")
+    t, q, tau = recording.t, recording.joints("q"), recording.joints("tau")
+    step = float(np.median(np.diff(t)))
+    every = round(t_cycle / step)
+    if every < 1 or abs(every * step - t_cycle) > 0.02 * t_cycle:
+        raise InputError(f"the sampling step must divide the cycle of {1e3 * t_cycle:g} ms", file=recording.source,
+                         field="t", value=f"{1e3 * step:.4g} ms")
+    q_d = np.column_stack([np.interp(t - delay, t, command[:, j]) for j in range(q.shape[1])])
+    e, qd = q_d - q, np.gradient(q, step, axis=0)
+
+    def mean(x: Array) -> Array:
+        total = np.concatenate([np.zeros_like(x[:1]), np.cumsum(0.5 * (x[1:] + x[:-1]), axis=0)])
+        return (total[every:] - total[:-every]) / every
+
+    def rate(x: Array) -> Array:
+        return (x[every:] - x[:-every]) / t_cycle
+
+    columns = np.stack([mean(e), rate(e), rate(q), rate(qd)], axis=2)
+    area = np.concatenate([np.zeros_like(e[:1]), np.cumsum(0.5 * (e[1:] + e[:-1]), axis=0)]) * step
+    integrals = np.stack([mean(area), mean(e), mean(q), mean(qd)], axis=2) / t_cycle
+    torque = mean(tau)
+    return [_Series(t[every:][i::every], columns[i::every], integrals[i::every], torque[i::every])
+            for i in range(every if offsets else 1)]
+
+
+class _Joint:
+    """One joint's series of all recordings: columns of (16), their integrals, torque, and the normal equations.
+
+    The simulated torque of a series is ``(C + k_I S) g`` plus a constant, the integrator's unknown state at the start.
+    So the sums of products of ``C``, ``S`` and the torque about their means are all that fits for many k_I need.
+    """
+
+    def __init__(self, series: Sequence[_Series], joint: int) -> None:
+        self.columns = [part.columns[:, joint] for part in series]
+        self.integrals = [part.integrals[:, joint] for part in series]
+        self.tau = [part.tau[:, joint] for part in series]
+        C, S, y = (np.concatenate([x - x.mean(axis=0) for x in parts])
+                   for parts in (self.columns, self.integrals, self.tau))
+        self.products = C.T @ C, C.T @ S + S.T @ C, S.T @ S, C.T @ y, S.T @ y, float(y @ y)
+        # Neighbouring samples of the offset series tell the same; there is as much news as one of them has samples.
+        self.repeats = max(1, round(sum(len(t) for t in self.tau) / max(len(t) for t in self.tau)))
+        self.count = len(y)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    gains: Array
+    std: Array
+    error_percent: float
+    cost: float
+
+
+def _simulation(joint: _Joint, k_i: float, fixed: Array | None) -> _Fit:
+    """The controller simulated with ``k_i``: gains by least squares, or ``fixed`` ones."""
+    CC, CS, SS, Cy, Sy, yy = joint.products
+    G, r = CC + k_i * CS + k_i**2 * SS, Cy + k_i * Sy
+    scale = np.sqrt(np.diag(G))
+    inverse = np.linalg.inv(G / np.outer(scale, scale)) / np.outer(scale, scale)
+    gains = inverse @ r if fixed is None else fixed
+    cost = max(float(yy - 2.0 * gains @ r + gains @ G @ gains), 0.0)
+    std = np.sqrt(np.maximum(np.diag(inverse), 0.0) * cost / joint.count * joint.repeats)
+    return _Fit(gains, std, 100.0 * float(np.sqrt(cost / yy)), cost)
+
+
+def _integral_gain(joint: _Joint, fixed: Array | None) -> tuple[float, float]:
+    """The k_I whose simulation comes closest, and its standard deviation from the curvature of the cost."""
+    grid = np.geomspace(*_K_I_RANGE, 40)
+    costs = [_simulation(joint, k, fixed).cost for k in grid]
+    i = int(np.argmin(costs))
+    low, high = grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)]
+    found = optimize.minimize_scalar(lambda k: _simulation(joint, k, fixed).cost, bounds=(low, high), method="bounded",
+                                     options={"xatol": 1e-5 * high})
+    k = float(found.x)
+    h = 0.05 * k
+    up, down = (_simulation(joint, k + s * h, fixed).cost for s in (1.0, -1.0))
+    curvature = max((up - 2.0 * found.fun + down) / h**2, 1e-300)
+    return k, float(np.sqrt(2.0 * found.fun / joint.count * joint.repeats / curvature))
+
+
+def _pd_gains(joint: _Joint) -> tuple[Array, Array]:
+    """Gains of (16) by plain least squares, for recordings without integrator; an offset is estimated along."""
+    fit = _simulation(joint, 0.0, None)
+    return fit.gains, fit.std
+
+
+def _direct_integral_gain(joint: _Joint, gains: Array) -> float:
+    """k_I by least squares from one step to the next: ``τ(k) - τ(k-1) - u(k) + u(k-1) = k_I ∫u``."""
+    x = np.concatenate([np.diff(S @ gains) for S in joint.integrals])
+    y = np.concatenate([np.diff(t) - np.diff(C @ gains) for t, C in zip(joint.tau, joint.columns, strict=True)])
+    return float(x @ y / (x @ x))
