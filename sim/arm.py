@@ -24,6 +24,9 @@ from sim.drive import (
     LOGGED,
     P_ELASTIC,
     P_NOISE,
+    P_PHASE,
+    P_UNEVEN,
+    P_UNEVEN_ORDER,
     X_CURRENT,
     X_MOTOR,
     X_MOTOR_VELOCITY,
@@ -90,7 +93,7 @@ class SimulatedArm:
         self._individual = draw_individual(robot, world)
         self._model = self._individual.model
         self._p, self._shared, self._counts = drive_parameters(
-            world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.ripple_phase)
+            world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.phase)
         self._elastic = self._p[P_ELASTIC] > 0.0
         self._rotor_of_rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
         self._any_rigid = bool(np.any(self._rotor_of_rigid > 0.0))
@@ -117,10 +120,11 @@ class SimulatedArm:
         q0 = checked_posture(self.robot, q0)
         n = self.robot.n
         stiffness = np.where(self._elastic, self.world.per_joint("stiffness", n), np.inf)
-        q_a = q0.copy()
+        output = q0 + self._p[P_UNEVEN] * np.sin(self._p[P_UNEVEN_ORDER] * q0 + self._p[P_PHASE])
+        q_a = output.copy()
         for _ in range(30):
             holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a)
-            q_a = q0 - holding / stiffness
+            q_a = output - holding / stiffness
         q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
         self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
         self._tick = 0

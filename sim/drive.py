@@ -1,7 +1,7 @@
 """Motors and gears of the simulated arm, and the one compiled step that runs them with the controller.
 
     J q̈_m = τ_m + τ_ripple + τ_extra - τ_f(q̇_m, z, T, load) - τ_g
-    τ_g = K gap(q_m - q_a) + D (q̇_m - q̇_a)         on the link: τ_g
+    τ_g = K gap(q_m + uneven(q_m) - q_a) + D (q̇_m - q̇_a)         on the link: τ_g
 
 Both sides are integrated semi-implicitly with the step of PyBullet and exchange the same gear torque, so no energy
 comes from the splitting. Where a gear is rigid, q_m = q_a and the rotor inertia is carried by ``SimulatedArm``.
@@ -37,9 +37,9 @@ from sim.world import STEP, World
 # Rows of the parameter block after the controller's.
 (P_ROTOR, P_STIFFNESS, P_DAMPING, P_BACKLASH, P_ELASTIC, P_COULOMB, P_SURPLUS, P_V_STRIBECK, P_SIGMA0, P_SIGMA1,
  P_ASYMMETRY, P_VISCOUS, P_DEGRESSIVE, P_V_DEGRESSIVE, P_LOAD, P_FRICTION, P_THERMAL_RESISTANCE, P_THERMAL_RATE,
- P_LUBRICATION, P_GAIN, P_RIPPLE, P_RIPPLE_ORDER, P_RIPPLE_PHASE, P_NOISE) = range(
-    CONTROLLER_PARAMETERS, CONTROLLER_PARAMETERS + 24)
-PARAMETERS = CONTROLLER_PARAMETERS + 24
+ P_LUBRICATION, P_GAIN, P_RIPPLE, P_RIPPLE_ORDER, P_PHASE, P_NOISE, P_UNEVEN, P_UNEVEN_ORDER) = range(
+    CONTROLLER_PARAMETERS, CONTROLLER_PARAMETERS + 26)
+PARAMETERS = CONTROLLER_PARAMETERS + 26
 # Rows of the state block after the controller's.
 (X_MOTOR, X_MOTOR_VELOCITY, X_BRISTLE, X_TEMPERATURE, X_LUBRICANT, X_GEAR, X_CURRENT) = range(
     CONTROLLER_STATES, CONTROLLER_STATES + 7)
@@ -62,13 +62,13 @@ def motor_torque_limit(robot: Robot) -> Array:
 
 
 def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gain: Array,
-                     ripple_phase: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+                     phase: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     """Packs a world's numbers for ``drive_step``.
 
     Args:
         rotor_inertia: true rotor inertias on the joint side ``(n,)`` [kg m²].
         drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
-        ripple_phase: phase of the torque ripple ``(n,)`` [rad].
+        phase: of torque ripple and transmission error ``(n,)`` [rad].
 
     Returns:
         Parameter block ``(PARAMETERS, n)``, shared numbers ``(SHARED,)``, step counts ``(4,)``.
@@ -104,7 +104,9 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     p[P_GAIN] = drive_gain
     p[P_RIPPLE] = world.per_joint("torque_ripple", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
     p[P_RIPPLE_ORDER] = world.per_joint("ripple_order", n) * robot.gear_ratio
-    p[P_RIPPLE_PHASE] = ripple_phase
+    p[P_PHASE] = phase
+    p[P_UNEVEN] = world.per_joint("transmission_error", n)
+    p[P_UNEVEN_ORDER] = world.per_joint("transmission_order", n)
     p[P_NOISE] = world.per_joint("current_noise", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
     shared = np.zeros(SHARED)
     shared[S_DT] = STEP
@@ -168,9 +170,15 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
         row[0] = tick * dt
     for j in range(n):
         elastic = p[P_ELASTIC, j] > 0.0
+        uneven = 0.0  # transmission error: the gear's output is q_m + A sin(order · q + phase)
+        slope = 1.0
+        if p[P_UNEVEN, j] > 0.0:
+            angle = p[P_UNEVEN_ORDER, j] * (x[X_MOTOR, j] if elastic else q_a[j]) + p[P_PHASE, j]
+            uneven = p[P_UNEVEN, j] * math.sin(angle)
+            slope = 1.0 + p[P_UNEVEN, j] * p[P_UNEVEN_ORDER, j] * math.cos(angle)
         if not elastic:
-            x[X_MOTOR, j] = q_a[j]
-            x[X_MOTOR_VELOCITY, j] = qd_a[j]
+            x[X_MOTOR, j] = q_a[j] - uneven
+            x[X_MOTOR_VELOCITY, j] = qd_a[j] / slope
         q_m = x[X_MOTOR, j]
         v_m = x[X_MOTOR_VELOCITY, j]
         control_step(p, x, j, q_m, fraction, position_due, velocity_due, s[S_LOW_PASS], s[S_VELOCITY_PASS],
@@ -188,12 +196,12 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
             row[1 + 7 * n + j] = motor
             row[1 + 9 * n + j] = x[X_TEMPERATURE, j]
         if p[P_RIPPLE, j] > 0.0:
-            motor += p[P_RIPPLE, j] * math.sin(p[P_RIPPLE_ORDER, j] * q_m + p[P_RIPPLE_PHASE, j])
+            motor += p[P_RIPPLE, j] * math.sin(p[P_RIPPLE_ORDER, j] * q_m + p[P_PHASE, j])
         motor += extra[j]
 
         gear = motor
         if elastic:
-            twist = q_m - q_a[j]
+            twist = q_m + uneven - q_a[j]
             half = 0.5 * p[P_BACKLASH, j]
             damping = p[P_DAMPING, j]
             if half > 0.0:
@@ -202,7 +210,7 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
                     damping = 0.0
                 else:
                     twist -= half if twist > 0.0 else -half
-            gear = p[P_STIFFNESS, j] * twist + damping * (v_m - qd_a[j])
+            gear = p[P_STIFFNESS, j] * twist + damping * (slope * v_m - qd_a[j])
 
         friction = 0.0
         if p[P_FRICTION, j] > 0.0:
@@ -223,7 +231,7 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
             x[X_TEMPERATURE, j] += dt * p[P_THERMAL_RATE, j] * (rise - (x[X_TEMPERATURE, j] - s[S_AMBIENT]))
 
         if elastic:
-            x[X_MOTOR_VELOCITY, j] = v_m + dt * (motor - friction - gear) / p[P_ROTOR, j]
+            x[X_MOTOR_VELOCITY, j] = v_m + dt * (motor - friction - slope * gear) / p[P_ROTOR, j]
             x[X_MOTOR, j] = q_m + dt * x[X_MOTOR_VELOCITY, j]
             x[X_GEAR, j] = gear
             torque[j] = gear

@@ -18,16 +18,16 @@ class Individual:
     """The true arm.
 
     Attributes:
-        model: Pinocchio model with the true inertias, the payload included, rotors not.
+        model: Pinocchio model with the true kinematics and inertias, the payload included, rotors not.
         rotor_inertia: on the joint side ``(n,)`` [kg m²].
         drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
-        ripple_phase: ``(n,)`` [rad].
+        phase: of torque ripple and transmission error ``(n,)`` [rad].
     """
 
     model: pin.Model
     rotor_inertia: Array
     drive_gain: Array
-    ripple_phase: Array
+    phase: Array
 
 
 def draw_individual(robot: Robot, world: World) -> Individual:
@@ -48,6 +48,9 @@ def draw_individual(robot: Robot, world: World) -> Individual:
     rotor = rotor + world.per_joint("extra_rotor_inertia", n)
     gain = 1.0 + world.drive_gain_error * rng.uniform(-1.0, 1.0, n)
     phase = rng.uniform(0.0, 2.0 * np.pi, n)
+    offsets, turns = rng.uniform(-1.0, 1.0, (n, 3)), rng.uniform(-1.0, 1.0, n)
+    if world.kinematic_error > 0.0 or world.zero_error > 0.0:
+        _displace(model, world.kinematic_error * offsets, world.zero_error * turns)
     if world.payload_mass > 0.0:
         frame = model.frames[robot.tool_id]
         load = pin.Inertia(world.payload_mass, np.array(world.payload_com), np.eye(3) * world.payload_inertia)
@@ -58,6 +61,17 @@ def draw_individual(robot: Robot, world: World) -> Individual:
                          "world.elasticity = false",
                          field="joints.rotor_inertia", value=robot.rotor_inertia.tolist())
     return Individual(model, rotor, gain, phase)
+
+
+def _displace(model: pin.Model, offsets: Array, turns: Array) -> None:
+    """Moves the joints by ``offsets (n, 3)`` [m] in their parents' frames and their zeros by ``turns (n,)`` [rad]."""
+    data = model.createData()
+    for joint in range(1, model.njoints):
+        q = np.zeros(model.nq)
+        q[model.joints[joint].idx_q] = turns[joint - 1]
+        pin.forwardKinematics(model, data, q)
+        turned = data.liMi[joint]
+        model.jointPlacements[joint] = pin.SE3(turned.rotation, turned.translation + offsets[joint - 1])
 
 
 def _scaled(inertia: pin.Inertia, mass_factor: float, extension: Array) -> pin.Inertia:

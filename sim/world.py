@@ -74,6 +74,10 @@ class World:
             a third of it, rotor inertias too.
         drive_gain_error: largest relative difference of the true torque per ampere from the data sheet's.
         extra_rotor_inertia: of each drive beyond the data sheet's, on the joint side [kg m²].
+        kinematic_error: largest difference of the joints' places from the URDF, in each direction [m].
+        zero_error: largest difference of the joints' zero positions [rad].
+        transmission_error: amplitude by which a gear turns the arm unevenly [rad], ``transmission_order`` periods per
+            joint turn.
         payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
             centre, the same about all axes].
         log_cycle: cycle of the recording [s].
@@ -129,6 +133,10 @@ class World:
     inertia_tolerance: float = 0.15
     drive_gain_error: float = 0.02
     extra_rotor_inertia: PerJoint = 0.0
+    kinematic_error: float = 0.0
+    zero_error: float = 0.0
+    transmission_error: PerJoint = 0.0
+    transmission_order: PerJoint = 40.0
     payload_mass: float = 0.0
     payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
     payload_inertia: float = 0.0

@@ -10,7 +10,7 @@ from ideal_robot.errors import InputError
 
 _POSITIVE = {"stiffness", "stribeck_velocity", "presliding", "degressive_velocity", "thermal_time_constant",
              "encoder_increments", "t_ipo", "t_position", "t_velocity", "log_cycle", "velocity_gain", "integral_time",
-             "position_gain", "lubrication_time", "ripple_order"}
+             "position_gain", "lubrication_time", "ripple_order", "transmission_order"}
 _SIGNED = {"start_temperature", "ambient_temperature", "reference_temperature", "payload_com", "friction_asymmetry"}
 _FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}
 

@@ -10,6 +10,7 @@ from ideal_robot.errors import InputError, LimitError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
 from sim.arm import SimulatedArm
+from sim.bullet import pybullet
 from sim.errors import SimError
 from sim.individual import draw_individual
 from sim.world import STEP, World
@@ -233,3 +234,35 @@ def test_closing_twice_is_fine_and_history_stays() -> None:
     arm.close()
     assert len(arm.history()["t"]) == 6
     assert arm.recording().n == 6
+
+
+def test_the_true_kinematics_can_differ_from_the_urdf() -> None:
+    nominal = ROBOT.fk()(ROBOT.home).translation
+    with arm_of(IDEAL.replace(kinematic_error=1e-3)) as arm:
+        moved = arm.truth.tcp.translation - nominal
+        assert 1e-4 < np.linalg.norm(moved) < np.sqrt(3) * 6e-3
+        link = pybullet.getLinkState(arm.body, 5, computeForwardKinematics=1, physicsClientId=arm.client)
+        np.testing.assert_allclose(np.array(link[4]) + arm.truth.tcp.rotation @ arm.tool_offset.rotation.T
+                                   @ arm.tool_offset.translation, arm.truth.tcp.translation, atol=1e-6)
+    turn = draw_individual(ROBOT, IDEAL.replace(zero_error=2e-3)).model
+    data, same = turn.createData(), ROBOT.model.createData()
+    pin.forwardKinematics(turn, data, ROBOT.home)
+    pin.forwardKinematics(ROBOT.model, same, ROBOT.home)
+    for joint in range(1, 7):
+        twist = pin.log3(same.liMi[joint].rotation.T @ data.liMi[joint].rotation)
+        assert 1e-6 < np.linalg.norm(twist) <= 2e-3
+        np.testing.assert_allclose(data.liMi[joint].translation, same.liMi[joint].translation, atol=1e-12)
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_uneven_gears_turn_the_arm_unevenly(elastic: bool) -> None:
+    world = IDEAL.replace(elasticity=elastic, transmission_error=2e-4, transmission_order=40.0)
+    with arm_of(world) as arm:
+        for k in range(300):
+            arm.cycle(ROBOT.home + np.array([2e-3 * k, 0, 0, 0, 0, 0]))
+        log = arm.history()
+    steady = slice(600, None)
+    q_m = log["q_m"][steady, 0]
+    basis = np.column_stack([np.sin(40 * q_m), np.cos(40 * q_m), np.ones_like(q_m)])
+    fitted = np.linalg.lstsq(basis, log["q_a"][steady, 0] - q_m, rcond=None)[0]
+    assert np.hypot(*fitted[:2]) == pytest.approx(2e-4, rel=0.05)
