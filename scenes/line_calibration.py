@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.interface import Array

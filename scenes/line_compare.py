@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from scenes.line_result import LineResult
 from scenes.line_scene import LineScene
 from scenes.result import Progress, silent
+
+if TYPE_CHECKING:
+    from scenes.line_following import Prepared
 
 K_P = (0.01, 0.02, 0.03, 0.045, 0.065, 0.09, 0.13, 0.18, 0.25)
 """Gains tried on the deviation, per cycle."""
@@ -81,13 +84,15 @@ Run = Callable[..., LineResult]
 def compare_lines(scene: LineScene, run: Run, *, out: Path | None = None,
                   progress: Progress = silent) -> LineComparison:
     """Runs all methods; direct sensor feedback with the gain that suits this very scene best."""
-    gains, tried = best_gains(scene, progress=lambda fraction, text: progress(0.5 * fraction, text))
-    gain, overshoots = overshoot_gain(scene, progress=lambda fraction, text: progress(0.5 + 0.25 * fraction, text))
+    from scenes.line_following import METHODS, prepared
+
+    gain, overshoots = overshoot_gain(scene, progress=lambda fraction, text: progress(0.35 * fraction, text))
     runs = {}
-    methods = ("none", "direct_feedback", "sensor_path", "ideal")
-    for i, method in enumerate(methods):
-        runs[method] = run(scene, method=method, gains=gains if method == "direct_feedback" else None,
-                           progress=lambda fraction, text, i=i: progress(0.75 + 0.25 * (i + fraction) / 4, text))
+    with prepared(scene) as shared:
+        gains, tried = best_gains(scene, shared, progress=lambda part, text: progress(0.35 + 0.4 * part, text))
+        for i, method in enumerate(METHODS):
+            runs[method] = run(scene, method=method, gains=gains if method == "direct_feedback" else None, shared=shared,
+                               progress=lambda part, text, i=i: progress(0.75 + 0.06 * (i + part), text))
     comparison = LineComparison(scene, runs, gains, tried, gain, overshoots)
     if out is None:
         return comparison
@@ -96,7 +101,7 @@ def compare_lines(scene: LineScene, run: Run, *, out: Path | None = None,
     return write_comparison(comparison, out)
 
 
-def best_gains(scene: LineScene, *, progress: Progress = silent
+def best_gains(scene: LineScene, shared: Prepared, *, progress: Progress = silent
                ) -> tuple[tuple[float, float], tuple[tuple[float, float, float], ...]]:
     """K_p and K_d of direct sensor feedback with the least mean error on this scene, and all that was tried."""
     from scenes.line_following import run
@@ -105,7 +110,7 @@ def best_gains(scene: LineScene, *, progress: Progress = silent
     total = len(K_P) + 2 + len(K_D) - 1
 
     def mean(k_p: float, k_d: float) -> float:
-        result = run(scene, method="direct_feedback", gains=(k_p, k_d))
+        result = run(scene, method="direct_feedback", gains=(k_p, k_d), shared=shared)
         error = result.control_error.mean if result.failure is None else np.inf
         tried.append((k_p, k_d, float(error)))
         progress(len(tried) / total, "searching the gain of direct feedback")
@@ -129,7 +134,7 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
 
     The step is a straight line beside its reference by 10 mm; what the TCP does beyond the line is overshoot.
     """
-    from scenes.line_following import run
+    from scenes.line_following import prepared, run
 
     origin = scene.surface.origin
     step = scene.changed(
@@ -137,12 +142,13 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
         surface={"origin": (0.98, -0.6, origin[2]), "heading_deg": 90.0, "tilt_deg": (0.0, 0.0)},
         displacement={"lateral_mm": 10.0, "along_mm": 0.0, "turn_deg": 0.0}, feature=(), reference={"shape": None})
     found = []
-    for i, k_p in enumerate(K_P):
-        error = run(step, method="direct_feedback", gains=(k_p, 0.0)).control_error_from_start
-        first = error.lateral[0]
-        found.append((k_p, float(max(0.0, -np.min(error.lateral * np.sign(first))) / abs(first))))
-        progress((i + 1) / len(K_P), "searching the gain at which direct feedback overshoots")
-        if found[-1][1] > 4 * OVERSHOOT:
-            break
+    with prepared(step) as shared:
+        for i, k_p in enumerate(K_P):
+            result = run(step, method="direct_feedback", gains=(k_p, 0.0), shared=shared)
+            lateral = result.control_error_from_start.lateral
+            found.append((k_p, float(max(0.0, -np.min(lateral * np.sign(lateral[0]))) / abs(lateral[0]))))
+            progress((i + 1) / len(K_P), "searching the gain at which direct feedback overshoots")
+            if found[-1][1] > 4 * OVERSHOOT:
+                break
     below = [k_p for k_p, overshoot in found if overshoot <= OVERSHOOT]
     return (max(below) if below else 0.0), tuple(found)

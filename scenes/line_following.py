@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,6 +32,7 @@ from scenes.models import model_for
 from scenes.result import Progress, silent
 from sensing.camera_model import CalibrationError, CameraModel, default_mount
 from sensing.field import Field
+from sensing.hand_eye import HandEye
 from sensing.line_detection import DetectionSettings, LineField, detect_line, search_windows
 from sim.arm import SimulatedArm
 from sim.camera import CameraSettings, RenderedCamera
@@ -74,8 +76,39 @@ def curves(scene: LineScene) -> dict[str, Array]:
     return {"line": where.drawn, "reference": where.reference}
 
 
+@dataclass(frozen=True)
+class Prepared:
+    """What runs of the same scene share: the rendered surface, and the camera as calibrated by moving."""
+
+    camera: RenderedCamera
+    hand_eye: HandEye | None
+
+
+@contextmanager
+def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared]:
+    """Paints the surface and calibrates the camera, for one or many runs of the scene.
+
+    Raises:
+        InputError: the scene cannot be played.
+        SceneError: the camera cannot be calibrated.
+    """
+    cell = set_up(scene)
+    settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
+                                 if key != "phase"})
+    with RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera:
+        hand_eye = None
+        if scene.calibration.by_moving:
+            progress(0.0, "calibrating the camera")
+            deflection = GearDeflection(model_for(scene, cell.robot), cell.world.t_ipo)
+            middle = 0.5 * (scene.reference.run_up + cell.reference.length - scene.reference.run_out)
+            with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+                hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
+                                               _detection(cell))
+        yield Prepared(camera, hand_eye)
+
+
 def run(scene: LineScene, *, method: str | None = None, out: Path | None = None, progress: Progress = silent,
-        gains: tuple[float, float] | None = None) -> LineResult:
+        gains: tuple[float, float] | None = None, shared: Prepared | None = None) -> LineResult:
     """Follows the line once.
 
     Args:
@@ -84,6 +117,7 @@ def run(scene: LineScene, *, method: str | None = None, out: Path | None = None,
         out: folder for recording and report; nothing is written without.
         progress: told how far it is.
         gains: K_p, K_d of direct sensor feedback; found by search if None.
+        shared: from ``prepared`` of the same scene, to save its time.
 
     Raises:
         InputError: the scene cannot be played: unknown method, line out of reach, unreachable speed.
@@ -94,8 +128,13 @@ def run(scene: LineScene, *, method: str | None = None, out: Path | None = None,
     if method == "direct_feedback" and gains is None:
         from scenes.line_compare import best_gains
 
-        gains = best_gains(scene, progress=lambda fraction, text: progress(0.8 * fraction, text))[0]
-    result = _play(set_up(scene), method, gains, progress)
+        with prepared(scene) as own:
+            gains = best_gains(scene, own, progress=lambda fraction, text: progress(0.8 * fraction, text))[0]
+    if shared is None:
+        with prepared(scene, progress) as own:
+            result = _play(set_up(scene), method, gains, own, progress)
+    else:
+        result = _play(set_up(scene), method, gains, shared, progress)
     if out is None:
         return result
     from scenes.line_report import write_run
@@ -217,25 +256,15 @@ class _Loop:
         self.follower.observe(t, q_a)
 
 
-def _play(cell: Cell, method: str, gains: tuple[float, float] | None, progress: Progress) -> LineResult:
+def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Prepared,
+          progress: Progress) -> LineResult:
     scene, follower = cell.scene, cell.follower
-    log = _Log()
-    settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
-                                 if key != "phase"})
-    with (SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm,
-          RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera):
-        hand_eye = None
-        if scene.calibration.by_moving:
-            progress(0.0, "calibrating the camera")
-            deflection = GearDeflection(model_for(scene, cell.robot), cell.world.t_ipo)
-            middle = 0.5 * (scene.reference.run_up + cell.reference.length - scene.reference.run_out)
-            hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
-                                           _detection(cell))
-            cell.camera = hand_eye.camera
-            arm.reset(follower.q_start)
-        loop = _Loop(cell, method, gains)
+    if shared.hand_eye is not None:
+        cell.camera = shared.hand_eye.camera
+    loop, log = _Loop(cell, method, gains), _Log()
+    with SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm:
         started = time.perf_counter()
-        _cycles(loop, arm, camera, log, progress)
+        _cycles(loop, arm, shared.camera, log, progress)
         wall = time.perf_counter() - started
         history = arm.history()
         tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
@@ -247,7 +276,7 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, progress: 
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(history["t"][-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
-        shown=tuple(log.shown), world=cell.world.table(), hand_eye=hand_eye)
+        shown=tuple(log.shown), world=cell.world.table(), hand_eye=shared.hand_eye)
 
 
 def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, progress: Progress) -> None:

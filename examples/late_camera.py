@@ -1,0 +1,11 @@
+"""Does a late camera matter? The same line with three latencies, with the ideal robot and with direct sensor feedback."""
+
+from scenes import load_scene
+from scenes.line_following import prepared, run
+
+for latency in (0.02, 0.04, 0.08):
+    scene = load_scene("line").changed(camera={"latency": latency})
+    with prepared(scene) as cell:
+        ideal = run(scene, method="ideal", shared=cell).control_error.mean
+        direct = run(scene, method="direct_feedback", gains=(0.09, 0.0), shared=cell).control_error.mean
+    print(f"{1e3 * latency:.0f} ms: ideal robot {1e3 * ideal:.3f} mm, direct feedback {1e3 * direct:.3f} mm")
