@@ -66,7 +66,6 @@ class DesiredPath:
         self.s = profile.s(self._T * np.arange(cycles))
         """Arc length of the reference at every cycle ``(K,)`` [m]."""
         self._frames = reference.frames(self.s)
-        self._curvature = reference.curvature(self.s)
         self._rotations = reference.rotation(self.s)
         path = joint_path or JointPath.of(robot, reference)
         self._targets = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
@@ -138,15 +137,18 @@ class DesiredPath:
             start = start.copy()
             offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
             start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
-        targets = [pin.SE3(R, p) for R, p in zip(rotations, positions, strict=True)]
+        targets = self._targets[first:end]
+        for target, R, p in zip(targets, rotations, positions, strict=True):
+            target.translation = p
+            if self._follow_tangent:
+                target.rotation = R
         self._q[first:end] = self._kinematics.refine(targets, start)
-        self._targets[first:end] = targets
         self._solved_to = end - 1
         self._ever_solved = max(self._ever_solved, end - 1)
 
     def _turned(self, first: int, end: int) -> Array:
         """Rotations about the surface normal from the reference's tangent to that of the desired path."""
         speed = np.gradient(self.s, self._T)[first:end]
-        forward = speed * (1.0 - self._curvature[first:end] * self._plan[0, first:end, 0])
+        forward = speed * (1.0 - self._frames.curvature[first:end] * self._plan[0, first:end, 0])
         angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
         return np.array([pin.exp3(a * up) for a, up in zip(angle, self._frames.up[first:end], strict=True)])

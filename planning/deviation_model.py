@@ -10,11 +10,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from ideal_robot.interface import Array
+from planning.path_kernels import deviation_basis
 from planning.reference import ReferencePath
-from planning.vectors import cross
 
 
 class DeviationModel(ABC):
@@ -154,9 +153,9 @@ class PathDeviation(DeviationModel):
             self._F[block, block] = shift
             last = block.stop - 1
             self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * shape**2)
-        self._span = (-0.5, reference.length + 0.5)
-        grid = np.linspace(*self._span, round((reference.length + 1.0) / 0.004) + 1)
-        self._rigid_basis = CubicSpline(grid, self._rigid_at(grid))
+        # Axes of the surface at the path's start span the rigid motion.
+        start = reference.frames(0.0)
+        self._axes = np.stack([start.tangent, start.normal, start.up])
 
     def prior(self) -> tuple[Array, Array]:
         """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
@@ -165,32 +164,21 @@ class PathDeviation(DeviationModel):
     def basis(self, s: Array) -> Array:
         """Rigid part and B-splines; outside the window the splines stay at its edge."""
         s = np.asarray(s, dtype=float)
-        H = np.zeros((len(s), self.directions, self.size))
-        H[:, :, : self._rigid] = self._rigid_basis(np.minimum(np.maximum(s, self._span[0]), self._span[1]))
-        u = np.minimum(np.maximum((s - self._start) / self._knot, 0.0), self._count - 3 - 1e-9)
-        j = u.astype(np.intp)
-        u = u - j
-        weights = (
-            np.stack([(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3], axis=1) / 6.0
-        )
-        rows = np.arange(len(s))[:, None]
-        for i, block in enumerate(self._blocks()):
-            H[rows, i, block.start + j[:, None] + np.arange(4)] = weights
-        return H
-
-    def _rigid_at(self, s: Array) -> Array:
-        """Deviation per unit of the rigid motion's components at ``s (m,)``, ``(m, directions, 3 or 6)``."""
         frames = self.reference.frames(s)
-        lever = frames.position - self._centre
-        # Axes of the surface at the path's start span the motion: g·(τ + φ × lever), and g·(e × lever) = e·(lever × g).
-        start = self.reference.frames(np.zeros(1))
-        axes = np.concatenate([start.tangent, start.normal, start.up])
-        rows = []
-        for g in (frames.normal, frames.up)[: self.directions]:
-            move, turn = g @ axes.T, cross(lever, g) @ axes.T
-            # In the surface there are two directions to move and one axis to turn about.
-            rows.append(np.concatenate([move[:, :2], turn[:, 2:]] if self._rigid == 3 else [move, turn], axis=1))
-        return np.stack(rows, axis=1)
+        return np.asarray(
+            deviation_basis(
+                frames.position,
+                (frames.normal, frames.up),
+                self.directions,
+                self._centre,
+                self._axes,
+                self._rigid,
+                s,
+                self._start,
+                self._knot,
+                self._count,
+            )
+        )
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """Shifts the window by one knot once the arm has left it behind."""

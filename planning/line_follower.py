@@ -171,7 +171,7 @@ class LineFollower:
         slope = (H[2 * m :] - H[m : 2 * m]) @ self.fusion.state / (2 * step)
         frames = self.reference.frames(s)
         # Derivative of p + d n by arc length: (1 - κ d) t + d' n.
-        stretch = 1.0 - self.reference.curvature(s) * mean
+        stretch = 1.0 - frames.curvature * mean
         tangents = unit(stretch[:, None] * frames.tangent + slope[:, None] * frames.normal)
         return LineAhead(s, frames.position + mean[:, None] * frames.normal, tangents, frames.up, np.sqrt(variance))
 

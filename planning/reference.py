@@ -11,10 +11,9 @@ from scipy.interpolate import CubicSpline
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
+from planning.arc_length import averaged, even_steps
+from planning.path_kernels import feet_of, frames_at
 from planning.vectors import cross, dot, exp, unit
-
-KNOT = 0.002
-"""Spacing of the spline's knots [m]; the curvature is piecewise linear between them."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +25,14 @@ class PathFrames:
         tangent: unit vectors of travel.
         normal: unit vectors to the left in the surface; lateral deviations count along them.
         up: unit vectors out of the surface.
+        curvature: in the surface, positive to the left ``(m,)`` [1/m]; 0 beyond the ends.
     """
 
     position: Array
     tangent: Array
     normal: Array
     up: Array
+    curvature: Array
 
 
 class ReferencePath:
@@ -73,7 +74,7 @@ class ReferencePath:
         points, chord = points[keep], np.concatenate([[0.0], np.cumsum(step[step > 1e-9])])
         if len(points) < 2 or chord[-1] < 0.01:
             raise InputError("the path is shorter than 10 mm", field="path", value=float(chord[-1]))
-        even, knots = _even(points, chord, smoothing)
+        even, knots = even_steps(points, chord, smoothing)
         self.length = float(knots[-1])
         self._knot = float(knots[1] - knots[0])
         spline = CubicSpline(knots, even)
@@ -81,38 +82,38 @@ class ReferencePath:
         zero = np.zeros(3)
         before = [zero, zero, unit(spline(0.0, 1)), even[0]]
         after = [zero, zero, unit(spline(self.length, 1)), even[-1]]
-        self._cubics = np.concatenate([np.array(before)[:, None], spline.c, np.array(after)[:, None]], axis=1)
-        self._left = np.concatenate([[0.0], knots])
+        pieces = [np.array(before)[None], spline.c.transpose(1, 0, 2), np.array(after)[None]]
+        self._cubics = np.ascontiguousarray(np.concatenate(pieces))
         normals = (
             np.broadcast_to(np.asarray(up, dtype=float), (len(keep), 3)) if np.ndim(up) == 1 else np.asarray(up, float)
         )
         if normals.shape != (len(keep), 3):
             raise InputError("expected one surface normal, or one for each point", field="up", value=normals.shape)
-        self._flat = np.ndim(up) == 1
         normals = normals[keep] / np.linalg.norm(normals[keep], axis=1, keepdims=True)
         where = np.linspace(0.0, chord[-1], len(knots))
-        x, y, z = normals[0]
-        self._turn_left = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
-        self._up = CubicSpline(knots, np.column_stack([np.interp(where, chord, normals[:, i]) for i in range(3)]))
+        ups = CubicSpline(knots, np.column_stack([np.interp(where, chord, normals[:, i]) for i in range(3)]))
+        self._ups = np.ascontiguousarray(ups.c.transpose(1, 0, 2))
         self._start, self._turn = self._orientation(knots, turning, turn_smoothing, rotation)
-        self._table_s = np.linspace(-0.5, self.length + 0.5, round((self.length + 1.0) / KNOT) + 1)
-        self._table = self.position(self._table_s)
-        self._table_square = np.sum(self._table**2, axis=1)
 
     @classmethod
     def from_formula(cls, formula: Callable[[Array], Array], u0: float, u1: float, **options: object) -> ReferencePath:
         """The curve ``formula(u)``, ``(N,)`` to ``(N, 3)`` [m], for ``u`` from ``u0`` to ``u1``; options as above."""
         return cls(np.asarray(formula(np.linspace(u0, u1, 4001)), dtype=float), **options)  # type: ignore[arg-type]
 
+    def frames(self, s: Array | float) -> PathFrames:
+        """Points, tangents, lateral and surface normals and curvature at arc lengths ``s (m,)`` [m], or at one."""
+        at = np.asarray(s, dtype=float)
+        if at.ndim:
+            return PathFrames(*frames_at(self._cubics, self._ups, self._knot, at))
+        return PathFrames(*(values[0] for values in frames_at(self._cubics, self._ups, self._knot, at[None])))
+
     def position(self, s: Array | float) -> Array:
         """Points at arc lengths ``s (m,)`` [m], shape ``(m, 3)`` [m]; a single ``s`` gives ``(3,)``."""
-        c, u = self._piece(s)
-        return np.asarray(((c[0] * u + c[1]) * u + c[2]) * u + c[3])
+        return self.frames(s).position
 
     def tangent(self, s: Array | float) -> Array:
         """Unit vectors of travel at ``s``, shape ``(m, 3)``."""
-        c, u = self._piece(s)
-        return unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
+        return self.frames(s).tangent
 
     def up(self, s: Array | float) -> Array:
         """Unit normals of the surface at ``s``, made square to the tangent, shape ``(m, 3)``."""
@@ -122,30 +123,9 @@ class ReferencePath:
         """Unit lateral normals at ``s``: in the surface, to the left of the travel, shape ``(m, 3)``."""
         return self.frames(s).normal
 
-    def frames(self, s: Array | float) -> PathFrames:
-        """Points, tangents, lateral and surface normals at ``s``."""
-        c, u = self._piece(s)
-        tangent = unit((3.0 * c[0] * u + 2.0 * c[1]) * u + c[2])
-        position = ((c[0] * u + c[1]) * u + c[2]) * u + c[3]
-        return self._frames(s, position, tangent)
-
     def curvature(self, s: Array | float) -> Array:
         """Curvature in the surface [1/m], positive to the left, shape ``(m,)``; 0 beyond the ends."""
-        c, u = self._piece(s)
-        return np.asarray(dot(6.0 * c[0] * u + 2.0 * c[1], self.normal(s)))
-
-    def _piece(self, s: Array | float) -> tuple[Array, Array]:
-        """Coefficients ``(4, m, 3)`` of the cubics at ``s`` and the distance from their left ends ``(m, 1)``."""
-        i = np.floor(np.asarray(s) / self._knot).astype(np.intp) + 1
-        i = np.minimum(np.maximum(i, 0), self._cubics.shape[1] - 1)
-        return self._cubics[:, i], np.asarray(s - self._left[i])[..., None]
-
-    def _frames(self, s: Array | float, position: Array, tangent: Array) -> PathFrames:
-        if self._flat:
-            normal = unit(tangent @ self._turn_left)
-        else:
-            normal = unit(cross(self._up(np.clip(s, 0.0, self.length)), tangent))
-        return PathFrames(position, tangent, normal, cross(tangent, normal))
+        return self.frames(s).curvature
 
     def rotation(self, s: Array | float) -> Array:
         """Tool orientations at ``s``, shape ``(m, 3, 3)``; constant beyond the ends."""
@@ -169,21 +149,9 @@ class ReferencePath:
             span: how far from there [m].
 
         Returns:
-            arc length of the foot ``(m,)``, lateral deviation along ``normal`` and height along ``up`` ``(m,)`` [m].
+            arc length of the foot, lateral deviation along ``normal`` and height along ``up``, ``(m,)`` each [m].
         """
-        first, last = np.searchsorted(self._table_s, [s_near - span, s_near + span])
-        first = min(first, len(self._table_s) - 2)
-        table = self._table[first : max(last, first + 2)]
-        # |a - b|² up to |a|², which does not matter for the minimum over b.
-        distance = self._table_square[first : max(last, first + 2)] - 2.0 * points @ table.T
-        s = self._table_s[first + np.argmin(distance, axis=1)]
-        for _ in range(2):
-            c, u = self._piece(s)
-            velocity = (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
-            away = points - (((c[0] * u + c[1]) * u + c[2]) * u + c[3])
-            bend = dot(6.0 * c[0] * u + 2.0 * c[1], away)
-            # Newton on (x - p(s))·p'(s) = 0; the curvature term is kept away from the centre of curvature.
-            s = s + dot(away, velocity) / np.maximum(dot(velocity, velocity) - bend, 0.3)
+        s = feet_of(self._cubics, self._knot, points, s_near - span, s_near + span)
         frames = self.frames(s)
         away = points - frames.position
         return s, dot(away, frames.normal), dot(away, frames.up)
@@ -199,7 +167,7 @@ class ReferencePath:
         ahead = unit(mean - np.sum(mean * frames.up, axis=1)[:, None] * frames.up)
         left = cross(frames.up, ahead)
         heading = np.unwrap(np.arctan2(np.sum(frames.tangent * left, axis=1), np.sum(frames.tangent * ahead, axis=1)))
-        heading = turning * _averaged(heading[:, None], round(turn_smoothing / (knots[1] - knots[0])))[:, 0]
+        heading = turning * averaged(heading[:, None], round(turn_smoothing / (knots[1] - knots[0])))[:, 0]
         x = np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left
         R = np.stack([x, cross(x, frames.up), -frames.up], axis=2)
         if rotation is not None:
@@ -214,46 +182,3 @@ class ReferencePath:
                 axis = w[i] / angle
                 w[i] = axis * (angle + 2 * np.pi * round((float(w[i - 1] @ axis) - angle) / (2 * np.pi)))
         return R[0], CubicSpline(knots, w)
-
-
-def _even(points: Array, chord: Array, smoothing: float) -> tuple[Array, Array]:
-    """Averages the points and gives them even steps of arc length: points ``(K, 3)`` and arc lengths ``(K,)``."""
-    fine = max(round(chord[-1] / 0.0005), 20)
-    grid = np.linspace(0.0, chord[-1], fine + 1)
-    # Sparse points are corners of a polygon, dense ones a curve.
-    dense = len(points) > 50
-    curve = (
-        CubicSpline(chord, points)(grid)
-        if dense
-        else np.column_stack([np.interp(grid, chord, points[:, i]) for i in range(3)])
-    )
-    curve = _averaged(
-        _averaged(curve, round(0.5 * smoothing / (grid[1] - grid[0]))), round(0.5 * smoothing / (grid[1] - grid[0]))
-    )
-    for _ in range(3):
-        s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-        spline = CubicSpline(s, curve)
-        # Chords are shorter than arcs: Gauss' rule on each piece gives the arc length that the spline really has.
-        node, weight = np.polynomial.legendre.leggauss(3)
-        half = 0.5 * np.diff(s)
-        at = s[:-1, None] + half[:, None] * (1.0 + node)
-        s = np.concatenate([[0.0], np.cumsum(half * (np.linalg.norm(spline(at, 1), axis=2) @ weight))])
-        count = max(round(s[-1] / KNOT), 10)
-        knots = np.linspace(0.0, s[-1], count + 1)
-        curve = CubicSpline(s, curve)(knots)
-        if len(curve) == len(s):
-            break
-    return curve, np.linspace(0.0, s[-1], len(curve))
-
-
-def _averaged(values: Array, width: int) -> Array:
-    """Moving average over ``width`` samples; beyond the ends the values go on by point reflection, so the ends stay."""
-    half = width // 2
-    if half < 1:
-        return values
-    half = min(half, len(values) - 1)
-    before, after = 2 * values[:1] - values[half:0:-1], 2 * values[-1:] - values[-2 : -half - 2 : -1]
-    padded = np.concatenate([before, values, after])
-    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
-    window = 2 * half + 1
-    return (total[window:] - total[:-window]) / window
