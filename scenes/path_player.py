@@ -30,6 +30,7 @@ class Play:
 
     Attributes:
         errors: of the true TCP while the path counts.
+        motor_errors: of the TCP the motor angles tell of, elastic gears unseen: what [G] could measure.
         t, tcp: the true TCP positions ``(M,)`` [s], ``(M, 3)`` [m].
         q_c: commands handed over ``(N, n)`` [rad].
         q_a, q_m: true arm and motor angles at the cycles ``(N, n)`` [rad].
@@ -40,6 +41,7 @@ class Play:
     """
 
     errors: PathErrors
+    motor_errors: PathErrors
     t: Array
     tcp: Array
     q_c: Array
@@ -72,12 +74,14 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
         wall = time.perf_counter() - begun
         history = arm.history()
         recording = arm.recording(external=True)
-        tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
+        tcp, of_motors = (np.array([arm.tcp_of(q).translation for q in history[name]]) for name in ("q_a", "q_m"))
     every = round(world.t_ipo / (history["t"][1] - history["t"][0]))
     wanted = np.repeat(q_d, every, axis=0)[: len(recording.t)]
     columns = {**recording.columns, **{f"q_d_{i + 1}": wanted[:, i].copy() for i in range(robot.n)}}
+    wanted_t, wanted_x = path.t[path.counts], path.x_d[path.counts]
     return Play(
-        errors=path_errors(path.t[path.counts], path.x_d[path.counts], history["t"], tcp),
+        errors=path_errors(wanted_t, wanted_x, history["t"], tcp),
+        motor_errors=path_errors(wanted_t, wanted_x, history["t"], of_motors),
         t=history["t"], tcp=tcp, q_c=q_c, q_a=history["q_a"][::every], q_m=history["q_m"][::every],
         recording=Recording(columns, recording.meta, recording.source), cycle_times=times, wall=wall, state=current)
 

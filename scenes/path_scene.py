@@ -14,7 +14,7 @@ from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
 from planning.errors import OutOfReachError
 from planning.kinematics import InverseKinematics
-from scenes.path_shapes import SHAPES, shape_of
+from scenes.path_shapes import shape_of
 from scenes.scene import Scene
 from scenes.tool_path import ToolPath, tool_path
 
@@ -130,6 +130,3 @@ def _check_speed(q: Array, robot: Robot, t_ipo: float) -> None:
 
 def _about(axis: list[float], degrees: float) -> Array:
     return np.asarray(pin.exp3(np.radians(degrees) * np.array(axis)))
-
-
-__all__ = ["REST_AFTER", "REST_BEFORE", "SHAPES", "Figure", "JointPath", "Paper", "PathScene", "joint_path"]

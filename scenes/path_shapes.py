@@ -39,10 +39,6 @@ def edge(length: float, radius: float) -> Shape:
     return Shape((-length, 0.0), (Line((-radius, 0.0)), Arc((-radius, radius), np.pi / 2), Line((0.0, length))))
 
 
-SHAPES = ("iso9283", "triangle", "circle", "edge")
-"""Names of the figures in scene files."""
-
-
 def shape_of(name: str, size: float) -> Shape:
     """The figure ``name`` of a characteristic ``size`` [m]: edge, edge, diameter, side."""
     if name == "edge":
