@@ -14,7 +14,7 @@ import numpy as np
 from ideal_robot.robot import Robot
 from sim.arm import SimulatedArm
 from sim.bullet import pybullet
-from sim.drive import drive_step
+from sim.kernel import drive_step
 from sim.world import STEP, World
 
 SECONDS = 6.0

@@ -12,28 +12,11 @@ import pinocchio as pin
 from ideal_robot.interface import Array, RobotState
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
+from sim import kernel
 from sim.body import load_links, start_physics
 from sim.bullet import pybullet
 from sim.checks import checked_command, checked_posture, require_integrable
-from sim.controller import C_INCREMENT, X_END, X_START
-from sim.drive import (
-    L_ANGLE,
-    L_EXTRA,
-    L_TORQUE,
-    L_VELOCITY,
-    LOGGED,
-    P_ELASTIC,
-    P_NOISE,
-    P_PHASE,
-    P_UNEVEN,
-    P_UNEVEN_ORDER,
-    X_CURRENT,
-    X_MOTOR,
-    X_MOTOR_VELOCITY,
-    drive_parameters,
-    drive_start,
-    drive_step,
-)
+from sim.drive import drive_parameters, drive_start
 from sim.errors import SimError
 from sim.history import hermite_pose, recording_of
 from sim.individual import draw_individual
@@ -94,7 +77,7 @@ class SimulatedArm:
         self._model = self._individual.model
         self._p, self._shared, self._counts = drive_parameters(
             world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.phase)
-        self._elastic = self._p[P_ELASTIC] > 0.0
+        self._elastic = self._p[kernel.P_ELASTIC] > 0.0
         self._rotor_of_rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
         self._any_rigid = bool(np.any(self._rotor_of_rigid > 0.0))
         self._with_rotors = self._model.copy()
@@ -120,7 +103,7 @@ class SimulatedArm:
         q0 = checked_posture(self.robot, q0)
         n = self.robot.n
         stiffness = np.where(self._elastic, self.world.per_joint("stiffness", n), np.inf)
-        output = q0 + self._p[P_UNEVEN] * np.sin(self._p[P_UNEVEN_ORDER] * q0 + self._p[P_PHASE])
+        output = q0 + self._p[kernel.P_UNEVEN] * np.sin(self._p[kernel.P_UNEVEN_ORDER] * q0 + self._p[kernel.P_PHASE])
         q_a = output.copy()
         for _ in range(30):
             holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a)
@@ -130,9 +113,9 @@ class SimulatedArm:
         self._tick = 0
         self._pending = q0.copy()
         self._links = np.zeros((4, n))
-        self._links[L_ANGLE] = q_a
-        self._q_a, self._qd_a = self._links[L_ANGLE], self._links[L_VELOCITY]
-        self._log = np.zeros((2048, 1 + len(LOGGED) * n))
+        self._links[kernel.L_ANGLE] = q_a
+        self._q_a, self._qd_a = self._links[kernel.L_ANGLE], self._links[kernel.L_VELOCITY]
+        self._log = np.zeros((2048, 1 + len(kernel.LOGGED) * n))
         self._rows = 0
         for joint in self._joints:
             pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
@@ -150,8 +133,8 @@ class SimulatedArm:
         """
         q_c = checked_command(self.robot, q_c, self._pending, self.t_ipo)
         x = self._x
-        x[X_START] = x[X_END]
-        x[X_END] = self._pending if self.world.correction_delay else q_c
+        x[kernel.X_START] = x[kernel.X_END]
+        x[kernel.X_END] = self._pending if self.world.correction_delay else q_c
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
         self._reserve()
@@ -162,14 +145,17 @@ class SimulatedArm:
         """The steps of one cycle: 2000 of them make a second, so names are looked up before the loop."""
         client, body, joints = self.client, self.body, self._joints
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
-        q_a, qd_a, torque = self._q_a, self._qd_a, links[L_TORQUE]
-        every, rigid, extra_torque, hook = int(counts[3]), self._any_rigid, self.world.extra_torque, self.step_hook
+        q_a, qd_a, torque = self._q_a, self._qd_a, links[kernel.L_TORQUE]
+        every, rigid = int(counts[kernel.N_LOG]), self._any_rigid
+        extra_torque, hook = self.world.extra_torque, self.step_hook
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
                                                pybullet.getJointStates, pybullet.TORQUE_CONTROL)
+        drive_step = kernel.drive_step
         for line in noise[:-1]:
             tick = self._tick
             if extra_torque is not None:
-                links[L_EXTRA] = extra_torque(tick * STEP, x[X_MOTOR].copy(), x[X_MOTOR_VELOCITY].copy(), q_a.copy())
+                links[kernel.L_EXTRA] = extra_torque(tick * STEP, x[kernel.X_MOTOR].copy(),
+                                                     x[kernel.X_MOTOR_VELOCITY].copy(), q_a.copy())
             drive_step(tick, p, s, counts, x, links, line, self._log[self._rows])
             if tick % every == 0:
                 self._rows += 1
@@ -187,14 +173,14 @@ class SimulatedArm:
 
     def _state(self, noise: Array) -> RobotState:
         """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""
-        q = np.where(self._elastic, self._x[X_MOTOR], self._q_a)
+        q = np.where(self._elastic, self._x[kernel.X_MOTOR], self._q_a)
         if self.world.quantisation:
-            increment = self._p[C_INCREMENT]
+            increment = self._p[kernel.C_INCREMENT]
             q = np.floor(q / increment + 0.5) * increment
         if not (np.abs(q) < 1.0e3).all():
             raise SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
                            "make it unstable (check stiffness, damping and controller gains)")
-        return RobotState(self.t, q, self._x[X_CURRENT] + self._p[P_NOISE] * noise)
+        return RobotState(self.t, q, self._x[kernel.X_CURRENT] + self._p[kernel.P_NOISE] * noise)
 
     @property
     def t(self) -> float:
@@ -209,7 +195,7 @@ class SimulatedArm:
     @property
     def truth(self) -> TrueState:
         """The true arm now."""
-        q_m = np.where(self._elastic, self._x[X_MOTOR], self._q_a)
+        q_m = np.where(self._elastic, self._x[kernel.X_MOTOR], self._q_a)
         return TrueState(self.t, self._q_a.copy(), q_m, self.tcp_of(self._q_a))
 
     def tcp_of(self, q_a: Array) -> pin.SE3:
@@ -231,7 +217,7 @@ class SimulatedArm:
         ``temperature``."""
         n, log = self.robot.n, self._log[: self._rows]
         return {"t": log[:, 0].copy(),
-                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(LOGGED)}}
+                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(kernel.LOGGED)}}
 
     def recording(self, external: bool = False) -> Recording:
         """What a controller would have logged, every ``world.log_cycle``: ``t``, ``q_c_i``, ``q_i``, ``tau_i``,

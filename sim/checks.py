@@ -8,7 +8,7 @@ import pinocchio as pin
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
-from sim.drive import P_ELASTIC, P_ROTOR, P_STIFFNESS
+from sim.kernel import P_ELASTIC, P_ROTOR, P_STIFFNESS
 from sim.world import STEP
 
 

@@ -9,36 +9,10 @@ Bristles (LuGre, Canudas de Wit et al. 1995) carry the dry part, an Eyring fluid
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit
 
 from ideal_robot.interface import Array
 from sim.world import World
-
-
-@njit(cache=True, inline="always")
-def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> float:
-    """Bristle deflection after ``dt`` at constant velocity: the exact solution, so stable at any step."""
-    if v == 0.0:
-        return z
-    settled = g / sigma0 if v > 0.0 else -g / sigma0
-    return settled + (z - settled) * math.exp(-abs(v) * sigma0 * dt / g)
-
-
-@njit(cache=True, inline="always")
-def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymmetry: float) -> float:
-    """Level g(v) of dry friction at the reference temperature and without load [N m]."""
-    side = 1.0 + asymmetry if v > 0.0 else 1.0 - asymmetry
-    ratio = v / v_stribeck
-    return side * (coulomb + surplus * math.exp(-ratio * ratio))
-
-
-@njit(cache=True, inline="always")
-def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: float) -> float:
-    """Fluid friction at the reference temperature [N m]."""
-    return viscous * v + degressive * math.asinh(v / v_degressive)
 
 
 def steady_friction(world: World, n: int, velocity: Array, temperature: float | None = None) -> Array:

@@ -10,10 +10,14 @@ from scipy.spatial.transform import Rotation
 from ideal_robot.interface import Array
 from ideal_robot.recording import Recording
 from sim.errors import SimError
+from sim.kernel import LOGGED, N_LOG
 from sim.world import STEP
 
 if TYPE_CHECKING:
     from sim.arm import SimulatedArm
+
+
+_ANGLE, _SPEED = LOGGED.index("q_a"), LOGGED.index("qd_a")
 
 
 def hermite_pose(arm: SimulatedArm, t: float) -> Array:
@@ -27,11 +31,12 @@ def hermite_pose(arm: SimulatedArm, t: float) -> Array:
     log, rows, n = arm._log, arm._rows, arm.robot.n
     if rows == 0:
         return arm._q_a.copy()
-    step = int(arm._counts[3]) * STEP
+    step = int(arm._counts[N_LOG]) * STEP
     i = min(int(t / step), rows - 1)
-    t0, q0, v0 = log[i, 0], log[i, 1 + 4 * n: 1 + 5 * n], log[i, 1 + 5 * n: 1 + 6 * n]
+    angle, speed = (slice(1 + column * n, 1 + (column + 1) * n) for column in (_ANGLE, _SPEED))
+    t0, q0, v0 = log[i, 0], log[i, angle], log[i, speed]
     if i + 1 < rows:
-        t1, q1, v1 = log[i + 1, 0], log[i + 1, 1 + 4 * n: 1 + 5 * n], log[i + 1, 1 + 5 * n: 1 + 6 * n]
+        t1, q1, v1 = log[i + 1, 0], log[i + 1, angle], log[i + 1, speed]
     else:
         t1, q1, v1 = arm.t, arm._q_a, arm._qd_a
     h = t1 - t0
@@ -46,7 +51,7 @@ def recording_of(arm: SimulatedArm, external: bool) -> Recording:
     """The recording of an arm, see ``SimulatedArm.recording``."""
     world, robot = arm.world, arm.robot
     history = arm.history()
-    every = max(1, round(world.log_cycle / (int(arm._counts[3]) * STEP)))
+    every = max(1, round(world.log_cycle / (int(arm._counts[N_LOG]) * STEP)))
     t = history["t"][::every]
     columns: dict[str, Array] = {"q_c": history["q_c"][::every], "q": history["q"][::every],
                                  "tau": history["tau"][::every],

@@ -8,18 +8,9 @@ import numpy as np
 
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
-from sim.drive import (
-    L_ANGLE,
-    L_TORQUE,
-    L_VELOCITY,
-    LOGGED,
-    X_LUBRICANT,
-    X_TEMPERATURE,
-    drive_parameters,
-    drive_start,
-    drive_step,
-)
+from sim.drive import drive_parameters, drive_start
 from sim.friction import steady_friction
+from sim.kernel import L_ANGLE, L_TORQUE, L_VELOCITY, LOGGED, X_LUBRICANT, X_TEMPERATURE, drive_step
 from sim.world import STEP, World
 
 ROBOT = Robot.load("kr6")
