@@ -20,10 +20,11 @@ COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrecte
 """Methods that are drawn, and their colours on every page."""
 MAGNIFIED = 50
 """Factor on deviations in pictures of paths."""
-DEFINITION = ("Time-matched: against the desired position at the same instant. Aligned: after removing one constant "
-              "delay. Geometric: distance to the path. 'Less %' is the reduction against no correction without delay, of the "
-              "weaker of time-matched and aligned; 'by motors' is the aligned E_car that motor angles show, which is "
-              "what the paper could measure: elastic gears are invisible to it.")
+DEFINITION = (
+    "Time-matched: against the desired position at the same instant. Aligned: after removing one constant delay. "
+    "Geometric: distance to the path. 'Less %' is the reduction against no correction without delay, of the weaker of "
+    "time-matched and aligned; 'by motors' is the aligned E_car that motor angles show, which is what the paper could "
+    "measure: elastic gears are invisible to it.")
 
 
 def write_run(result: PathResult, out: Path) -> PathResult:

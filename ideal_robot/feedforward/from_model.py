@@ -14,6 +14,8 @@ from ideal_robot.robot import Robot
 
 _LAG_MAX = 0.01
 """Largest lag of the measured velocity that is believed [s]."""
+_FASTEST = 150.0
+"""A gear on which the rotor would oscillate faster than this counts as rigid [Hz]."""
 
 
 def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopModel:
@@ -51,7 +53,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         friction_load=np.array([law.coefficients[-1, 0] if law.loaded else 0.0 for law in laws]),
         friction_bend=np.array([law.shape[-1, 0] if law.presliding else 0.0 for law in laws]),
         offset=np.array(model.offset),
-        stiffness=np.full(n, np.inf) if model.stiffness is None else np.array(model.stiffness),
+        stiffness=_elastic(model),
         damping=np.zeros(n) if model.damping is None else np.array(model.damping),
         k_v=k_v, k_ff=k_ff, k_p=k_p, k_i=k_i,
         t_filter=np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX),
@@ -62,6 +64,14 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
         v_max=np.array(robot.v_max),
     )
+
+
+def _elastic(model: Model) -> Array:
+    """Stiffness ``(n,)`` [N m/rad]; ``inf`` where none is known or the gear cannot be told from a rigid one."""
+    if model.stiffness is None:
+        return np.full(model.n, np.inf)
+    rigid = model.stiffness > (2 * np.pi * _FASTEST) ** 2 * np.maximum(model.rotor_inertia, 1e-6)
+    return np.where(rigid, np.inf, model.stiffness)
 
 
 def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Array]:

@@ -31,8 +31,8 @@ class LinearInverse(Feedforward):
         limits: lowest and highest command ``(n,)`` each [rad]; None for none.
     """
 
-    def __init__(self, loop: LinearLoop, n_d: int = 30, *, past: int = 8, bandwidth: float = 4.0,
-                 regularisation: float = 1e-4, limits: tuple[Array, Array] | None = None) -> None:
+    def __init__(self, loop: LinearLoop, n_d: int = 30, *, past: int = 8, bandwidth: float = 3.0,
+                 regularisation: float = 1e-2, limits: tuple[Array, Array] | None = None) -> None:
         self.t_ipo, self.n_d, self.past, self._limits = loop.t_ipo, n_d, past, limits
         self.weights = np.column_stack([
             _preview_weights(loop.g[:, i], past, n_d, bandwidth * loop.t_ipo, regularisation) for i in range(loop.n)])
@@ -72,6 +72,11 @@ def _preview_weights(g: Array, past: int, n_d: int, corner: float, regularisatio
     moves = smooth - smooth_direct[:, None]
     estimate = InformationFilter(count)
     estimate.update(moves, smooth_wanted - smooth_direct, regularisation * float(np.linalg.norm(smooth_wanted)))
+    # Constant velocity and constant acceleration shall pass without error: first and second moment of the whole.
+    for order in (1, 2):
+        moment = lags.astype(float) ** order / 10.0**order
+        row, left = moment @ (series - direct[:, None]), -moment @ direct
+        estimate.update(row[None], np.array([left]), 1e-3 * regularisation)
     estimate.update(np.eye(count), np.zeros(count), 1.0)
     weights = estimate.solve()
     weights[past] = 0.0
