@@ -1,4 +1,4 @@
-"""Does a late camera matter? The same line with three latencies, with the ideal robot and with direct sensor feedback."""
+"""Does a late camera matter? Three latencies, with the ideal robot and with direct sensor feedback."""
 
 from scenes import load_scene
 from scenes.line_following import prepared, run

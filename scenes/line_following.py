@@ -22,6 +22,7 @@ from planning.line_follower import FollowerSettings, LineFollower
 from planning.reference import ReferencePath
 from planning.speed_profile import Limits, SpeedProfile
 from planning.stopping import stopping_rows
+from scenes.errors import SceneError
 from scenes.line_calibration import calibrate_by_moving
 from scenes.line_compare import LineComparison, compare_lines
 from scenes.line_recording import line_recording
@@ -31,6 +32,7 @@ from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from sensing.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.errors import SensingError
 from sensing.field import Field
 from sensing.hand_eye import HandEye
 from sensing.line_detection import DetectionSettings, LineField, detect_line, search_windows
@@ -82,6 +84,8 @@ class Prepared:
 
     camera: RenderedCamera
     hand_eye: HandEye | None
+    uncalibrated: str = ""
+    """Why there is no calibration although one was wanted; the run then goes on with the camera as mounted by hand."""
 
 
 @contextmanager
@@ -90,21 +94,23 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
 
     Raises:
         InputError: the scene cannot be played.
-        SceneError: the camera cannot be calibrated.
     """
     cell = set_up(scene)
     settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
                                  if key != "phase"})
     with RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera:
-        hand_eye = None
+        hand_eye, reason = None, ""
         if scene.calibration.by_moving:
             progress(0.0, "calibrating the camera")
             deflection = GearDeflection(model_for(scene, cell.robot), cell.world.t_ipo)
             middle = 0.5 * (scene.reference.run_up + cell.reference.length - scene.reference.run_out)
             with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
-                hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
-                                               _detection(cell))
-        yield Prepared(camera, hand_eye)
+                try:
+                    hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection,
+                                                   middle, _detection(cell))
+                except (SceneError, SensingError) as error:
+                    reason = str(error)
+        yield Prepared(camera, hand_eye, reason)
 
 
 def run(scene: LineScene, *, method: str | None = None, out: Path | None = None, progress: Progress = silent,
@@ -276,7 +282,7 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Pr
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(history["t"][-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
-        shown=tuple(log.shown), world=cell.world.table(), hand_eye=shared.hand_eye)
+        shown=tuple(log.shown), world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.uncalibrated)
 
 
 def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, progress: Progress) -> None:
@@ -287,6 +293,7 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
     under_way: list[Field] = []
     q = follower.q_start
     stopping: Iterator[Array] | None = None
+    still = 0
     last = np.tile(q, (N_D, 1))
     for k in range(count):
         t = k * T
@@ -328,7 +335,8 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
         elif k in picture_at:
             picture_at.discard(k)
             picture_at.add(k + 1)
-        if stopping is not None and np.allclose(last, last[0], atol=1e-9):
+        still = still + 1 if stopping is not None and np.allclose(last, last[0], atol=1e-9) else 0
+        if still * T > REST:
             break
         if k % 8 == 0:
             progress(k / count, loop.method)

@@ -55,6 +55,8 @@ def run_page(result: LineResult) -> Report:
         f"reference path and the camera was {1e3 * scene.camera.latency:.0f} ms late.")
     if result.failure:
         report.warning(f"The run ended early: {result.failure}")
+    if result.warning:
+        report.warning(result.warning)
     report.figures([("mean distance from the line", f"{mm['mean']:.3f} mm"), ("95 % within", f"{mm['p95']:.3f} mm"),
                     ("largest", f"{mm['max']:.3f} mm"),
                     ("fields used", f"{result.fields_used} of {result.fields_seen}"),

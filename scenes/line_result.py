@@ -114,7 +114,7 @@ class LineResult:
         failure: why the run ended early, or None.
         shown: fields for the report.
         world: the world's settings.
-        hand_eye: how the camera was calibrated before the run, if it was.
+        hand_eye: how the camera was calibrated before the run, if it was; warning: why not, if it should have been.
         recording_path, report: files written, if any.
     """
 
@@ -134,6 +134,7 @@ class LineResult:
     shown: tuple[FieldShown, ...] = field(repr=False, default=())
     world: dict[str, Any] = field(repr=False, default_factory=dict)
     hand_eye: HandEye | None = field(repr=False, default=None)
+    warning: str = ""
     recording_path: Path | None = None
     report: Path | None = None
 
@@ -147,6 +148,7 @@ class LineResult:
             "seed": self.scene.seed,
             "method": self.method,
             "failure": self.failure,
+            "warning": self.warning or None,
             "control_error_mm": self.control_error.json_mm(),
             "path_error_mm": errors.json_mm() if errors is not None
             else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},

@@ -1,0 +1,104 @@
+"""The command line: exit codes, one clear line for bad input, and what --json holds."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SHORT = """
+kind = "line"
+title = "short"
+speed = 0.7
+[surface]
+origin = [0.98, -0.6, 0.35]
+heading_deg = 90.0
+[line]
+points = [[0.4, 0.0], [0.8, 0.0]]
+"""
+
+
+def ideal_robot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "scenes.cli", *words], cwd=cwd, capture_output=True, text=True,
+                          check=False)
+
+
+def test_run_writes_what_json_names(tmp_path: Path) -> None:
+    (tmp_path / "short.toml").write_text(SHORT)
+    done = ideal_robot("run", "short", "--json", "figures.json", "--seed", "4", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert figures["scene"] == "short"
+    assert figures["seed"] == 4
+    assert figures["method"] == "ideal"
+    assert set(figures["control_error_mm"]) == {"mean", "p95", "max"}
+    for kind in ("time_matched", "aligned", "geometric"):
+        assert set(figures["path_error_mm"][kind]) == {"E_car", "E_max"}
+    assert {"seen", "used"} <= set(figures["fields"])
+    assert {"median", "p99", "max"} <= set(figures["cycle_time_ms"])
+    assert (tmp_path / figures["recording"]).is_file()
+    assert Path(figures["urdf"]).is_file()
+    assert figures["real_time_factor"] > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words", "says"),
+    [
+        (("title", "titel"), (), ("titel", "unknown key")),
+        (("[line]", "[line]\nsvg = 'M 0 0 L 1 1'"), (), ("line", "exactly one")),
+        (("speed = 0.7", "speed = -1"), (), ("speed", "greater than 0")),
+        (("[surface]", "[camera]\nlatency = -0.02\n[surface]"), (), ("camera.latency", "greater than or equal")),
+        (("0.98", "9.98"), (), ("surface.origin", "out of reach")),
+        (("kind", "kind = 'line'\nkind"), (), ("not a readable scene",)),
+        (("", ""), ("--speed", "9"), ("speed",)),
+        (("", ""), ("--speed", "-2"), ("--speed", "positive")),
+        (("", ""), ("--method", "magic"), ("method", "expected one of")),
+    ],
+)
+def test_bad_input_ends_with_two_and_one_clear_line(tmp_path: Path, change: tuple[str, str], words: tuple[str, ...],
+                                                    says: tuple[str, ...]) -> None:
+    (tmp_path / "short.toml").write_text(SHORT.replace(*change) if change[0] else SHORT)
+    done = ideal_robot("run", "short", *words, cwd=tmp_path)
+    assert done.returncode == 2, done.stdout + done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    for word in says:
+        assert word in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_scenes_of_one_name_are_refused(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.toml").write_text('name = "twin"\n' + SHORT)
+    done = ideal_robot("run", "twin", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "two scenes" in done.stderr
+    assert "a.toml" in done.stderr
+    assert "b.toml" in done.stderr
+
+
+def test_a_scene_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None:
+    done = ideal_robot("run", "lime", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "straight" in done.stderr
+
+
+def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(tmp_path: Path) -> None:
+    lost = SHORT.replace("[0.8, 0.0]]", "[1.1, 0.0]]") + '[[feature]]\nkind = "gap"\nat_mm = 450\nlength_mm = 500\n'
+    (tmp_path / "lost.toml").write_text(lost)
+    done = ideal_robot("run", "lost", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "line lost" in done.stderr
+    assert (tmp_path / "out" / "lost" / "recording.parquet").is_file()
+    assert (tmp_path / "out" / "lost" / "report.html").is_file()
+
+
+@pytest.mark.parametrize("verb", ["run", "compare", "sweep", "view"])
+def test_help_has_an_example(tmp_path: Path, verb: str) -> None:
+    done = ideal_robot(verb, "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "Example" in done.stdout
