@@ -76,7 +76,8 @@ class PoseHistory:
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``."""
-        step = 1e-3
-        before, after = self.pose(t - step), self.pose(t + step)
-        turn = pin.log3(after.rotation @ before.rotation.T)
-        return (after.translation - before.translation) / (2 * step), turn / (2 * step)
+        step, model, data = 1e-3, self._robot.model, self._data
+        rate = (self.q(t + step) - self.q(t - step)) / (2 * step)
+        pin.forwardKinematics(model, data, self.q(t), rate)
+        motion = pin.getFrameVelocity(model, data, self._robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
+        return motion.linear.copy(), motion.angular.copy()
