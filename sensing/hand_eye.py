@@ -9,8 +9,11 @@ With pixels u_ij of pose i, camera parameters θ and the intersection x_ij(θ) o
 
     min over θ, c of  Σ ((d(x_ij(θ)) - B(s(x_ij(θ))) c) / σ_ij)² + Σ (θ_k / σ_k)²
 
-d and s being lateral distance from and arc length on the reference path. c is eliminated by projecting on the
-complement of B's columns.
+d and s being lateral distance from and arc length on the reference path: Gauss-Newton over θ and c together, with
+
+    ∂d/∂θ = n · ∂x/∂θ,   ∂s/∂θ = t · ∂x/∂θ
+
+n, t the reference's normal and tangent at the foot of x.
 """
 
 from __future__ import annotations
@@ -21,7 +24,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BSpline
-from scipy.optimize import least_squares
 
 from ideal_robot.interface import Array
 from sensing.camera_model import CameraModel
@@ -140,24 +142,28 @@ def calibrate(
     problem = _Problem(camera, observations, Polyline(reference), np.asarray(normal, dtype=float), names, knot)
     if len(observations) < 3 or problem.count < len(names) + 10:
         raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
-    zero = np.zeros(len(names))
-    before = problem.line_residual(zero)
-    solution = zero
+    before = problem.solve(np.zeros(len(names)), scale, steps=0)
     # Twice: the second time without what contradicts the first result.
-    for _ in range(2):
-        fit = least_squares(lambda x: np.concatenate([problem.residual(x * scale), x]), solution / scale, x_scale=1.0)
-        solution = fit.x * scale
-        problem.drop_outliers(solution)
-    spread = max(1.0, float(np.sqrt(np.mean(problem.residual(solution) ** 2))))
-    covariance = np.linalg.inv(fit.jac.T @ fit.jac) * np.outer(scale, scale) * spread**2
-    values = dict(zip(names, (float(v) for v in solution), strict=True))
-    offset = values.get("time_offset", 0.0)
+    first = problem.solve(np.zeros(len(names)), scale)
+    problem.drop_outliers(first.residual)
+    fit = problem.solve(first.values, scale)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    values = dict(zip(names, (float(v) for v in fit.values), strict=True))
     corrected = camera.perturbed(**{name: value for name, value in values.items() if name != "time_offset"})
     return HandEye(
-        corrected, offset, values, dict(zip(names, (float(v) for v in np.sqrt(np.diag(covariance))), strict=True)),
-        covariance, float(np.sqrt(np.mean(before**2))),
-        float(np.sqrt(np.mean(problem.line_residual(solution) ** 2))), problem.count,
+        corrected, values.get("time_offset", 0.0), values, dict(zip(names, (float(v) for v in sigma), strict=True)),
+        fit.covariance, before.rms, fit.rms, problem.count,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters, their covariance, residuals in units of sigma ``(count,)`` and their root mean square [m]."""
+
+    values: Array
+    covariance: Array
+    residual: Array
+    rms: float
 
 
 class _Problem:
@@ -168,15 +174,20 @@ class _Problem:
         names: list[str], knot: float,
     ) -> None:  # fmt: skip
         self.camera, self.reference, self.normal, self.names = camera, reference, normal, names
-        counts = [len(o.pixels) for o in observations]
-        self.pixels = np.concatenate([np.empty((0, 2)), *(o.pixels for o in observations)])
-        self.sigma = np.concatenate([np.empty(0), *(o.sigma for o in observations)])
-        self.observations = observations
-        self.owner = np.repeat(np.arange(len(counts)), counts)
+        found = [np.isfinite(o.pixels).all(axis=1) & np.isfinite(o.sigma) for o in observations]
+        seen = list(zip(observations, found, strict=True))
+        self.pixels = np.concatenate([np.empty((0, 2)), *(o.pixels[f] for o, f in seen)])
+        self.sigma = np.concatenate([np.empty(0), *(o.sigma[f] for o, f in seen)])
+        self.rotation = np.array([o.pose.rotation for o in observations]).reshape(-1, 3, 3)
+        self.position = np.array([o.pose.translation for o in observations]).reshape(-1, 3)
+        self.velocity = np.array([o.velocity for o in observations]).reshape(-1, 3)
+        turning = np.array([pin.skew(o.angular_velocity) for o in observations]).reshape(-1, 3, 3)
+        self.rotation_rate = turning @ self.rotation
+        self.owner = np.repeat(np.arange(len(found)), [int(f.sum()) for f in found])
         self.offset = float(normal @ reference.points[0])
-        self.good = np.isfinite(self.pixels).all(axis=1) & np.isfinite(self.sigma)
+        self.good = np.ones(len(self.pixels), dtype=bool)
         if self.count:
-            s = self._on_reference(np.zeros(len(names)))[0][self.good]
+            s = self.reference.nearest(self._on_surface(np.zeros(len(names))), self.normal).s
             low, high = s.min() - 0.5 * knot, s.max() + 0.5 * knot
             inner = np.linspace(low, high, max(int((high - low) / knot), 2) + 1)
             self.knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
@@ -185,41 +196,58 @@ class _Problem:
     def count(self) -> int:
         return int(self.good.sum())
 
-    def _on_reference(self, values: Array) -> tuple[Array, Array]:
-        """Arc length and lateral distance of all points on the reference, with the parameters' corrections."""
+    def _on_surface(self, values: Array) -> Array:
+        """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
         given = dict(zip(self.names, values, strict=True))
         delay = given.pop("time_offset", 0.0)
         camera = self.camera.perturbed(**given)
         T = camera.T_tool_camera
         directions = camera.rays(self.pixels) @ T.rotation.T
-        rotation = np.array([pin.exp3(delay * o.angular_velocity) @ o.pose.rotation for o in self.observations])
-        position = np.array([o.pose.translation + delay * o.velocity for o in self.observations])
+        # To first order in the delay: milliseconds at a few rad/s.
+        rotation = self.rotation + delay * self.rotation_rate
+        position = self.position + delay * self.velocity
         ray = np.einsum("ijk,ik->ij", rotation[self.owner], directions)
         origin = (position + rotation @ T.translation)[self.owner]
         depth = (self.offset - origin @ self.normal) / (ray @ self.normal)
-        found = self.reference.nearest(origin + depth[:, None] * ray, self.normal)
-        return found.s, found.lateral
+        return np.asarray(origin + depth[:, None] * ray)
 
-    def _projected(self, values: Array) -> Array:
-        """Residuals of the good points over their sigma, the common curve taken out."""
-        s, d = (a[self.good] for a in self._on_reference(values))
-        weight = 1.0 / self.sigma[self.good]
-        inside = np.clip(s, self.knots[0] + 1e-9, self.knots[-1] - 1e-9)
-        B = BSpline.design_matrix(inside, self.knots, 3).toarray() * weight[:, None]
-        # A touch of ridge keeps spline pieces that no point touches harmless; 10 mm at most is expected of them.
-        ridge = np.vstack([B, np.eye(B.shape[1]) / 0.03])
-        c = np.linalg.lstsq(ridge, np.concatenate([d * weight, np.zeros(B.shape[1])]), rcond=None)[0]
-        return np.asarray(d * weight - B @ c)
+    def solve(self, values: Array, scale: Array, steps: int = 6) -> _Fit:
+        """Gauss-Newton steps from ``values``; with none, only the common curve is fitted."""
+        n = len(values)
+        for step in range(steps + 1):
+            x = self._on_surface(values)
+            found = self.reference.nearest(x, self.normal)
+            tangent = self.reference.at(found.s)[1]
+            left = np.cross(self.normal, tangent)
+            weight = self.good / self.sigma
+            inside = np.clip(found.s, self.knots[0] + 1e-9, self.knots[-1] - 1e-9)
+            B = weight[:, None] * BSpline.design_matrix(inside, self.knots, 3).toarray()
+            d = found.lateral * weight
+            # A weak prior of 30 mm keeps spline pieces that no point touches harmless.
+            c = np.linalg.solve(B.T @ B + np.eye(B.shape[1]) / 0.03**2, B.T @ d)
+            residual = d - B @ c
+            slope = BSpline(self.knots, c, 3)(inside, 1)
+            J = np.empty((len(x), n + B.shape[1]))
+            J[:, n:] = -B
+            for k in range(n):
+                moved = values.copy()
+                moved[k] += 1e-3 * scale[k]
+                dx = (self._on_surface(moved) - x) / 1e-3
+                change = np.einsum("ij,ij->i", left, dx) - slope * np.einsum("ij,ij->i", tangent, dx)
+                J[:, k] = weight * change
+            A = J.T @ J + np.diag(np.concatenate([np.ones(n), np.full(B.shape[1], 1.0 / 0.03**2)]))
+            if step == steps:
+                break
+            gradient = J.T @ residual
+            gradient[:n] += values / scale
+            gradient[n:] += c / 0.03**2
+            values = values - scale * np.linalg.solve(A, gradient)[:n]
+        used = residual[self.good]
+        spread = max(1.0, float(np.sqrt(np.mean(used**2))))
+        covariance = np.linalg.inv(A)[:n, :n] * np.outer(scale, scale) * spread**2
+        return _Fit(values, covariance, used, float(np.sqrt(np.mean((used * self.sigma[self.good]) ** 2))))
 
-    def residual(self, values: Array) -> Array:
-        """In units of sigma ``(count,)``."""
-        return self._projected(values)
-
-    def line_residual(self, values: Array) -> Array:
-        """Distance from the common curve ``(count,)`` [m]."""
-        return self._projected(values) * self.sigma[self.good]
-
-    def drop_outliers(self, values: Array) -> None:
-        r = np.abs(self.residual(values))
+    def drop_outliers(self, residual: Array) -> None:
+        r = np.abs(residual)
         limit = 5.0 * max(1.0, 1.4826 * float(np.median(r)))
         self.good[np.flatnonzero(self.good)[r > limit]] = False

@@ -141,7 +141,7 @@ class RenderedCamera:
         settings: exposure, noise, timing.
         rng: seeds the camera's noise. Every field draws from a stream of its own, so that a field is the same
             whatever was asked before.
-        texture: painted surface; made from ``surface`` if not given.
+        texture: painted surface; made from ``surface`` if not given, and kept as ``texture`` for another camera on it.
     """
 
     def __init__(
@@ -156,9 +156,9 @@ class RenderedCamera:
         self._key = int(rng.integers(2**63))
         self._offsets = _inside(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
-        texture = paint(surface, settings.resolution) if texture is None else texture
+        self.texture = paint(surface, settings.resolution) if texture is None else texture
         with quiet():
-            self._load(texture)
+            self._load(self.texture)
 
     def __enter__(self) -> RenderedCamera:
         return self
