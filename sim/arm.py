@@ -20,6 +20,7 @@ from sim.drive import drive_parameters, drive_start
 from sim.errors import SimError
 from sim.history import hermite_pose, recording_of
 from sim.individual import draw_individual
+from sim.rotors import RigidRotors
 from sim.world import STEP, World
 
 
@@ -43,10 +44,8 @@ class TrueState:
 class SimulatedArm:
     """A ``RobotInterface`` to an arm in a ``World``.
 
-    With elastic gears PyBullet's links are driven by the gear torques. With rigid gears the rotor turns with its
-    link: its reflected inertia J belongs on the diagonal of the mass matrix, which PyBullet does not offer, so the
-    link gets the torque τ - J q̈ with q̈ from Pinocchio's forward dynamics of the same links plus rotors. That is
-    exact as long as nothing else touches the arm; contact needs elastic gears.
+    With elastic gears PyBullet's links are driven by the gear torques, with rigid gears by what the motors leave them
+    after accelerating their rotors (``RigidRotors``).
 
     Args:
         robot: the robot as its maker describes it.
@@ -78,11 +77,6 @@ class SimulatedArm:
         self._p, self._shared, self._counts = drive_parameters(
             world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.phase)
         self._elastic = self._p[kernel.P_ELASTIC] > 0.0
-        self._rotor_of_rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
-        self._any_rigid = bool(np.any(self._rotor_of_rigid > 0.0))
-        self._with_rotors = self._model.copy()
-        self._with_rotors.armature = self._rotor_of_rigid
-        self._dynamics = self._with_rotors.createData()
         self._kinematics = self._model.createData()
         require_integrable(self._model, robot.home, self._p)
         self._steps_per_cycle = round(world.t_ipo / STEP)
@@ -91,6 +85,7 @@ class SimulatedArm:
         self.tool_link = int(frame.parentJoint) - 1
         self.tool_offset: pin.SE3 = frame.placement.copy()
         self.step_hook: Callable[[float], None] | None = None
+        self._touchable = tool_radius is not None
         self.client = start_physics()
         self.body = load_links(self._model, self.client, self.tool_offset if tool_radius else None, tool_radius or 0.0)
         self.reset(robot.home if q0 is None else q0)
@@ -110,6 +105,8 @@ class SimulatedArm:
             q_a = output - holding / stiffness
         q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
         self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
+        rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
+        self._rotors = RigidRotors(self._model, rigid) if rigid.any() else None
         self._tick = 0
         self._pending = q0.copy()
         self._links = np.zeros((4, n))
@@ -146,8 +143,9 @@ class SimulatedArm:
         client, body, joints = self.client, self.body, self._joints
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
         q_a, qd_a, torque = self._q_a, self._qd_a, links[kernel.L_TORQUE]
-        every, rigid = int(counts[kernel.N_LOG]), self._any_rigid
+        every, rotors = int(counts[kernel.N_LOG]), self._rotors
         extra_torque, hook = self.world.extra_torque, self.step_hook
+        touched = hook is not None or self._touchable
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
                                                pybullet.getJointStates, pybullet.TORQUE_CONTROL)
         drive_step = kernel.drive_step
@@ -159,16 +157,18 @@ class SimulatedArm:
             drive_step(tick, p, s, counts, x, links, line, self._log[self._rows])
             if tick % every == 0:
                 self._rows += 1
-            if rigid:
-                acceleration = pin.aba(self._with_rotors, self._dynamics, q_a, qd_a, torque)
-                torque -= self._rotor_of_rigid * acceleration
+            if rotors is not None:
+                rotors.share(q_a, qd_a, torque)
             set_torques(body, joints, mode, forces=torque.tolist(), physicsClientId=client)
             if hook is not None:
                 hook(tick * STEP)
             step(client)
             states = get_states(body, joints, client)
+            speed = [state[1] for state in states]
+            if touched and rotors is not None:
+                rotors.feel(q_a, qd_a, np.array(speed), torque)
             q_a[:] = [state[0] for state in states]
-            qd_a[:] = [state[1] for state in states]
+            qd_a[:] = speed
             self._tick = tick + 1
 
     def _state(self, noise: Array) -> RobotState:

@@ -9,7 +9,7 @@ import pytest
 from ideal_robot.robot import Robot
 from sim.arm import SimulatedArm
 from sim.bullet import pybullet
-from sim.world import World
+from sim.world import STEP, World
 
 ROBOT = Robot.load("kr6")
 # Without friction the motors return exactly to their command, so what is left of a force is the gears' twist.
@@ -59,3 +59,38 @@ def test_a_ball_at_the_tcp_presses_on_a_table() -> None:
         assert points[0][3] == arm.tool_link
     assert force == pytest.approx(2e4 * sunk, rel=0.1)
     assert force > 5.0
+
+
+def test_rigid_rotors_feel_what_touches_the_links() -> None:
+    """A push on the ideal arm moves links and rotors as Pinocchio says links with rotors move under it."""
+    model = ROBOT.model.copy()
+    model.armature = ROBOT.rotor_inertia
+    data = model.createData()
+    with SimulatedArm(ROBOT, World.ideal("kr6").replace(log_cycle=STEP), np.random.default_rng(0)) as arm:
+        pushes = []
+
+        def push(t: float) -> None:
+            force = np.array([60.0, -40.0, 80.0]) * np.sin(2 * np.pi * 3.0 * t)
+            pybullet.applyExternalForce(arm.body, arm.tool_link, force.tolist(),
+                                        arm.tcp_of(arm.q_a).translation.tolist(), pybullet.WORLD_FRAME,
+                                        physicsClientId=arm.client)
+            pushes.append(force)
+
+        arm.step_hook = push
+        for _ in range(40):
+            arm.cycle(ROBOT.home)
+        log = arm.history()
+    actual = np.diff(log["qd_a"], axis=0) / STEP
+    expected, untouched = np.zeros_like(actual), np.zeros_like(actual)
+    for k, (q, v, torque, force) in enumerate(zip(log["q_a"][:-1], log["qd_a"], log["tau_motor"], pushes[:-1],
+                                                  strict=False)):
+        jacobian = pin.computeFrameJacobian(model, data, q, ROBOT.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
+        expected[k] = pin.aba(model, data, q, v, torque + jacobian.T @ force)
+        untouched[k] = pin.aba(model, data, q, v, torque)
+    # At 3 Hz half a millisecond is ω T = 1 % of the push. Until the rotor knows, the link bears it alone and moves by
+    # (M + J) / M too much, a lot where the rotor outweighs the link.
+    outweighed = 1 + ROBOT.rotor_inertia / np.diag(pin.crba(ROBOT.model, ROBOT.model.createData(), ROBOT.home))
+    late = 2 * np.pi * 3.0 * STEP * outweighed
+    effect = np.sqrt(np.mean((expected - untouched) ** 2, axis=0))
+    assert np.all(np.sqrt(np.mean((actual - expected) ** 2, axis=0)) < 3 * late * effect)
+    assert np.all(effect > 1e-3)
