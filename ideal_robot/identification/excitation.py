@@ -140,22 +140,9 @@ class _Search:
             # ``centre`` is where the cosines and sines turn about; the extremes lie about it unevenly.
             candidate = FourierMotion(at - gain * middle, a * gain, b * gain, self.period, np.inf)
             q, qd, qdd = candidate.at(self.t)
-            if self._clear(q) and self._strong(q, qd, qdd):
+            if clear_of_obstacles(self.robot, q, self.workspace) and self._strong(q, qd, qdd):
                 return replace(candidate, condition_number=self._condition(q, qd, qdd))
         return None
-
-    def _clear(self, q: Array) -> bool:
-        model, data, tool = self.robot.model, self.robot.model.createData(), self.robot.tool_id
-        w = self.workspace
-        for q_k in q:
-            pin.framesForwardKinematics(model, data, q_k)
-            tip = data.oMf[tool].act(np.array([0.0, 0.0, w.beyond]))
-            heights = [data.oMi[i].translation[2] for i in range(3, model.njoints)]
-            if min([tip[2], *heights]) < w.z_min:
-                return False
-            if tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min:
-                return False
-        return True
 
     def _strong(self, q: Array, qd: Array, qdd: Array) -> bool:
         """Whether the nominal arm could do it with three quarters of its torque."""
@@ -179,6 +166,18 @@ class _Search:
         flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
         s = np.linalg.svd(flat, compute_uv=False)
         return float(s[0] / max(s[-1], 1e-12))
+
+
+def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
+    """Whether the arm keeps off floor and base column in all postures ``(N, n)``."""
+    model, data, tool, w = robot.model, robot.model.createData(), robot.tool_id, workspace
+    for q_k in q:
+        pin.framesForwardKinematics(model, data, q_k)
+        tip = data.oMf[tool].act(np.array([0.0, 0.0, w.beyond]))
+        heights = [data.oMi[i].translation[2] for i in range(3, model.njoints)]
+        if min([tip[2], *heights]) < w.z_min or (tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min):
+            return False
+    return True
 
 
 def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:

@@ -45,6 +45,7 @@ class Identification:
         friction_scores: per joint, held-out residual of each friction law tried, in units of the noise.
         consistency: how far the physically possible parameters are from the identified ones.
         warnings: named warnings, each ``name: sentence``.
+        recordings, unseen: the estimation and validation recordings as they were used, torque in N m.
     """
 
     model: Model
@@ -54,6 +55,8 @@ class Identification:
     friction_scores: tuple[dict[str, float], ...]
     consistency: Consistency
     warnings: tuple[str, ...]
+    recordings: tuple[Recording, ...]
+    unseen: tuple[Recording, ...]
 
 
 def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Sequence[Recording] = (),
@@ -117,7 +120,8 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     model = replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
         "estimation": relative_error(estimation).tolist(),
         "validation": relative_error(held_out).tolist() if held_out else []}})
-    return Identification(model, solution, estimation, held_out, tuple(scores), consistency, tuple(warnings))
+    return Identification(model, solution, estimation, held_out, tuple(scores), consistency, tuple(warnings),
+                          tuple(usable), tuple(unseen))
 
 
 def relative_error(predictions: Sequence[Prediction]) -> Array:

@@ -1,0 +1,177 @@
+"""The motion program of the two-step identification, [G] 3.1.2: simple moves any industrial controller can make.
+
+At each operating point one axis after another goes back and forth with trapezoidal velocity: slowly, for the
+gravitational torque, then with high acceleration, for the moment of inertia. At one of them every axis also goes back
+and forth at several speeds, for friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
+from ideal_robot.errors import InputError
+from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+
+FRICTION_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5)
+"""Speeds of the friction moves, as shares of each axis's limit."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """One axis back and forth about an operating point.
+
+    Attributes:
+        point: number of the operating point, from 0.
+        axis: from 1.
+        purpose: ``gravity``, ``inertia`` or ``friction``.
+        amplitude: half of the way [rad].
+        velocity, acceleration: of the trapezoid [rad/s, rad/s²].
+        repeats: how many times there and back.
+    """
+
+    point: int
+    axis: int
+    purpose: str
+    amplitude: float
+    velocity: float
+    acceleration: float
+    repeats: int
+
+
+@dataclass(frozen=True)
+class Program:
+    """Operating points ``(K, n)`` [rad] and the moves about them, in order."""
+
+    points: Array
+    moves: tuple[Move, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for the program file."""
+        return {"operating_points_rad": self.points.tolist(), "moves": [vars(move) for move in self.moves]}
+
+    def text(self) -> str:
+        """The program for people: one line a move, in degrees."""
+        lines, last = [], -1
+        for move in self.moves:
+            if move.point != last:
+                angles = "  ".join(f"A{i + 1} {a:8.2f}" for i, a in enumerate(np.degrees(self.points[move.point])))
+                lines.append(f"PTP  point {move.point + 1}: {angles}  [deg]")
+                last = move.point
+            lines.append(f"     axis {move.axis} ±{np.degrees(move.amplitude):.2f} deg, {move.repeats} times, "
+                         f"{np.degrees(move.velocity):.2f} deg/s, {np.degrees(move.acceleration):.1f} deg/s² "
+                         f"({move.purpose})")
+        return "\n".join(lines) + "\n"
+
+    def commands(self, start: Array, t_ipo: float, robot: Robot) -> Array:
+        """Commands ``(N, n)`` [rad] every ``t_ipo``, from rest at ``start``."""
+        v_max, a_max = finite_limits(robot)
+        here, parts = np.asarray(start, dtype=float), []
+        pause = round(0.25 / t_ipo)
+        for move in self.moves:
+            centre = self.points[move.point]
+            axis = move.axis - 1
+            low, high = centre.copy(), centre.copy()
+            low[axis] -= move.amplitude
+            high[axis] += move.amplitude
+            if np.any(np.abs(here - low) > 1e-9):
+                parts += [approach(here, low, t_ipo, v_max, a_max), np.repeat(low[None], pause, axis=0)]
+            there = trapezoid(2.0 * move.amplitude, move.velocity, move.acceleration, t_ipo)
+            for _ in range(move.repeats):
+                for begin, sign in ((low, 1.0), (high, -1.0)):
+                    leg = np.repeat(begin[None], len(there), axis=0)
+                    leg[:, axis] += sign * there
+                    parts.append(leg)
+            parts.append(np.repeat(low[None], pause, axis=0))
+            here = low
+        return np.concatenate(parts)
+
+
+def trapezoid(way: float, velocity: float, acceleration: float, t_ipo: float) -> Array:
+    """Positions ``(N,)`` of a move from 0 to ``way`` with trapezoidal velocity, start left out."""
+    v = min(velocity, float(np.sqrt(way * acceleration)))
+    t_up = v / acceleration
+    total = way / v + t_up
+    t = np.minimum(np.arange(1, int(np.ceil(total / t_ipo)) + 1) * t_ipo, total)
+    up = 0.5 * acceleration * np.minimum(t, t_up) ** 2
+    even = v * np.clip(t - t_up, 0.0, total - 2.0 * t_up)
+    left = np.maximum(t - (total - t_up), 0.0)
+    return np.asarray(up + even + v * left - 0.5 * acceleration * left**2)
+
+
+def finite_limits(robot: Robot) -> tuple[Array, Array]:
+    """Velocity and acceleration limits ``(n,)``, cautious values where the robot's data have none."""
+    return (np.where(np.isfinite(robot.v_max), robot.v_max, 1.0), np.where(np.isfinite(robot.a_max), robot.a_max, 5.0))
+
+
+def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, candidates: int = 400,
+                  workspace: Workspace | None = None) -> Program:
+    """Chooses operating points and writes the moves.
+
+    The points are picked one by one out of random postures so that the gravitational torques g(q) and the moments of
+    inertia M_ii(q) at all of them, taken as measurements of the base parameters, determine these best (determinant of
+    the information matrix).
+
+    Raises:
+        InputError: no postures within limits and workspace.
+    """
+    n = robot.n
+    v_max, a_max = finite_limits(robot)
+    amplitude = np.minimum(0.12, 0.08 * (robot.q_max - robot.q_min))
+    postures = _postures(robot, rng, candidates, amplitude, workspace or Workspace())
+    base = base_parameters(robot.model)
+    rows = np.stack([observation_rows(robot, base, q) for q in postures])
+    size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
+    rows = rows / np.where(size > 0, size, 1.0)
+    information = 1e-6 * np.eye(rows.shape[2])
+    chosen: list[int] = []
+    for _ in range(min(points, len(postures))):
+        gains = [np.linalg.slogdet(information + row.T @ row)[1] if i not in chosen else -np.inf
+                 for i, row in enumerate(rows)]
+        chosen.append(int(np.argmax(gains)))
+        information += rows[chosen[-1]].T @ rows[chosen[-1]]
+    moves = []
+    for k in range(len(chosen)):
+        for i in range(n):
+            reach, v, a = float(amplitude[i]), float(v_max[i]), float(a_max[i])
+            moves.append(Move(k, i + 1, "gravity", reach, 0.06 * v, 0.3 * a, 1))
+            moves.append(Move(k, i + 1, "inertia", reach, 0.5 * v, 0.5 * a, 3))
+    for i in range(n):
+        for share in FRICTION_SPEEDS:
+            v = share * v_max[i]
+            # Long enough for half a second at constant speed, as far as the posture allows.
+            reach = min(0.25 * v + 0.5 * v**2 / (0.5 * a_max[i]), 4.0 * float(amplitude[i]))
+            moves.append(Move(0, i + 1, "friction", float(max(reach, 0.02)), float(v), float(0.5 * a_max[i]), 1))
+    return Program(postures[chosen], tuple(moves))
+
+
+def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:
+    """Rows ``(2 n, b)`` of g_i(q) and M_ii(q) as linear forms of the base parameters, [G] (6)."""
+    n = robot.n
+    independent = list(base.independent)
+    still = np.zeros((n + 1, n))
+    W = full_regressor(robot.model, np.repeat(q[None], n + 1, axis=0), still, np.vstack([np.zeros(n), np.eye(n)]))
+    W = W[:, :, independent]
+    inertia = np.stack([W[i + 1, i] - W[0, i] for i in range(n)])
+    return np.concatenate([W[0], inertia])
+
+
+def _postures(robot: Robot, rng: np.random.Generator, count: int, amplitude: Array, workspace: Workspace) -> Array:
+    room = 4.0 * amplitude
+    low = np.maximum(robot.q_min + room, -np.pi)
+    high = np.minimum(robot.q_max - room, np.pi)
+    found = []
+    for _ in range(40 * count):
+        q = rng.uniform(low, high)
+        if clear_of_obstacles(robot, np.vstack([q, q + amplitude, q - amplitude]), workspace):
+            found.append(q)
+            if len(found) == count:
+                break
+    if len(found) < 2:
+        raise InputError("no operating points within limits and workspace; relax the workspace", field="workspace")
+    return np.array(found)

@@ -1,0 +1,253 @@
+"""Two-step identification, [G] 3.1.2: from recordings of the program in ``program.py``.
+
+Step 1 "measures" at each operating point the gravitational torque (mean of forward and backward motion at constant
+velocity) and the moment of inertia (motion with high acceleration, gravity compensated, with a simple friction model)
+of one axis at a time. Step 2 estimates the base parameters from all of them by weighted least squares. Friction comes
+from the motions at constant velocity, gravity removed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor, link_parameters
+from ideal_robot.dynamics.consistency import consistent_parameters
+from ideal_robot.errors import InputError
+from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
+from ideal_robot.identification.checks import checked, excitation_warnings
+from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
+from ideal_robot.identification.idim import Identification, relative_error
+from ideal_robot.identification.preprocess import Signals, preprocess
+from ideal_robot.identification.regression import Solution
+from ideal_robot.identification.segments import alone, runs
+from ideal_robot.interface import Array
+from ideal_robot.model import Model
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One number measured at one operating point.
+
+    Attributes:
+        joint: from 0.
+        quantity: ``gravity`` [N m] or ``inertia`` [kg m²].
+        q: posture ``(n,)``.
+        row: the quantity as a linear form of the base parameters ``(b,)``.
+        value, std: measured value and its standard deviation.
+    """
+
+    joint: int
+    quantity: str
+    q: Array
+    row: Array
+    value: float
+    std: float
+
+
+@dataclass(frozen=True)
+class TwoStep:
+    """What the steps saw: measurements, friction points ``(speed, torque)`` and fits per joint, seconds of motion."""
+
+    measurements: tuple[Measurement, ...]
+    friction_points: tuple[tuple[Array, Array], ...]
+    friction_fits: tuple[FrictionFit, ...]
+    duration: float
+
+
+def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validation: Sequence[Recording] = (),
+                      friction: str = "auto") -> tuple[Identification, TwoStep]:
+    """Identifies a model by the two-step method.
+
+    Args:
+        recordings: of single-axis trapezoidal motions at several operating points; the segments are found from the
+            motion itself.
+        robot, validation: as for ``identify``.
+        friction: key of a law, or ``auto``: (2) or (3), whichever is better at held-back speeds.
+
+    Raises:
+        InputError: recordings that cannot be used, or in which no joint moves alone at constant velocity.
+    """
+    usable, warnings = checked(recordings, robot)
+    unseen, more = checked(validation, robot) if validation else ([], [])
+    signals = [preprocess(r) for r in usable]
+    base = base_parameters(robot.model)
+    nominal = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(robot.n)])
+    gravity = [m for s in signals for m in _gravity(s, robot, base)]
+    if not gravity:
+        raise InputError("no joint moves alone, forwards and backwards at constant velocity; play the program of "
+                         "plan-identification", file=usable[0].source, field="q_i")
+    p_g = _weighted(gravity, base.of(nominal))[0]
+    inertia = [m for s in signals for m in _inertia(s, robot, base, p_g)]
+    measurements = [*gravity, *inertia]
+    values, covariance, residual, unexcited = _weighted(measurements, base.of(nominal))
+    points = tuple(_friction_points(signals, robot, base, values, j) for j in range(robot.n))
+    fits = tuple(choose_law(*p) if friction == "auto" else fit_law(law_of(friction), *p) for p in points)
+    laws: list[FrictionModel] = [fit.law for fit in fits]
+    spread = np.concatenate([*[f.std[: len(f.law.coefficients)] for f in fits],
+                             *[f.std[len(f.law.coefficients):] for f in fits]])
+    joint_covariance = np.zeros((base.count + len(spread),) * 2)
+    joint_covariance[: base.count, : base.count] = covariance
+    joint_covariance[base.count:, base.count:] = np.diag(spread**2)
+    consistency = consistent_parameters(base, values, covariance, nominal)
+    cutoff = float(np.median([s.cutoff for s in signals]))
+    model = Model(
+        robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, values, PerJointFriction(laws),
+        joint_covariance, consistency.full, np.zeros(robot.n),
+        provenance={"method": "two-step", "recordings": [{"source": r.source, "hash": r.hash} for r in usable],
+                    "filters": {"cutoff": cutoff, "cutoff_decimation": signals[0].cutoff_decimation}})
+    estimation = tuple(model.predict(r) for r in usable)
+    noise = np.sqrt(np.mean(np.concatenate([p.measured - p.tau for p in estimation]) ** 2, axis=0))
+    model = replace(model, noise_std=noise)
+    W = np.array([m.row / m.std for m in measurements])
+    s = np.linalg.svd(W, compute_uv=False)
+    scaled = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-12), compute_uv=False)
+    solution = Solution(np.concatenate([values, np.zeros(len(spread))]), joint_covariance,
+                        np.sqrt(np.diag(joint_covariance)), noise, float(s[0] / max(s[-1], 1e-300)),
+                        float(scaled[0] / max(scaled[-1], 1e-300)),
+                        np.concatenate([unexcited, np.zeros(len(spread), dtype=bool)]), residual[:, None])
+    warnings += [f"{text} (validation)" for text in more]
+    warnings += excitation_warnings(model, solution, [r.source for r in usable])
+    held_out = tuple(model.predict(r) for r in unseen)
+    model = replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
+        "estimation": relative_error(estimation).tolist(),
+        "validation": relative_error(held_out).tolist() if held_out else []}})
+    duration = float(sum(r.t[-1] - r.t[0] for r in usable))
+    scores = tuple({fit.law.label: fit.held_out_rms} for fit in fits)
+    return (Identification(model, solution, estimation, held_out, scores, consistency, tuple(warnings), tuple(usable),
+                           tuple(unseen)),
+            TwoStep(tuple(measurements), points, fits, duration))
+
+
+def constant_stretches(s: Signals, joint: int, start: int, stop: int) -> list[tuple[int, int]]:
+    """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off."""
+    qd, qdd = s.qd[start:stop, joint], s.qdd[start:stop, joint]
+    margin = int(np.ceil(0.5 / s.cutoff / s.dt))
+    found = []
+    for a, b in runs((np.abs(qdd) < 0.1 * np.abs(qd) / 0.1).astype(int)):
+        steady = np.abs(qdd[a]) < np.abs(qd[a])
+        if steady and b - a > 2 * margin + 5 and np.ptp(qd[a + margin: b - margin]) < 0.1 * abs(np.mean(qd[a:b])):
+            found.append((start + a + margin, start + b - margin))
+    return found
+
+
+def _rows(s: Signals, robot: Robot, base: BaseParameters, index: np.ndarray, with_acceleration: bool) -> Array:
+    qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
+    return full_regressor(robot.model, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
+
+
+def _gravity(s: Signals, robot: Robot, base: BaseParameters) -> list[Measurement]:
+    """Mean of the averaged torques of forward and backward motion, for each pair of stretches of the same speed."""
+    found = []
+    for j in range(robot.n):
+        for start, stop in alone(s, j):
+            stretches = constant_stretches(s, j, start, stop)
+            speeds = [float(np.mean(s.qd[a:b, j])) for a, b in stretches]
+            used: set[int] = set()
+            for i, v in enumerate(speeds):
+                if i in used:
+                    continue
+                match = [k for k in range(i + 1, len(speeds)) if k not in used and abs(speeds[k] + v) < 0.05 * abs(v)]
+                if not match:
+                    continue
+                used |= {i, match[0]}
+                found.append(_both_directions(s, robot, base, j, stretches[i], stretches[match[0]]))
+    return found
+
+
+def _both_directions(s: Signals, robot: Robot, base: BaseParameters, joint: int, first: tuple[int, int],
+                     second: tuple[int, int]) -> Measurement:
+    rows, values, errors, postures = [], [], [], []
+    for a, b in (first, second):
+        index = np.linspace(a, b - 1, min(b - a, 40)).astype(int)
+        rows.append(_rows(s, robot, base, index, with_acceleration=False)[:, joint].mean(axis=0))
+        tau = s.tau[a:b, joint]
+        values.append(float(np.mean(tau)))
+        # Neighbouring samples of a torque with ripple are not news; blocks of 50 ms are.
+        block = max(1, round(0.05 / s.dt))
+        means = [np.mean(tau[i: i + block]) for i in range(0, max(1, len(tau) - block + 1), block)]
+        errors.append(np.std(means) / np.sqrt(len(means)) if len(means) > 1 else np.std(tau))
+        postures.append(s.q[a:b].mean(axis=0))
+    std = 0.5 * float(np.hypot(errors[0], errors[1]))
+    # Friction of both directions is never quite alike: it sets the floor.
+    std = float(np.hypot(std, 0.005 * abs(values[0] - values[1])))
+    return Measurement(joint, "gravity", np.mean(postures, axis=0), np.mean(rows, axis=0), float(np.mean(values)),
+                       max(std, 1e-9))
+
+
+def _inertia(s: Signals, robot: Robot, base: BaseParameters, p_g: Array) -> list[Measurement]:
+    """Moment of inertia of one axis from its motion with high acceleration, gravity compensated."""
+    found = []
+    for j in range(robot.n):
+        strongest = float(np.max(np.abs(s.qdd[:, j])))
+        for start, stop in alone(s, j):
+            if np.max(np.abs(s.qdd[start:stop, j])) < 0.3 * strongest:
+                continue
+            step = max(1, int(0.25 / s.cutoff / s.dt))
+            index = np.arange(start, stop, step)
+            qd, qdd = s.qd[index, j], s.qdd[index, j]
+            still = np.zeros((len(index), robot.n))
+            gravity = full_regressor(robot.model, s.q[index], still, still)[:, j][:, list(base.independent)]
+            unit = still.copy()
+            unit[:, j] = 1.0
+            moment = full_regressor(robot.model, s.q[index], still, unit)[:, j][:, list(base.independent)] - gravity
+            y = _smooth(s, j)[index] - gravity @ p_g
+            W = np.column_stack([qdd, qd, np.tanh(qd / 0.02), np.ones_like(qd)])
+            p, *_ = np.linalg.lstsq(W, y, rcond=None)
+            sigma2 = float(np.sum((y - W @ p) ** 2)) / max(1, len(y) - 4)
+            std = float(np.sqrt(np.linalg.pinv(W.T @ W)[0, 0] * sigma2))
+            weight = qdd**2 / np.sum(qdd**2)
+            found.append(Measurement(j, "inertia", s.q[index].mean(axis=0), weight @ moment, float(p[0]),
+                                     max(std, 1e-3 * abs(float(p[0])), 1e-9)))
+    return found
+
+
+def _smooth(s: Signals, joint: int) -> Array:
+    from ideal_robot.identification.preprocess import lowpass
+
+    return lowpass(s.tau[:, [joint]], s.dt, s.cutoff)[:, 0]
+
+
+def _weighted(measurements: Sequence[Measurement], start: Array) -> tuple[Array, Array, Array, np.ndarray]:
+    """Weighted least squares; the scatter of the measurements about the model widens their standard deviations."""
+    std = np.array([m.std for m in measurements])
+    kinds = np.array([f"{m.quantity} {m.joint}" for m in measurements])
+    rows = np.array([m.row for m in measurements])
+    y = np.array([m.value for m in measurements]) - rows @ start
+    for _ in range(4):
+        W, z = rows / std[:, None], y / std
+        size = np.linalg.norm(W, axis=0)
+        seen = size > 1e-9 * size.max()
+        u, s, vt = np.linalg.svd(W[:, seen] / size[seen], full_matrices=False)
+        strong = s > 1e-4 * s[0]
+        inverse = np.where(strong, 1.0 / np.where(strong, s, 1.0), 0.0)
+        step = np.zeros(len(start))
+        step[seen] = (vt.T @ (inverse * (u.T @ z))) / size[seen]
+        residual = z - W @ step
+        for kind in np.unique(kinds):
+            here = kinds == kind
+            freedom = max(1.0, here.sum() * (1.0 - strong.sum() / len(z)))
+            std[here] *= max(1.0, float(np.sqrt(np.sum(residual[here] ** 2) / freedom)))
+    covariance = np.zeros((len(start),) * 2)
+    covariance[np.ix_(seen, seen)] = (vt.T * inverse**2) @ vt / np.outer(size[seen], size[seen])
+    unexcited = ~seen
+    unexcited[np.flatnonzero(seen)[np.sum(vt[~strong] ** 2, axis=0) > 1e-2]] = True
+    return start + step, covariance, residual, unexcited
+
+
+def _friction_points(signals: Sequence[Signals], robot: Robot, base: BaseParameters, p: Array,
+                     joint: int) -> tuple[Array, Array]:
+    """Speeds and friction torques of all stretches at constant velocity, the rest of the model removed."""
+    speeds, torques = [], []
+    for s in signals:
+        for start, stop in alone(s, joint):
+            for a, b in constant_stretches(s, joint, start, stop):
+                index = np.linspace(a, b - 1, min(b - a, 40)).astype(int)
+                rows = _rows(s, robot, base, index, with_acceleration=False)[:, joint]
+                speeds.append(float(np.mean(s.qd[a:b, joint])))
+                torques.append(float(np.mean(s.tau[a:b, joint]) - np.mean(rows @ p)))
+    return np.array(speeds), np.array(torques)

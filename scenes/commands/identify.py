@@ -1,0 +1,69 @@
+"""``ideal-robot identify``: a dynamic model from recordings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
+                                                          "MCAP).")],
+    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
+    validate: Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
+                                                             "to; may be given several times.")] = None,
+    method: Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
+                                             "plan-identification --method two-step).")] = "joint",
+    robot: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
+                                                    "cycles.")] = None,
+    friction: Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
+                                               "viscous_coulomb, cube_root, arctan, stribeck or asymmetric.")] = "auto",
+    cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
+    decimate_to: Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
+                                                           "filter.")] = None,
+    without_integrator: Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
+                                                                       "off, for their gains ([G] 5.2.2).")] = None,
+    model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None,
+    export_urdf: Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
+                                                          "inertias.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the results as JSON to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("out/identify"),
+) -> None:
+    """Friction, base parameters, rotor inertias, offsets and controllers of an arm, each with its uncertainty.
+
+    Example: `ideal-robot identify free_50s.parquet free_30s.parquet --urdf ur10e.urdf --validate free_20s.parquet`
+    """
+    from ideal_robot.recording import Recording
+    from ideal_robot.robot import Robot
+    from scenes.commands.common import progress_bar, show_table
+    from scenes.identification_analysis import analyse
+    from scenes.identification_report import identification_page
+    from scenes.report import write_json
+
+    with progress_bar("identify") as progress:
+        arm = Robot.load(urdf, robot)
+        loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
+                                   for paths in (recordings, validate, without_integrator))
+        analysis = analyse(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
+                           cutoff_decimation=decimate_to, without_integrator=pd_only, progress=progress)
+        progress(0.8, "drawing")
+        page = identification_page(analysis).write(out / "report.html")
+    content = analysis.json()
+    if json is not None:
+        write_json(json, content)
+    if model is not None:
+        analysis.model.save(model)
+    if export_urdf is not None:
+        analysis.model.export_urdf(export_urdf)
+    show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
+               [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in analysis.model.parameters])
+    show_table("friction laws", ["joint", "law"],
+               [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
+    show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
+               [[r["source"], r["role"], *[float(value) for value in r["residual_std_percent"]]]
+                for r in content["recordings"]])
+    for warning in analysis.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(f"report: {page}")
