@@ -21,7 +21,7 @@ from planning.line_follower import FollowerSettings, LineFollower
 
 # The cell without pictures is the tests' own.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from tests.planning.cell import (  # noqa: E402
+from tests.planning.cell import (
     Camera,
     T,
     displaced,
