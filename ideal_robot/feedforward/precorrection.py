@@ -19,9 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.controller_model import ControllerModel
-from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
+from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.from_model import loop_model
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.interface import Array
 from ideal_robot.loop_model import low_pass_taps
@@ -33,15 +34,31 @@ _BEFORE, _AFTER = 4, 4
 _STILL = 1e-4
 """Below this speed a joint counts as at rest [rad/s]: rounding at standstill must not switch friction."""
 
+_SETTLE = 0.4
+"""Time over which the gears' deflection at the start is taken up [s]."""
+
 
 @dataclass(frozen=True)
 class PrecorrectionState:
-    """What one cycle hands to the next: desired positions before ``(4, n)``, last ``τ_d``, ``u_d``, ``Δq`` ``(n,)``."""
+    """What one cycle hands to the next.
+
+    Attributes:
+        q_d: desired positions before ``(4, n)`` [rad].
+        motor: motor position planned last ``(n,)`` [rad].
+        turned: how far friction has turned over since the last reversal ``(n,)``, -1 … 1.
+        tau, u, correction: last ``τ_d`` [N m], ``u_d`` and ``Δq`` [rad], each ``(n,)``.
+        sag: deflection under gravity at the start ``(n,)`` [rad].
+        cycle: cycles since the start.
+    """
 
     q_d: Array
+    motor: Array
+    turned: Array
     tau: Array
     u: Array
     correction: Array
+    sag: Array
+    cycle: int
 
 
 class Precorrection(Feedforward):
@@ -69,8 +86,7 @@ class Precorrection(Feedforward):
             raise InputError("cannot be negative", field="lead", value=lead)
         T = robot.t_ipo
         self.t_ipo, self.n_d = T, int(np.ceil(lead / T)) + _AFTER + 1
-        self._chain, self._rotor = chain_of(model.dynamics), np.array(model.rotor_inertia)
-        self._friction, self._offset = model.friction, np.array(model.offset)
+        self._loop = loop_model(model, robot, delay=0)
         self._compliance = 1.0 / np.array(model.stiffness) if elastic else np.zeros(robot.n)
         self._controller = at_cycle(model.controller, T)
         self._range = robot.q_min, robot.q_max
@@ -92,8 +108,9 @@ class Precorrection(Feedforward):
     def init(self, q0: Array) -> PrecorrectionState:
         q0 = np.array(q0, dtype=float)
         still = np.zeros((1, len(q0)))
-        tau = inverse_dynamics(self._chain, q0[None], still, still)[0] + self._offset
-        return PrecorrectionState(np.tile(q0, (_BEFORE, 1)), tau, still[0], still[0])
+        tau = inverse_dynamics(self._loop.chain, q0[None], still, still)[0] + self._loop.offset
+        sag = self._compliance * (tau - self._loop.offset)
+        return PrecorrectionState(np.tile(q0, (_BEFORE, 1)), q0, still[0], tau, still[0], still[0], sag, 0)
 
     def step(self, state: PrecorrectionState, q_d: Array, tau_ext_d: Array | None = None
              ) -> tuple[Array, PrecorrectionState]:
@@ -103,18 +120,40 @@ class Precorrection(Feedforward):
         if missing > 0:
             rows = np.concatenate([rows, rows[-1] + np.arange(1, missing + 1)[:, None] * (rows[-1] - rows[-2])])
         arm, speed, acceleration = (operator @ rows for operator in self._at)
-        load = inverse_dynamics(self._chain, arm, speed, acceleration)
+        load = inverse_dynamics(self._loop.chain, arm, speed, acceleration)
         if tau_ext_d is not None:
             load = load - tau_ext_d[min(self.n_d - _AFTER - 1, len(tau_ext_d) - 1)]
-        motor = arm + self._compliance * load
+        # The deflection at the start is taken up smoothly: a jump would leave friction where no one knows.
+        begun = (state.cycle + np.array([[-1.0], [0.0], [1.0]])) * T / _SETTLE
+        left = 1.0 - np.clip(begun, 0.0, 1.0)
+        motor = arm + self._compliance * load - state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
         qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2
-        friction = self._friction.torque(np.where(np.abs(qd) < _STILL, 0.0, qd), load[1])
-        tau = load[1] + self._rotor * qdd + self._offset + friction
+        turned = self._turned(state, motor[1], qd)
+        tau = load[1] + self._loop.rotor_inertia * qdd + self._loop.offset + self._friction(qd, load[1]) * turned
         u = (tau - state.tau + state.u) / (1 + gains.k_i)
         correction = ((u + gains.k_d * state.correction / T - gains.k_1 * qd - gains.k_2 * qdd)
                       / (gains.k_p + gains.k_d / T))
         q_c = np.clip(motor[1] + correction, *self._range)
-        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), tau, u, correction)
+        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), motor[1], turned, tau, u, correction,
+                                       state.sag, state.cycle + 1)
+
+    def _turned(self, state: PrecorrectionState, motor: Array, qd: Array) -> Array:
+        """How far friction has turned over, -1 … 1: at once, or over the presliding distance where one is known."""
+        step = motor - state.motor
+        bend = self._loop.friction_bend
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            left = np.where(bend > 0, np.exp(-np.abs(step) / bend), 0.0)
+        side = np.sign(step)
+        turned = side + (state.turned - side) * left
+        return np.where(bend > 0, np.where(step == 0, state.turned, turned),
+                        np.where(np.abs(qd) < _STILL, 0.0, np.sign(qd)))
+
+    def _friction(self, qd: Array, load: Array) -> Array:
+        """Size of sliding friction ``(n,)`` [N m]."""
+        loop = self._loop
+        table = loop.friction_torque[np.where(qd < 0, 1, 0), :, np.arange(loop.n)]
+        sliding = [np.interp(abs(v), loop.friction_velocity[:, i], table[i]) for i, v in enumerate(qd)]
+        return np.asarray(sliding) + loop.friction_load * np.abs(load)
 
 
 def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:

@@ -33,18 +33,21 @@ _STILL = 2e-3
 class Lags:
     """Which neighbours in time the sums run over.
 
+    Few positions and torques: many fit the training motion no better and other paths worse. Many past signs: what a
+    reversal does to the controller's integrator takes some 0.3 s to fade.
+
     Attributes:
         past, ahead: desired positions of so many cycles before and after now, ``m_1 = -past`` and ``m = ahead``.
         sign_past, sign_ahead: signs of velocity likewise; both 0 for [G] (12).
         torque_past, torque_ahead: rigid-body torques likewise, used only where a chain is given.
     """
 
-    past: int = 10
-    ahead: int = 14
-    sign_past: int = 10
-    sign_ahead: int = 6
-    torque_past: int = 3
-    torque_ahead: int = 5
+    past: int = 2
+    ahead: int = 5
+    sign_past: int = 24
+    sign_ahead: int = 5
+    torque_past: int = 2
+    torque_ahead: int = 4
 
     @property
     def before(self) -> int:
@@ -97,7 +100,7 @@ class Trained(Feedforward):
 
 
 def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | None = None,
-          chain: Chain | None = None, base: Feedforward | None = None, noise: float = 2e-5,
+          chain: Chain | None = None, base: Feedforward | None = None, noise: float = 2e-4,
           limits: tuple[Array, Array] | None = None) -> Trained:
     """Fits the weights of [G] (12) or (13) to learned commands, by least squares in information form.
 
