@@ -91,7 +91,8 @@ def compare_lines(scene: LineScene, run: Run, *, out: Path | None = None,
     with prepared(scene) as shared:
         gains, tried = best_gains(scene, shared, progress=lambda part, text: progress(0.35 + 0.4 * part, text))
         for i, method in enumerate(METHODS):
-            runs[method] = run(scene, method=method, gains=gains if method == "direct_feedback" else None, shared=shared,
+            runs[method] = run(scene, method=method, shared=shared,
+                               gains=gains if method == "direct_feedback" else None,
                                progress=lambda part, text, i=i: progress(0.75 + 0.06 * (i + part), text))
     comparison = LineComparison(scene, runs, gains, tried, gain, overshoots)
     if out is None:

@@ -13,6 +13,8 @@ SHORT = """
 kind = "line"
 title = "short"
 speed = 0.7
+[calibration]
+by_moving = false
 [surface]
 origin = [0.98, -0.6, 0.35]
 heading_deg = 90.0
@@ -47,11 +49,11 @@ def test_run_writes_what_json_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "words", "says"),
     [
-        (("title", "titel"), (), ("titel", "unknown key")),
+        (("[surface]", "[surface]\ntilt = 3"), (), ("surface.tilt", "unknown key", "tilt_deg")),
         (("[line]", "[line]\nsvg = 'M 0 0 L 1 1'"), (), ("line", "exactly one")),
         (("speed = 0.7", "speed = -1"), (), ("speed", "greater than 0")),
         (("[surface]", "[camera]\nlatency = -0.02\n[surface]"), (), ("camera.latency", "greater than or equal")),
-        (("0.98", "9.98"), (), ("surface.origin", "out of reach")),
+        (("0.98", "9.98"), (), ("out of reach", "kr6")),
         (("kind", "kind = 'line'\nkind"), (), ("not a readable scene",)),
         (("", ""), ("--speed", "9"), ("speed",)),
         (("", ""), ("--speed", "-2"), ("--speed", "positive")),
