@@ -124,7 +124,6 @@ def comparison_page(comparison: LineComparison) -> Report:
         f"K_p = {comparison.gains[0]:.3g}, K_d = {comparison.gains[1]:.3g}.")
     report.figure(_gains(comparison), "Left: mean error on this scene over the gain. Right: overshoot over a sideways "
                   "step over the gain.")
-    report.heading("The ideal robot in this comparison")
     _timing(report, runs["ideal"])
     _settings(report, runs["ideal"])
     return report
