@@ -1,0 +1,43 @@
+"""``ideal-robot precorrect``: a corrected joint path for a real controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n) [rad].")],
+    model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
+    robot: Annotated[str | None, typer.Option(help="Shipped robot or URDF; default: the one the model names.")] = None,
+    method: Annotated[str, typer.Option(help="ideal, model_learned or precorrected.")] = "ideal",
+    delay: Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")] = False,
+    rest: Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")] = 0.6,
+    json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/precorrect.")] = None,
+) -> None:
+    """Corrects a joint path so that the arm, not the command, follows it.
+
+    The output has `t`, the commands `q_c_i` and the desired `q_d_i` at the interpolation cycle. Limits of position,
+    speed and acceleration are checked before anything is written.
+
+    Example: `ideal-robot precorrect path.csv --model scenes/models/kr15.json -o corrected.csv`
+    """
+    from scenes.commands.common import progress_bar, show_table
+    from scenes.precorrect import precorrected_path, write_page
+    from scenes.report import write_json
+
+    with progress_bar("precorrect") as progress:
+        progress(0.1, "")
+        result = precorrected_path(path, model, robot=robot, method=method, delay=delay, rest=rest)
+        progress(0.8, "report")
+        result.recording.write(output)
+        report = write_page(result, (out or Path("out") / "precorrect") / "report.html")
+    if json is not None:
+        write_json(json, {**result.json(), "output": output, "report": report})
+    show_table("Correction per joint", *result.table())
+    typer.echo(f"corrected path: {output}")
+    typer.echo(f"report: {report}")
