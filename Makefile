@@ -6,10 +6,11 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all bench check clean
+.PHONY: demo test test-all bench models check clean
 
 demo: .venv/installed
 	$(BIN)/ideal-robot run line --out out/line
+	@echo "open out/line/report.html in a browser"
 
 test: .venv/installed check
 	$(BIN)/pytest -n 2
@@ -19,6 +20,9 @@ test-all: .venv/installed check
 
 bench: .venv/installed
 	for b in benchmarks/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+
+models: .venv/installed
+	$(BIN)/python -m scenes.identification_models
 
 check: .venv/installed
 	$(BIN)/ruff check .
