@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -87,13 +87,13 @@ class SpeedProfile:
         slowed: where a joint keeps the speed below the one asked for: ``(from s, to s, lowest speed, joint)``.
     """
 
-    def __init__(self, s: Array, slowed: tuple[tuple[float, float, float, int], ...] = ()) -> None:
+    def __init__(self, s: Array) -> None:
         """Of samples ``s (K,)`` [m] every ``TICK`` seconds, beginning and ending at rest."""
         self.duration = TICK * (len(s) - 1)
         self.length = float(s[-1])
         self._spline = CubicSpline(TICK * np.arange(len(s)), s, bc_type="clamped")
         self.top_speed = float(np.max(self.speed(TICK * np.arange(len(s)))))
-        self.slowed = slowed
+        self.slowed: tuple[tuple[float, float, float, int], ...] = ()
 
     def s(self, t: npt.ArrayLike) -> Array:
         """Arc length [m] at times ``t`` after the start [s]; at rest before the start and after the end."""
@@ -134,29 +134,46 @@ class SpeedProfile:
         path = joint_path or JointPath.of(robot, reference)
         v_max, a_max = limits.share * robot.v_max, limits.share * robot.a_max
         by_joint = _speed_by_joint(path, v_max, a_max)
-        allowed = np.min(by_joint, axis=1)
-        # Averaging over time raises dips of the speed: keep the limit's smallest value over the averaged distance.
-        window = limits.acceleration / limits.jerk
-        dip = minimum_filter1d(
-            allowed, size=1 + 2 * int(np.ceil(0.5 * window * limits.speed / (path.s[1] - path.s[0])))
-        )
-        limit = np.minimum(dip, limits.speed)
-        profile = _travel(path, limit, limits, a_max)
-        for _ in range(20):
-            excess, places = _excess(profile, path, v_max, a_max)
-            if excess.max(initial=0.0) <= 1.0 + 1e-3:
-                break
-            lowered = np.ones(len(path.s))
-            near = np.clip(np.round(places / (path.s[1] - path.s[0])).astype(int), 0, len(lowered) - 1)
-            np.minimum.at(lowered, near, 1.0 / np.maximum(excess, 1.0))
-            limit = limit * minimum_filter1d(lowered, size=15)
-            profile = _travel(path, limit, limits, a_max)
+        profile, limit = _fastest(path, by_joint, limits, v_max, a_max)
         if profile.top_speed < 0.98 * limits.speed:
-            raise _unreachable(path, by_joint, limits, robot, profile.top_speed)
-        return cls(
-            profile._spline(TICK * np.arange(round(profile.duration / TICK) + 1)),
-            _slowed(path, limit, by_joint, limits.speed),
-        )
+            possible = _possible(path, by_joint, limits, v_max, a_max)
+            raise _unreachable(path, by_joint, limits, robot, possible)
+        profile.slowed = _slowed(path, limit, by_joint, profile, limits.speed)
+        return profile
+
+
+def _fastest(
+    path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array
+) -> tuple[SpeedProfile, Array]:
+    """The travel, and the speed limit at each place of the path ``(K,)`` [m/s] that came of it."""
+    ds = path.s[1] - path.s[0]
+    # Averaging over time raises dips of the speed: keep the limit's smallest value over the averaged distance.
+    window = limits.acceleration / limits.jerk
+    reach = int(np.ceil(0.5 * window * limits.speed / ds))
+    limit = np.minimum(minimum_filter1d(np.min(by_joint, axis=1), size=1 + 2 * reach), limits.speed)
+    for _ in range(20):
+        profile = _travel(path, limit, limits, a_max)
+        excess, places = _excess(profile, path, v_max, a_max)
+        if excess.max() <= 1.0 + 1e-3:
+            return profile, limit
+        lowered = np.ones(len(path.s))
+        near = np.clip(np.round(places / ds).astype(int), 0, len(lowered) - 1)
+        np.minimum.at(lowered, near, 1.0 / np.maximum(excess, 1.0))
+        limit = limit * minimum_filter1d(lowered, size=15)
+    # What lowering the limit here and there does not cure, going slower as a whole does.
+    slower = float(excess.max())
+    ticks = TICK * np.arange(round(profile.duration * slower / TICK) + 1)
+    return SpeedProfile(profile.s(ticks / slower)), limit / slower
+
+
+def _possible(path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array) -> float:
+    """Highest speed that can be asked for [m/s], rounded down."""
+    low, high = 0.0, limits.speed
+    while high - low > 0.005:
+        middle = 0.5 * (low + high)
+        reached = _fastest(path, by_joint, replace(limits, speed=middle), v_max, a_max)[0].top_speed
+        low, high = (middle, high) if reached >= 0.98 * middle else (low, middle)
+    return low
 
 
 def _speed_by_joint(path: JointPath, v_max: Array, a_max: Array) -> Array:
@@ -212,20 +229,22 @@ def _excess(profile: SpeedProfile, path: JointPath, v_max: Array, a_max: Array) 
 
 
 def _slowed(
-    path: JointPath, limit: Array, by_joint: Array, speed: float
+    path: JointPath, limit: Array, by_joint: Array, profile: SpeedProfile, speed: float
 ) -> tuple[tuple[float, float, float, int], ...]:
-    slow = np.concatenate([[False], limit < 0.98 * speed, [False]])
+    """Pieces of the path where the limit, and not speeding up or braking, decides."""
+    ticks = TICK * np.arange(round(profile.duration / TICK) + 1)
+    travelled = np.interp(path.s, np.maximum.accumulate(profile.s(ticks)), profile.speed(ticks))
+    slow = np.concatenate([[False], (limit < 0.98 * speed) & (travelled > 0.9 * limit), [False]])
     edges = np.flatnonzero(np.diff(slow.astype(int)))
     pieces = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         lowest = first + int(np.argmin(limit[first:last]))
-        pieces.append(
-            (float(path.s[first]), float(path.s[last - 1]), float(limit[lowest]), int(np.argmin(by_joint[lowest])) + 1)
-        )
+        joint = int(np.argmin(by_joint[lowest])) + 1
+        pieces.append((float(path.s[first]), float(path.s[last - 1]), float(limit[lowest]), joint))
     return tuple(pieces)
 
 
-def _unreachable(path: JointPath, by_joint: Array, limits: Limits, robot: Robot, reached: float) -> InputError:
+def _unreachable(path: JointPath, by_joint: Array, limits: Limits, robot: Robot, possible: float) -> InputError:
     allowed = np.min(by_joint, axis=1)
     best = int(np.argmax(allowed))
     if allowed[best] < 0.98 * limits.speed:
@@ -239,14 +258,14 @@ def _unreachable(path: JointPath, by_joint: Array, limits: Limits, robot: Robot,
             need = f"{acceleration:.1f} rad/s², {limits.share:.0%} of its limit are {bound:.1f} rad/s²"
         return InputError(
             f"cannot be reached anywhere on this path: joint {joint + 1} would need {need}; "
-            f"at most {reached:.2f} m/s are possible, lower the speed or move the path",
+            f"at most {possible:.2f} m/s are possible, lower the speed or move the path",
             field="speed",
             value=limits.speed,
         )
     missing = limits.speed**2 / limits.acceleration + limits.speed * limits.acceleration / limits.jerk
     return InputError(
         f"cannot be reached: speeding up at {limits.acceleration:g} m/s² and braking again takes about "
-        f"{missing:.2f} m, the path has {path.s[-1]:.2f} m; at most {reached:.2f} m/s are possible, lower "
+        f"{missing:.2f} m, the path has {path.s[-1]:.2f} m; at most {possible:.2f} m/s are possible, lower "
         "the speed or lengthen the path",
         field="speed",
         value=limits.speed,

@@ -50,6 +50,7 @@ def test_slows_down_in_a_sharp_corner_only() -> None:
     at_corner = travel.time_at(0.5 * path.length + 0.05)
     assert travel.top_speed == pytest.approx(0.6, rel=0.02)
     assert travel.slowed
+    assert not SpeedProfile.plan(kr6(), reference(), 0.7, joint_path()).slowed
     begin, end, lowest, joint = min(travel.slowed, key=lambda piece: piece[2])
     assert begin < 0.5 < end + 0.1
     assert lowest < 0.5
@@ -63,6 +64,9 @@ def test_unreachable_speed_names_joint_limit_and_remedy() -> None:
         SpeedProfile.plan(slow, reference(), 2.0, joint_path())
     assert refused.value.field == "speed"
     assert refused.value.value == 2.0
+    # What the message offers is possible.
+    offered = float(str(refused.value).split("at most ")[1].split()[0])
+    assert SpeedProfile.plan(slow, reference(), offered - 0.01, joint_path()).top_speed > 0.97 * (offered - 0.01)
 
 
 def test_path_too_short_for_the_speed_says_so() -> None:
