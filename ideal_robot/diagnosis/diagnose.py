@@ -14,6 +14,7 @@ from ideal_robot.diagnosis.experiment import Experiment, experiment
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
 from ideal_robot.diagnosis.rebase import with_parameters
 from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
+from ideal_robot.diagnosis.reversal import fitted_blur
 from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.diagnosis.search import Choice, Options, Progress, Search
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
@@ -61,6 +62,7 @@ class TorqueDiagnosis:
         self.robot, self.options, self.rng, self.report, self.warnings = robot, options, rng, report, warnings
         self.recording, self.validate = recording, validate
         self.given = model
+        self.blur: Array | None = None
         # Joints whose torques are in unknown units must not share inertias.
         self.shared = recording.meta.get("torque_unit") != "A"
         self.start = model if model is not None else Model.nominal(robot)
@@ -73,10 +75,12 @@ class TorqueDiagnosis:
             return self._undecided(raw)
         blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=self.validate is None)
         every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
+        self.blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks))
+        raw = self._experiment(self.recording, self.start)
         if self.given is None and self.shared:
             first = estimate(raw, Data(raw.y, raw.W, raw.use, blocks), [], None, spread=False)
             self.start = with_parameters(self.start, first.change)
-            raw = experiment(self.recording, self.robot, self.start)
+            raw = self._experiment(self.recording, self.start)
         data = Data(raw.y, raw.W, raw.use, blocks)
         choices, prior = self._search(raw, data)
         self.report(0.92, "fit")
@@ -89,6 +93,9 @@ class TorqueDiagnosis:
         return self._reported(raw, data, choices, prior, final)
 
     # -- steps -------------------------------------------------------------------------------------------------------
+
+    def _experiment(self, recording: Recording, model: Model, cutoff: float | None = None) -> Experiment:
+        return experiment(recording, self.robot, model, cutoff=cutoff, shared=self.shared, blur=self.blur)
 
     def _search(self, raw: Experiment, data: Data) -> tuple[list[Choice], Array | None]:
         effects = tuple(effect for effect in library() if effect.domain == MOTOR_TORQUE)
@@ -123,7 +130,7 @@ class TorqueDiagnosis:
 
     def _about(self, raw: Experiment, change: Array) -> Experiment:
         """The same regression with load and torque of the model as the joint fit leaves it."""
-        moved = experiment(self.recording, self.robot, with_parameters(self.start, change))
+        moved = self._experiment(self.recording, with_parameters(self.start, change))
         return dataclasses.replace(raw, signals=moved.signals)
 
     def _undecided(self, raw: Experiment) -> Diagnosis:
@@ -143,10 +150,9 @@ class TorqueDiagnosis:
         steps = [estimate(raw, data, [c.candidate for c in choices[:k]], prior, spread=False)
                  for k in range(len(choices) + 1)]
         if self.validate is not None:
-            seen = experiment(self.validate, self.robot, self.start, cutoff=raw.filtered.cutoff, shared=self.shared)
+            seen = self._experiment(self.validate, self.start, raw.filtered.cutoff)
             if choices and self.shared:
-                moved = experiment(self.validate, self.robot, with_parameters(self.start, steps[-1].change),
-                                   cutoff=raw.filtered.cutoff)
+                moved = self._experiment(self.validate, with_parameters(self.start, steps[-1].change), raw.filtered.cutoff)
                 seen = dataclasses.replace(seen, signals=moved.signals)
             where = np.ones(len(seen.t), bool)
             how = f"parameters and selection from {_name(self.recording)}, errors on {_name(self.validate)}"
@@ -216,12 +222,16 @@ def prior_precision(model: Model, raw: Experiment, data: Data) -> Array:
         visible = np.nanmin(np.where(squares > 0, moves, np.inf), axis=0)
     values = np.abs(np.concatenate([model.base_values, *[law.coefficients[:, 0] for law in model.friction.laws],
                                     *[law.shape[:, 0] for law in model.friction.laws]]))
-    floor = np.where(np.isfinite(visible), np.hypot(0.02 * values, visible), 1.0)
+    size = len(values)
+    floor = np.where(np.isfinite(visible[:size]), np.hypot(0.02 * values, visible[:size]), 1.0)
     covariance = model.covariance + np.diag(floor**2)
     # Ratio of the parameters' actual scatter over blocks to that of white noise: the inflation by colour.
     plain = np.diag(fit._inverse[0])
     inflation = float(np.median(np.diag(fit.covariance()) / np.maximum(plain, 1e-300)))
-    return np.asarray(max(inflation, 1.0) * np.linalg.pinv(covariance))
+    # Nuisances have no prior: they stay free.
+    precision = np.zeros((data.W.m, data.W.m))
+    precision[:size, :size] = max(inflation, 1.0) * np.linalg.pinv(covariance)
+    return precision
 
 
 def predicted(seen: Experiment, found: Estimate, chosen: list[Candidate]) -> Array:

@@ -63,7 +63,7 @@ def estimate(experiment: Experiment, data: Data, chosen: list[Candidate], prior:
     # Uncertainty: theta moves the prediction by dC/dtheta c, which joins the fit as further columns.
     extra: list[str] = []
     for c, own in zip(chosen, coefficients, strict=True):
-        for i in range(len(c.theta) if c.effect.bounds(experiment.signals, c.joint) else 0):
+        for i in range(len(c.theta) if c.effect.bounds(experiment.signals, c.joint) and c.effect.name != "dead_time" else 0):
             key = f"d{i}:{c.key}"
             step = 1e-3 * max(abs(c.theta[i]), 1e-6)
             if c.theta[i] == 0.0:

@@ -39,7 +39,7 @@ class Experiment:
         channels, units: names and units of the ``c`` channels.
         y: measured minus predicted ``(N, c)``.
         measured: what was measured ``(N, c)``.
-        W: derivative of the prediction by the model's parameters ``(N, c, p)``.
+        W: derivative of the prediction by the model's parameters, and after these the nuisances ``(N, c, p)``.
         use: samples that count ``(N, c)``.
         signals: undecimated signals for effects.
         filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
@@ -71,7 +71,8 @@ class Experiment:
             return np.asarray(values[::step][keep])
 
         return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
-                       friction=at(s.friction), temperature=None if s.temperature is None else at(s.temperature), payload=None, rigid=None,
+                       friction=at(s.friction), payload=None, rigid=None,
+                       temperature=None if s.temperature is None else at(s.temperature),
                        extra={name: at(values) for name, values in s.extra.items()})
 
 
@@ -106,7 +107,7 @@ def torque_recording(recording: Recording, robot: Robot) -> tuple[Recording, boo
 
 
 def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
-               shared: bool = True) -> Experiment:
+               shared: bool = True, blur: Array | None = None) -> Experiment:
     """Builds the regression of the motor torques.
 
     Args:
@@ -114,6 +115,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
         robot: whose URDF it is.
         model: what predicts, and whose parameters may change.
         cutoff: of the position filter [Hz], from the data if None.
+        blur: speed over which dry friction changes sign ``(n,)`` [rad/s]; from the noise of the position if None.
         shared: whether the joints share inertias; False gives each joint its own copy of all parameters.
 
     Raises:
@@ -124,7 +126,8 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     duration = len(recording.t) / rate
     wanted = min(HIGHEST_RATE, ROWS / (n * duration))
     filtered = preprocess(recording, cutoff=cutoff)
-    wanted = min(0.5 * wanted, filtered.cutoff, 0.5 * rate)
+    # The torque is looked at up to far above what the motion contains: ripple and spikes are there.
+    wanted = min(0.5 * wanted, max(2.5 * filtered.cutoff, 12.0), 0.5 * rate)
     filtered = preprocess(recording, cutoff=filtered.cutoff, cutoff_decimation=wanted)
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
@@ -136,7 +139,8 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     friction = model.friction.torque(qd, load)
     rotor = model._exact[10 * n : 11 * n]
     torque = load + rotor * qdd + model.offset + friction
-    v_small = _small_velocity(recording, filtered)
+    noise_velocity = _small_velocity(recording, filtered)
+    v_small = noise_velocity if blur is None else blur
     payload = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :]
     extra = {name: values for name, values in filtered.columns.items() if not _is_joint_column(name)}
     signals = Signals(t, q, qd, qdd, load, torque, friction, temperature,
@@ -148,10 +152,10 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
                                      axis=0)
     W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
     _soften(W, model, signals)
-    W = filtered.decimate(W)
+    W = filtered.decimate(np.concatenate([W, _reversal_columns(signals, filtered)], axis=2))
     if not shared:
         W = _own_copies(W)
-    moving, undecided = _moving(t, q, qd, v_small, robot)
+    moving, undecided = _moving(t, q, qd, noise_velocity, robot)
     use = moving[:: filtered.factor][filtered.keep]
     measured = filtered.decimate(filtered.tau)
     units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
@@ -168,6 +172,23 @@ def _soften(W: Array, model: Model, signals: Signals) -> None:
             if name in ("Fc", "a2"):
                 W[:, j, at + i] = signals.direction(signals.qd[:, j], j + 1)
         at += len(law.coefficients)
+
+
+def _reversal_columns(signals: Signals, filtered: Filtered) -> Array:
+    """Two nuisances a joint ``(N, n, 2 n)``: a reversal that comes a little sooner or later, or takes a little longer.
+
+    Filters and sampling shift and round the step of dry friction at a reversal by about a sample of the decimated
+    signal; nothing may be built on that.
+    """
+    n, h = signals.n, max(1, filtered.factor)
+    result = np.zeros((len(signals.t), n, 2 * n))
+    for j in range(n):
+        step = signals.direction(signals.qd[:, j], j + 1)
+        ahead, behind = np.roll(step, -h), np.roll(step, h)
+        ahead[-h:], behind[:h] = step[-1], step[0]
+        result[:, j, 2 * j] = 0.5 * (ahead - behind)
+        result[:, j, 2 * j + 1] = ahead - 2.0 * step + behind
+    return result
 
 
 def _own_copies(W: Array) -> Array:

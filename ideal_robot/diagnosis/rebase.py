@@ -16,9 +16,12 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
 
     Args:
         model: where to start.
-        change: to be added to the parameter vector ``(P,)`` (``ideal_robot.parametrisation``).
+        change: to be added to the parameter vector ``(P,)`` (``ideal_robot.parametrisation``); what follows after the
+            ``P`` parameters (nuisances of a fit) is ignored.
         covariance: of the new vector ``(P, P)``; that of the model if None.
     """
+    size = len(model.covariance)
+    covariance = None if covariance is None else covariance[:size, :size]
     at = model.base.count
     base_values = model.base_values + change[:at]
     laws = []

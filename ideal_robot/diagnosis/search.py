@@ -29,6 +29,8 @@ class Options:
     Attributes:
         false_discovery: rate that Benjamini–Hochberg controls over joints × effects of each round.
         smallest: share of a channel's residual squares an effect has to take away on held-out blocks.
+        smallest_next: the same for a channel that has an effect already: its form may be slightly another.
+        smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
         smallest_in_base: the same for an effect that is a change of the model's own parameters.
         smallest_torque: rms of an effect over rms of the torque below which nothing is claimed.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
@@ -38,6 +40,8 @@ class Options:
 
     false_discovery: float = 0.01
     smallest: float = 0.03
+    smallest_next: float = 0.06
+    smallest_learned: float = 0.06
     smallest_in_base: float = 0.10
     smallest_torque: float = 0.002
     smallest_own: float = 0.002
@@ -150,11 +154,11 @@ class Search:
     def _score(self, fit: Fit, residual: Array, pool: list[list[Candidate]]) -> list[Scored]:
         """The best start of every effect at every joint, with its held-out trial."""
         scored = []
-        taken = {c.candidate.place for c in self.choices}
+        taken = {(c.candidate.effect.name, c.candidate.joint) for c in self.choices}
         for starts in pool:
             first = starts[0]
             repeatable = isinstance(first.effect, TorqueRipple)
-            if first.place in taken and not repeatable:
+            if (first.effect.name, first.joint) in taken and not repeatable:
                 continue
             if isinstance(first.effect, TorqueRipple):
                 j = first.joint - 1
@@ -214,8 +218,7 @@ class Search:
         return ordered[:last]
 
     def _large(self, s: Scored) -> bool:
-        smallest = self.options.smallest_in_base if s.candidate.effect.in_base else self.options.smallest
-        if s.share < smallest:
+        if s.share < self._smallest(s.candidate):
             return False
         columns = self.design.groups[s.candidate.key]
         own = columns.values @ s.trial.coefficients
@@ -225,6 +228,15 @@ class Search:
         if s.trial.gain < self.options.smallest_own * weighted:
             return False
         return bool(np.max(size / self.torque_rms[list(columns.channels)]) > self.options.smallest_torque)
+
+    def _smallest(self, candidate: Candidate) -> float:
+        """Share of the residual's squares that is asked of a candidate."""
+        occupied = any(c.candidate.joint == candidate.joint for c in self.choices)
+        if candidate.effect.name == "unknown":
+            return self.options.smallest_learned * (2.0 if occupied else 1.0)
+        if candidate.effect.in_base:
+            return self.options.smallest_in_base
+        return self.options.smallest_next if occupied else self.options.smallest
 
     def _refined(self, fit: Fit, s: Scored) -> Scored:
         """Theta by bounded search from the best start, all linear parameters eliminated."""
@@ -248,7 +260,8 @@ class Search:
         if len(bounds) == 1:
             low, high = bounds[0]
             if not isinstance(effect, TorqueRipple):
-                low, high = max(low, theta0[0] / 3.0), min(high, theta0[0] * 3.0)
+                near, far = sorted((theta0[0] / 3.0, theta0[0] * 3.0))
+                low, high = max(low, near), min(high, far)
             found = optimize.minimize_scalar(lambda v: loss(np.array([v])), bounds=(low, high), method="bounded",
                                              options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
             theta = np.array([float(found.x)])
@@ -305,12 +318,10 @@ class Search:
             if period is not None:
                 tests.append(dependence(residual[:, j], use, blocks, self.at_rows, j, period, self.rng))
             tests.sort(key=lambda d: -(d.share - d.expected))
-            limit = self.options.false_discovery / max(len(tests) * self.data.c, 1)
-            promising = [d for d in tests if d.p_value < limit and 2.0 * (d.share - d.expected) * squares > to_beat]
+            # Only a sieve: what is promising is tried on held-out blocks below, paid for all curves looked at.
+            promising = [d for d in tests if d.p_value < 0.02 and 3.0 * d.share * squares > to_beat]
             for d in promising[:4]:
-                if (d.share - d.expected) < self.options.smallest:
-                    continue
-                candidate = Candidate(d.term, j + 1, (), len(tests))
+                candidate = Candidate(d.term, j + 1, (), len(tests) * self.data.c)
                 key = candidate.key
                 self.design.add(key, prepared(self.experiment, self.data,
                                               d.term.columns(self.experiment.signals, j + 1, ())))

@@ -25,7 +25,7 @@ def library() -> tuple[Effect, ...]:
     from ideal_robot.effects.arm_dead_time import ArmDeadTime
     from ideal_robot.effects.asymmetric_friction import AsymmetricFriction
     from ideal_robot.effects.axis_coupling import AxisCoupling
-    from ideal_robot.effects.backlash import ArmBacklash, Backlash
+    from ideal_robot.effects.backlash import ArmBacklash, ArmBacklashByLoad, Backlash
     from ideal_robot.effects.cable_spring import CableSpring
     from ideal_robot.effects.coulomb import Coulomb
     from ideal_robot.effects.current_offset import CurrentOffset
@@ -47,7 +47,8 @@ def library() -> tuple[Effect, ...]:
     return (Viscous(), Coulomb(), Degressive(), Stribeck(), AsymmetricFriction(), LoadDependentFriction(),
             ThermalDrift(), PreslidingHysteresis(), TorqueRipple(), CurrentOffset(), DriveGain(), RotorInertia(),
             GravitySpring(), CableSpring(), Payload(), AxisCoupling(), DeadTime(), PositionDeadTime(),
-            JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash())
+            JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash(),
+            ArmBacklashByLoad())
 
 
 def names() -> tuple[str, ...]:

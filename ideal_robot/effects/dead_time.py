@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect, EffectParameter, Signals
 from ideal_robot.interface import Array
 
 
@@ -22,11 +22,14 @@ def delayed(values: Array, delay: float, dt: float) -> Array:
 class DeadTime(Effect):
     """The torque of one joint is recorded late by ``delta``: ``tau_j(t) = tau_model,j(t - delta)``.
 
-    To first order ``-delta d tau_model/dt``; linear in ``delta``, which is how it competes with a soft gear, whose
-    trace is the *second* derivative of the load. Negative: the torque is early, i.e. the positions are late.
+    To first order ``-delta d tau_model/dt``, by which it competes with a soft gear, whose trace is the *second*
+    derivative of the load. The column is the chord ``(tau_model(t - theta) - tau_model(t))/theta``, exact where
+    theta has become ``delta``. Negative: the torque is early, i.e. the position is late.
     """
 
     name = "dead_time"
+    theta_names = ("chord",)
+    theta_units = ("s",)
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
     source = "first-order expansion of a pure delay"
@@ -34,7 +37,21 @@ class DeadTime(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
-        return signals.on_joint(joint, -signals.rate(signals.torque[:, joint - 1]))
+        torque = signals.torque[:, joint - 1]
+        return signals.on_joint(joint, (delayed(torque, theta[0], signals.dt) - torque) / theta[0])
+
+    def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
+        """A tangent, and chords to either side."""
+        return [(delay,) for delay in (1e-3, -1e-3, 8e-3, -8e-3)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """The longest delay to either side; the search keeps the sign of its start."""
+        return [(-self.longest, self.longest)]
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """The delay alone; the chord is only how it was computed."""
+        return [EffectParameter("delay", float(coefficients[0]), float(std[0]), "s")]
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """Milliseconds, not tenths of a second."""

@@ -30,7 +30,7 @@ class JointElasticity(Effect):
         if signals.rigid is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
         j = joint - 1
-        bend = signals.load[:, j]
+        bend = self.bend(signals, joint, theta)
         # A step so small that the rigid body is linear in it, so large that rounding does not matter.
         h = 1e-4 / (float(np.std(bend)) + 1e-12)
         rate = signals.rate(bend)
@@ -43,6 +43,10 @@ class JointElasticity(Effect):
             qdd[:, j] -= sign * h * acceleration
             sides.append(signals.rigid(q, qd, qdd))
         return np.asarray((sides[0] - sides[1])[:, :, None] / (2.0 * h))
+
+    def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """What a unit coefficient bends the gear by ``(N,)``."""
+        return signals.load[:, joint - 1]
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """A spring holds, and bends by less than a twentieth of a radian in use."""
