@@ -209,9 +209,9 @@ class Model:
                        if recording.has("temp") else None)
         tau = self.inverse_dynamics(signals.q, signals.qd, signals.qdd, t=signals.t - signals.t[0],
                                     temperature=temperature)
-        load = self.rigid_body(signals.q, signals.qd, signals.qdd)
-        columns = signals.decimate(sensitivity(self.kinematics, self.base, self.friction, signals.q, signals.qd,
-                                               signals.qdd, load))
+        # The spread of the parameters needs no filtering: it is taken at the decimated instants.
+        q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
+        columns = sensitivity(self.kinematics, self.base, self.friction, q, qd, qdd, self.rigid_body(q, qd, qdd))
         of_parameters = np.einsum("knp,pr,knr->kn", columns, self.covariance, columns, optimize=True)
         std = np.sqrt(np.maximum(of_parameters, 0.0) + self.noise_std**2)
         return Prediction(signals.t_decimated, signals.decimate(tau), std, signals.decimate(signals.tau))

@@ -63,7 +63,7 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
         IdealRobotError: the solver finds no solution.
     """
     n = len(nominal) // 12
-    scale = _scales(nominal, n)
+    scale = parameter_scales(nominal, n)
     # Whitened distance to the base parameters; a floor keeps parameters of tiny variance from spoiling the numbers.
     std = np.sqrt(np.diag(covariance))
     size = np.maximum(np.abs(values), 1e-3 * np.max(np.abs(values)))
@@ -121,7 +121,7 @@ def _triangle(matrix: Array) -> Array:
     return np.array([matrix[i, j] * weights[i, j] for j in range(4) for i in range(j + 1)])
 
 
-def _scales(nominal: Array, n: int) -> Array:
+def parameter_scales(nominal: Array, n: int) -> Array:
     """Typical size of each full parameter, from the nominal arm."""
     scale = np.ones(len(nominal))
     mass = max(1e-3, float(np.mean(np.abs(nominal[: 10 * n : 10]))))

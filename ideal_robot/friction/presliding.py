@@ -15,17 +15,24 @@ import numpy as np
 
 from ideal_robot.interface import Array
 
+_BEFORE = 0.1
+"""How long a motion is taken to have lasted before its first sample [s]."""
+
 
 def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
     """Direction of sliding along a motion, each within [-1, 1].
 
     Args:
         q: positions ``(N, n)`` [rad or m], consecutive in time.
-        qd: velocities ``(N, n)``; only the first row counts, for the direction to start from.
+        qd: velocities ``(N, n)``; only the first row counts. The joint is taken to have moved like that for a tenth
+            of a second before; at rest the direction starts at zero, for nobody knows it.
         distance: presliding distance ``(n,)`` [rad or m].
     """
     q = np.ascontiguousarray(q, dtype=float)
-    return np.asarray(_follow(q, np.sign(np.asarray(qd, dtype=float)[0]), np.asarray(distance, dtype=float)))
+    distance = np.asarray(distance, dtype=float)
+    v = np.asarray(qd, dtype=float)[0]
+    start = np.sign(v) * -np.expm1(-np.abs(v) * _BEFORE / distance)
+    return np.asarray(_follow(q, start, distance))
 
 
 @numba.njit(cache=True)

@@ -86,7 +86,8 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
 
     base = base_parameters(robot.model)
     independent = list(base.independent)
-    W = np.concatenate([s.decimate(full_regressor(robot.model, s.q, s.qd, s.qdd)[:, :, independent]) for s in signals])
+    W = np.concatenate([s.decimate_of(lambda rows, s=s: full_regressor(  # type: ignore[misc]
+        robot.model, s.q[rows], s.qd[rows], s.qdd[rows])[:, :, independent]) for s in signals])
     y = np.concatenate([s.decimate(s.tau) for s in signals])
     segments = np.concatenate([np.full(s.keep.sum(), i) for i, s in enumerate(signals)])
     nominal = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(robot.n)])

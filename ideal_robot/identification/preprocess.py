@@ -7,6 +7,7 @@ the model does not claim to explain. Both cut-offs are chosen from the data unle
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -60,6 +61,23 @@ class Signals:
     def decimate(self, values: Array) -> Array:
         """Filters and decimates ``(N, …)`` along the first axis and drops edges: ``(M, …)``, all columns alike."""
         return decimated(values, self.factor)[self.keep]
+
+    def decimate_of(self, columns: Callable[[slice], Array], block: int = 20_000) -> Array:
+        """As ``decimate``, of columns made piece by piece: long recordings need little more memory than short ones.
+
+        Args:
+            columns: makes the rows of a slice of samples ``(k, …)``.
+            block: samples a piece.
+        """
+        count, overlap = len(self.t), 12 * self.factor
+        block = max(1, block // self.factor) * self.factor
+        parts = []
+        for start in range(0, count, block):
+            first, last = max(0, start - overlap), min(count, start + block + overlap)
+            piece = decimated(columns(slice(first, last)), self.factor)
+            skip = (start - first) // self.factor
+            parts.append(piece[skip: skip + -(-(min(start + block, count) - start) // self.factor)])
+        return np.concatenate(parts)[self.keep]
 
     @property
     def t_decimated(self) -> Array:

@@ -14,19 +14,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor, link_parameters
-from ideal_robot.dynamics.consistency import consistent_parameters
+from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.checks import checked, excitation_warnings
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
 from ideal_robot.identification.idim import Identification, relative_error
-from ideal_robot.identification.preprocess import Signals, preprocess
+from ideal_robot.identification.preprocess import Signals, lowpass, preprocess
 from ideal_robot.identification.regression import Solution
 from ideal_robot.identification.segments import alone, runs
 from ideal_robot.interface import Array
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
+
+_CUTOFF = 15.0
+"""Position filter [Hz]: corners of trapezoids reach far up in frequency, but nothing that is measured here does."""
 
 
 @dataclass(frozen=True)
@@ -74,17 +77,18 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     """
     usable, warnings = checked(recordings, robot)
     unseen, more = checked(validation, robot) if validation else ([], [])
-    signals = [preprocess(r) for r in usable]
+    signals = [preprocess(r, cutoff=_CUTOFF) for r in usable]
     base = base_parameters(robot.model)
     nominal = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(robot.n)])
     gravity = [m for s in signals for m in _gravity(s, robot, base)]
     if not gravity:
         raise InputError("no joint moves alone, forwards and backwards at constant velocity; play the program of "
                          "plan-identification", file=usable[0].source, field="q_i")
-    p_g = _weighted(gravity, base.of(nominal))[0]
+    prior = _prior(base, nominal, robot)
+    p_g = _weighted(gravity, base.of(nominal), prior)[0]
     inertia = [m for s in signals for m in _inertia(s, robot, base, p_g)]
     measurements = [*gravity, *inertia]
-    values, covariance, residual, unexcited = _weighted(measurements, base.of(nominal))
+    values, covariance, residual, unexcited = _weighted(measurements, base.of(nominal), prior)
     points = tuple(_friction_points(signals, robot, base, values, j) for j in range(robot.n))
     fits = tuple(choose_law(*p) if friction == "auto" else fit_law(law_of(friction), *p) for p in points)
     laws: list[FrictionModel] = [fit.law for fit in fits]
@@ -94,12 +98,11 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     joint_covariance[: base.count, : base.count] = covariance
     joint_covariance[base.count:, base.count:] = np.diag(spread**2)
     consistency = consistent_parameters(base, values, covariance, nominal)
-    cutoff = float(np.median([s.cutoff for s in signals]))
     model = Model(
         robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, values, PerJointFriction(laws),
         joint_covariance, consistency.full, np.zeros(robot.n),
         provenance={"method": "two-step", "recordings": [{"source": r.source, "hash": r.hash} for r in usable],
-                    "filters": {"cutoff": cutoff, "cutoff_decimation": signals[0].cutoff_decimation}})
+                    "filters": {"cutoff": _CUTOFF, "cutoff_decimation": signals[0].cutoff_decimation}})
     estimation = tuple(model.predict(r) for r in usable)
     noise = np.sqrt(np.mean(np.concatenate([p.measured - p.tau for p in estimation]) ** 2, axis=0))
     model = replace(model, noise_std=noise)
@@ -182,20 +185,20 @@ def _both_directions(s: Signals, robot: Robot, base: BaseParameters, joint: int,
 def _inertia(s: Signals, robot: Robot, base: BaseParameters, p_g: Array) -> list[Measurement]:
     """Moment of inertia of one axis from its motion with high acceleration, gravity compensated."""
     found = []
+    smooth = lowpass(s.tau, s.dt, s.cutoff)
     for j in range(robot.n):
         strongest = float(np.max(np.abs(s.qdd[:, j])))
         for start, stop in alone(s, j):
-            if np.max(np.abs(s.qdd[start:stop, j])) < 0.3 * strongest:
+            if (stop - start) * s.dt < 0.5 or np.max(np.abs(s.qdd[start:stop, j])) < 0.3 * strongest:
                 continue
-            step = max(1, int(0.25 / s.cutoff / s.dt))
-            index = np.arange(start, stop, step)
+            index = np.arange(start, stop, max(1, int(0.25 / s.cutoff / s.dt)))
             qd, qdd = s.qd[index, j], s.qdd[index, j]
             still = np.zeros((len(index), robot.n))
             gravity = full_regressor(robot.model, s.q[index], still, still)[:, j][:, list(base.independent)]
             unit = still.copy()
             unit[:, j] = 1.0
             moment = full_regressor(robot.model, s.q[index], still, unit)[:, j][:, list(base.independent)] - gravity
-            y = _smooth(s, j)[index] - gravity @ p_g
+            y = smooth[index, j] - gravity @ p_g
             W = np.column_stack([qdd, qd, np.tanh(qd / 0.02), np.ones_like(qd)])
             p, *_ = np.linalg.lstsq(W, y, rcond=None)
             sigma2 = float(np.sum((y - W @ p) ** 2)) / max(1, len(y) - 4)
@@ -206,36 +209,42 @@ def _inertia(s: Signals, robot: Robot, base: BaseParameters, p_g: Array) -> list
     return found
 
 
-def _smooth(s: Signals, joint: int) -> Array:
-    from ideal_robot.identification.preprocess import lowpass
+def _prior(base: BaseParameters, nominal: Array, robot: Robot) -> Array:
+    """What is known before: nominal parameters to the size of a link's own, offsets to 2 % of the torque limit.
 
-    return lowpass(s.tau[:, [joint]], s.dt, s.cutoff)[:, 0]
+    Returns the covariance of the base parameters ``(b, b)``. Single-axis moves at a few operating points leave
+    combinations of small parameters open; without this the fit would fill them with noise.
+    """
+    n = robot.n
+    scale = parameter_scales(nominal, n)
+    limit = np.where(np.isfinite(robot.tau_max), robot.tau_max, 100.0)
+    scale[11 * n :] = 0.02 * limit
+    return np.asarray((base.grouping * scale**2) @ base.grouping.T)
 
 
-def _weighted(measurements: Sequence[Measurement], start: Array) -> tuple[Array, Array, Array, np.ndarray]:
-    """Weighted least squares; the scatter of the measurements about the model widens their standard deviations."""
+def _weighted(measurements: Sequence[Measurement], start: Array, prior: Array,
+              ) -> tuple[Array, Array, Array, np.ndarray]:
+    """Weighted least squares about ``start``, known to ``prior (b, b)``.
+
+    The scatter of the measurements about the model widens their standard deviations.
+    """
     std = np.array([m.std for m in measurements])
     kinds = np.array([f"{m.quantity} {m.joint}" for m in measurements])
     rows = np.array([m.row for m in measurements])
     y = np.array([m.value for m in measurements]) - rows @ start
+    known = np.linalg.pinv(prior, hermitian=True)
     for _ in range(4):
         W, z = rows / std[:, None], y / std
-        size = np.linalg.norm(W, axis=0)
-        seen = size > 1e-9 * size.max()
-        u, s, vt = np.linalg.svd(W[:, seen] / size[seen], full_matrices=False)
-        strong = s > 1e-4 * s[0]
-        inverse = np.where(strong, 1.0 / np.where(strong, s, 1.0), 0.0)
-        step = np.zeros(len(start))
-        step[seen] = (vt.T @ (inverse * (u.T @ z))) / size[seen]
+        covariance = np.linalg.inv(W.T @ W + known)
+        step = covariance @ (W.T @ z)
         residual = z - W @ step
+        # Parameters that the measurements, not the prior, decide use up degrees of freedom.
+        used = float(np.trace(covariance @ W.T @ W))
         for kind in np.unique(kinds):
             here = kinds == kind
-            freedom = max(1.0, here.sum() * (1.0 - strong.sum() / len(z)))
+            freedom = max(1.0, here.sum() * (1.0 - used / len(z)))
             std[here] *= max(1.0, float(np.sqrt(np.sum(residual[here] ** 2) / freedom)))
-    covariance = np.zeros((len(start),) * 2)
-    covariance[np.ix_(seen, seen)] = (vt.T * inverse**2) @ vt / np.outer(size[seen], size[seen])
-    unexcited = ~seen
-    unexcited[np.flatnonzero(seen)[np.sum(vt[~strong] ** 2, axis=0) > 1e-2]] = True
+    unexcited = np.diag(covariance) > 0.9 * np.diag(prior)
     return start + step, covariance, residual, unexcited
 
 
