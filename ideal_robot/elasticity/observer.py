@@ -1,0 +1,128 @@
+r"""Arm angles from motor angles, through the elastic gears ([L] 2.1, 3.3).
+
+Encoders sit on the motors, sensors on the arm. Between them are springs: the measured motor angles drive a model of the
+arm behind its gears,
+
+.. math:: M(q_a)\,\ddot q_a + n(q_a, \dot q_a) = k\,(q - q_a) + d\,(\dot q - \dot q_a) + \tau_{ext}
+
+whose state is the arm. The gears' own damping lets errors of the start die out; at rest :math:`q_a = q - \tau/k`
+([J] (1)). Without a stiffness in the model the documented fallback is :math:`q_a \approx q`, or
+:math:`q_a \approx q_d` for a well-adapted ideal robot ([L] 3.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numba import njit
+
+from ideal_robot.interface import Array
+from ideal_robot.model import Model
+
+SUBSTEP = 0.0005
+"""Time step of the model; far below the period of the stiffest gear [s]."""
+LEAST_DAMPING = 0.04
+"""Damping ratio that is assumed where none was identified."""
+
+
+@dataclass(frozen=True)
+class ObserverState:
+    """Arm angles and velocities ``(n,)``, and motor angles now and a cycle ago with the velocity now."""
+
+    q_a: Array
+    v_a: Array
+    q: Array
+    before: Array
+    v: Array
+
+
+class ArmObserver:
+    """Observer for the arm angles.
+
+    Args:
+        model: identified model; gears of unknown or infinite stiffness count as rigid.
+        T: cycle at which motor angles come [s].
+    """
+
+    def __init__(self, model: Model, T: float) -> None:
+        self._dynamics = model.dynamics.copy()
+        # The rotors turn with the motors, which are measured: only what is behind the gears moves here.
+        self._dynamics.armature = np.zeros(model.n)
+        self._data = self._dynamics.createData()
+        self._T, self._n = T, model.n
+        stiffness = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
+        self._elastic = np.isfinite(stiffness)
+        self._k = np.where(self._elastic, stiffness, 0.0)
+        given = np.zeros(model.n) if model.damping is None else np.array(model.damping)
+        inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
+        self._d = np.maximum(given, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
+
+    def init(self, q: Array, tau_ext: Array | None = None) -> ObserverState:
+        """State at rest with motors at ``q (n,)`` [rad] under an external joint torque ``(n,)`` [N m]."""
+        q_a = np.array(q, dtype=float)
+        external = np.zeros(self._n) if tau_ext is None else tau_ext
+        for _ in range(20):
+            load = pin.computeGeneralizedGravity(self._dynamics, self._data, q_a) - external
+            q_a = q - np.where(self._elastic, load / np.where(self._elastic, self._k, 1.0), 0.0)
+        q = np.array(q, dtype=float)
+        return ObserverState(q_a, np.zeros(self._n), q, q, np.zeros(self._n))
+
+    def step(self, state: ObserverState, q: Array, tau_ext: Array | None = None) -> ObserverState:
+        """One cycle on: motor angles ``q (n,)`` [rad] at its end, external joint torque ``(n,)`` [N m] during it."""
+        if not np.any(self._elastic):
+            return ObserverState(q, (q - state.q) / self._T, q, state.q, (q - state.q) / self._T)
+        # Velocity at the end of the cycle from the parabola through the last three motor angles.
+        v = (1.5 * q - 2.0 * state.q + 0.5 * state.before) / self._T
+        mass = pin.crba(self._dynamics, self._data, state.q_a)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        load = pin.nonLinearEffects(self._dynamics, self._data, state.q_a, state.v_a)
+        if tau_ext is not None:
+            load = load - tau_ext
+        q_a, v_a = _substeps(state.q_a, state.v_a, state.q, q, state.v, v, np.linalg.inv(mass), np.asarray(load),
+                             self._k, self._d, self._elastic, max(1, round(self._T / SUBSTEP)), self._T)
+        return ObserverState(q_a, v_a, np.array(q, dtype=float), state.q, v)
+
+    def angles(self, q: Array, tau_ext: Array | None = None) -> Array:
+        """Arm angles ``(N, n)`` of a whole recording of motor angles ``(N, n)`` taken every ``T``.
+
+        Args:
+            q: motor angles [rad]; the arm rests at the first.
+            tau_ext: external joint torques ``(N, n)`` [N m], None for none.
+        """
+        state = self.init(q[0], None if tau_ext is None else tau_ext[0])
+        result = np.empty_like(q)
+        result[0] = state.q_a
+        for i in range(1, len(q)):
+            state = self.step(state, q[i], None if tau_ext is None else tau_ext[i])
+            result[i] = state.q_a
+        return result
+
+
+@njit(cache=True)
+def _substeps(q_a: Array, v_a: Array, q0: Array, q1: Array, v0: Array, v1: Array, inverse: Array, load: Array, k: Array,
+              d: Array, elastic: Array, steps: int, T: float) -> tuple[Array, Array]:
+    """Leapfrog with the mass matrix of the cycle's beginning; motors on the cubic between both ends."""
+    x, v = q_a.copy(), v_a.copy()
+    h = T / steps
+    n = len(x)
+    torque = np.zeros(n)
+    for step in range(steps):
+        # Leapfrog: positions at the steps' ends, velocities half a step before.
+        u = step / steps
+        for j in range(n):
+            slope = (q1[j] - q0[j])
+            a, b = v0[j] * T - slope, -v1[j] * T + slope
+            q_m = (1 - u) * q0[j] + u * q1[j] + u * (1 - u) * ((1 - u) * a + u * b)
+            v_m = (slope + (1 - 2 * u) * (a * (1 - u) + b * u) + u * (1 - u) * (b - a)) / T
+            torque[j] = k[j] * (q_m - x[j]) + d[j] * (v_m - v[j]) - load[j]
+        acceleration = inverse @ torque
+        for j in range(n):
+            if elastic[j]:
+                v[j] += h * acceleration[j]
+                x[j] += h * v[j]
+    for j in range(n):
+        if not elastic[j]:
+            x[j], v[j] = q1[j], v1[j]
+    return x, v

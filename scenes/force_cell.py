@@ -1,0 +1,142 @@
+"""What a force scene needs before anything moves: arm, surface, reference, and the two calibrations by moving."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.errors import InputError
+from ideal_robot.model import Model
+from ideal_robot.robot import Robot
+from planning.errors import OutOfReachError
+from planning.force_following import ContactSettings, SurfaceFollower
+from planning.kinematics import InverseKinematics
+from planning.reference import ReferencePath
+from planning.speed_profile import Limits, SpeedProfile
+from scenes.force_scene import ForceScene
+from scenes.line_scene import Geometry, LineScene, Surface, geometry
+from scenes.models import model_for
+from sensing.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
+from sim.arm import SimulatedArm
+from sim.contact import HeightSurface, TipContact
+from sim.force_sensor import ForceSensor
+from sim.world import World
+
+N_D = 20
+"""Desired positions handed to the ideal robot [cycles]."""
+START_HEIGHT = 0.01
+"""Of the tip above the reference when the approach begins [m]."""
+
+
+@dataclass
+class Cell:
+    """Everything of one run that is set up before anything moves."""
+
+    scene: ForceScene
+    robot: Robot
+    world: World
+    model: Model
+    surface: HeightSurface
+    geometry: Geometry
+    reference: ReferencePath
+    profile: SpeedProfile
+    sensor: ForceSensor
+    noise: np.random.Generator
+    camera_streams: tuple[np.random.Generator, np.random.Generator]
+
+    def follower(self, elasticity: float) -> SurfaceFollower:
+        """A fresh follower that assumes this elasticity [N/m]."""
+        settings = ContactSettings(force=self.scene.force, elasticity=elasticity)
+        return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, start_height=START_HEIGHT)
+
+
+def set_up(scene: ForceScene) -> Cell:
+    """Builds a scene.
+
+    Raises:
+        InputError: path out of reach, unreachable speed, a value that makes no sense.
+    """
+    robot = Robot.load(scene.robot)
+    world = World.from_table(scene.robot, scene.world)
+    place, noise, sensor_noise, camera_noise, calibration = (
+        np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5))
+    where = geometry(_as_line(scene), place)
+    reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
+    try:
+        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=40.0))
+    except OutOfReachError as error:
+        raise InputError(f"the path is out of reach: {error}", field="surface.origin",
+                         value=list(scene.surface.origin)) from error
+    return Cell(scene, robot, world, model_for(scene, robot), scene.surface.truth(), where, reference, profile,
+                ForceSensor(scene.sensor.truth(), sensor_noise), noise, (camera_noise, calibration))
+
+
+def _as_line(scene: ForceScene) -> LineScene:
+    """What of the scene says where line and reference are, as a line scene."""
+    plane = Surface(**{key: getattr(scene.surface, key) for key in Surface.model_fields})
+    return LineScene(name=scene.name, kind="line", title=scene.title, surface=plane, line=scene.line,
+                     reference=scene.reference, displacement=scene.displacement, seed=scene.seed)
+
+
+def calibrate_tool(cell: Cell) -> ToolLoad:
+    """Bias and weight of the tool from the sensor in seven orientations, the arm resting in the air."""
+    home = cell.robot.home
+    wrenches, rotations = [], []
+    fk = cell.robot.fk()
+    for turn, bend in ((0.0, 0.0), (0.0, 0.6), (0.0, -0.6), (0.8, 0.3), (1.6, 0.6), (-0.8, 0.4), (-1.6, -0.4)):
+        q = home.copy()
+        q[-3] += turn
+        q[-2] += bend
+        with SimulatedArm(cell.robot, cell.world, cell.noise, q) as arm:
+            pose = arm.truth.tcp
+        samples = [cell.sensor.sample(0.0, pose, np.zeros(3)).wrench for _ in range(100)]
+        wrenches.append(np.mean(samples, axis=0))
+        rotations.append(fk(q).rotation)
+    return identify_tool(np.array(wrenches), rotations)
+
+
+def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
+    """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back ([L] 4.4)."""
+    follower = cell.follower(elasticity=1e6)
+    kinematics = InverseKinematics(cell.robot)
+    deflection = GearDeflection(cell.model, cell.world.t_ipo)
+    frames = cell.reference.frames(np.zeros(1))
+    up, start, rotation = frames.up[0], frames.position[0], cell.reference.rotation(0.0)
+    T, q = cell.world.t_ipo, follower.q_start
+    height, speed = START_HEIGHT, -0.03
+    positions, forces, times, heights = [], [], [], []
+    with SimulatedArm(cell.robot, cell.world, cell.noise, q) as arm:
+        contact = TipContact(arm, cell.surface, cell.scene.tip.truth())
+        state = None
+        for k in range(int(6.0 / T)):
+            height += speed * T
+            q = kinematics.refine([pin.SE3(rotation, start + height * up)], q[None])[0]
+            state = arm.cycle(q)
+            q_a = state.q - deflection.at(np.tile(q, (3, 1)))
+            times.append(state.t)
+            heights.append(float((kinematics.fk(q_a).translation - start) @ up))
+            for sample in cell.sensor.due(k * T, (k + 1) * T, arm.tcp_at, contact.force_at):
+                positions.append(sample.t)
+                forces.append(float((rotation @ tool.contact(sample.wrench, rotation)[:3]) @ up))
+            recent = float(np.mean(forces[-5:])) if forces else 0.0
+            if speed < 0 and recent > 3.0:
+                speed = -0.01
+            if speed < 0 and recent > 1.6 * cell.scene.force:
+                speed = 0.01
+            if speed > 0 and recent < 1.0:
+                break
+    at = np.interp(positions, times, heights)
+    return identify_elasticity(at, np.array(forces))
+
+
+@lru_cache(maxsize=64)
+def calibrations(key: str) -> tuple[ToolLoad, ContactElasticity]:
+    """Both calibrations of a scene, once for all methods; ``key`` is the scene as JSON."""
+    scene = ForceScene.model_validate_json(key)
+    cell = set_up(scene)
+    tool = calibrate_tool(cell)
+    return tool, calibrate_elasticity(cell, tool)

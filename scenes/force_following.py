@@ -1,0 +1,204 @@
+"""Plays a scene of kind ``force``: the tip presses on an unknown surface and moves along it ([L] section 4)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ideal_robot.elasticity.observer import ArmObserver
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.interface import Array
+from planning.direct_force import DirectForceFeedback
+from planning.errors import PlanningError
+from planning.force_following import Phase
+from planning.stopping import stopping_rows
+from planning.watch import Watch
+from scenes.force_cell import N_D, Cell, calibrations, set_up
+from scenes.force_compare import ForceComparison, compare_forces
+from scenes.force_result import ForceLog, ForceResult, force_result
+from scenes.force_scene import ForceScene
+from scenes.result import Progress, silent
+from sensing.force_calibration import ContactElasticity, ToolLoad
+from sensing.force_deviation import WrenchFilter
+from sensing.wrench import WrenchSample
+from sim.arm import SimulatedArm
+from sim.contact import TipContact
+
+SceneModel = ForceScene
+METHODS = ("direct_feedback", "sensor_path", "ideal")
+WINDOW = 0.0
+"""Length of the moving average over wrenches [s]; the map averages better, and without delay."""
+BRAKING = 2.0
+"""Deceleration of a stop on the path [m/s²]."""
+LONGEST = 60.0
+"""A run that has not ended by then is stuck [s]."""
+
+
+def run(scene: ForceScene, *, method: str | None = None, out: Path | None = None, progress: Progress = silent,
+        gains: tuple[float, float] | None = None) -> ForceResult:
+    """Presses and moves once.
+
+    Args:
+        scene: what to play.
+        method: one of ``METHODS``; the scene's own if None.
+        out: folder for recording and report; nothing is written without.
+        progress: told how far it is.
+        gains: K_p, K_d of direct feedback; the scene's, or found by search, if None.
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    method = method or scene.method
+    if method not in METHODS:
+        raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
+    if method == "direct_feedback" and gains is None:
+        from scenes.force_compare import best_gains
+
+        gains = scene.gains or best_gains(scene, progress=lambda part, text: progress(0.8 * part, text))[0]
+    result = play(scene, method, gains, progress)
+    if out is None:
+        return result
+    from scenes.force_report import write_run
+
+    return write_run(result, out)
+
+
+def compare(scene: ForceScene, *, out: Path | None = None, progress: Progress = silent) -> ForceComparison:
+    """Plays the scene with every method and with direct feedback at its best gains."""
+    return compare_forces(scene, out=out, progress=progress)
+
+
+def play(scene: ForceScene, method: str, gains: tuple[float, float] | None = None,
+         progress: Progress = silent) -> ForceResult:
+    """One run without files."""
+    tool, elasticity = calibrations(scene.model_copy(update={"method": "ideal"}).model_dump_json())
+    loop = ForceLoop(set_up(scene), method, gains, tool, elasticity)
+    with SimulatedArm(loop.cell.robot, loop.cell.world, loop.cell.noise, loop.follower.q_start) as arm:
+        contact = TipContact(arm, loop.cell.surface, scene.tip.truth())
+        started = time.perf_counter()
+        loop.play(arm, contact, progress)
+        wall = time.perf_counter() - started
+        return force_result(scene, method, loop, arm, contact, wall)
+
+
+class ForceLoop:
+    """The two loops of [L] Fig. 1 with a force sensor."""
+
+    def __init__(self, cell: Cell, method: str, gains: tuple[float, float] | None, tool: ToolLoad,
+                 elasticity: ContactElasticity) -> None:
+        self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
+        self.follower = cell.follower(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)
+        self.watch = Watch(cell.robot, cell.scene.emergency.limits())
+        self.filter = WrenchFilter(WINDOW)
+        self.direct = DirectForceFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
+        T = cell.world.t_ipo
+        self.feedforward: Feedforward = PassThrough(T)
+        if method == "ideal":
+            self.feedforward = IdealRobot.of(cell.model, cell.robot, N_D, delay=int(cell.world.correction_delay))
+        # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
+        self.observer = ArmObserver(cell.model, T) if method == "ideal" else None
+        self.arm = self.observer.init(self.follower.q_start) if self.observer is not None else None
+        self.state = self.feedforward.init(self.follower.q_start)
+        self.log = ForceLog()
+        self.under_way: list[WrenchSample] = []
+        self._torque = np.zeros((N_D, cell.robot.n))
+
+    def play(self, arm: SimulatedArm, contact: TipContact, progress: Progress) -> None:
+        """Cycle by cycle until the tip is lifted again, or the arm has stopped."""
+        follower, T = self.follower, arm.t_ipo
+        q, last = follower.q_start, np.tile(follower.q_start, (N_D, 1))
+        stopping: Iterator[Array] | None = None
+        for k in range(int(LONGEST / T)):
+            t = k * T
+            begin = time.perf_counter()
+            follower.observe(t, self._arm_angles(q))
+            if stopping is None:
+                try:
+                    self._sense(t)
+                    self._check(t)
+                    # Direct feedback goes its own way between touch-down and lift: no need to plan.
+                    last = self._desired(t, last)
+                except (PlanningError, LimitError) as error:
+                    self.log.failure = str(error)
+                    moving = np.isfinite(follower.t_travel)
+                    speed = float(follower.profile.speed(t - follower.t_travel)) if moving else 0.02
+                    stopping = stopping_rows(last[1:], T, max(speed, 0.02), BRAKING)
+            if stopping is not None:
+                last = _padded(next(stopping))
+            self._torque = follower.contact_torque(last)
+            try:
+                q_c = self._command(t, last)
+                self.log.add(t, last[0], q_c, follower, time.perf_counter() - begin)
+                q = arm.cycle(q_c).q
+            except (PlanningError, LimitError) as error:
+                # A gain of direct feedback that drives the arm out of its limits: the controller refuses.
+                self.log.failure = self.log.failure or str(error)
+                break
+            self.under_way += self.cell.sensor.due(t, t + T, arm.tcp_at, contact.force_at)
+            if self._done() or (stopping is not None and np.allclose(last, last[0], atol=1e-9)):
+                break
+            if k % 16 == 0:
+                progress(min(1.0, t / (self.cell.profile.duration + 2.0)), self.method)
+        else:
+            self.log.failure = f"not done after {LONGEST:.0f} s, phase {follower.phase.value}"
+
+    def _arm_angles(self, q: Array) -> Array:
+        """q_a from the motor angles, the contact torque included."""
+        if self.observer is None or self.arm is None:
+            return q
+        self.arm = self.observer.step(self.arm, q, self._torque[0])
+        return self.arm.q_a
+
+    def _sense(self, t: float) -> None:
+        arrived = sorted((s for s in self.under_way if s.t_arrival <= t), key=lambda s: s.t_arrival)
+        self.under_way = [s for s in self.under_way if s.t_arrival > t]
+        if not arrived:
+            return
+        samples = [self.filter.add(sample) for sample in arrived]
+        history = self.follower.history
+        contact = np.array([self.tool.contact(s.wrench, history.pose(max(s.t, history.first)).rotation)[:3]
+                            for s in samples])
+        fused = self.follower.update_force(np.array([s.t for s in samples]), contact)
+        nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
+        self.log.samples.append((samples[-1].t, self.follower.force, nis))
+        if self.direct is not None:
+            self.direct.update(self.follower.force)
+        self.watch.force(t, float(np.median(np.linalg.norm(contact, axis=1))))
+
+    def _check(self, t: float) -> None:
+        follower = self.follower
+        if follower.phase is Phase.TRAVEL:
+            # Samples are late: contact is judged at the time of the newest one.
+            newest = self.log.samples[-1][0] if self.log.samples else t
+            self.watch.contact(newest, follower.last_touch)
+        elif follower.phase is Phase.APPROACH:
+            self.watch.approach(t, follower.descended, follower.settings.reach)
+
+    def _desired(self, t: float, last: Array) -> Array:
+        if self.direct is not None and self.follower.phase is not Phase.APPROACH:
+            self.follower.advance(t)
+            return last
+        q_d = self.follower.horizon(t)
+        self.watch.command(t, q_d)
+        return q_d
+
+    def _done(self) -> bool:
+        lifted = self.direct is not None and self.direct.lifted >= self.follower.settings.clearance
+        return self.follower.phase is Phase.DONE or lifted
+
+    def _command(self, t: float, q_d: Array) -> Array:
+        if self.direct is not None:
+            return self.direct.command(t, q_d)
+        q_c, self.state = self.feedforward.step(self.state, q_d, self._torque)
+        return q_c
+
+
+def _padded(rows: Array) -> Array:
+    """A horizon that is one row short, its last row held."""
+    return np.concatenate([rows, rows[-1:]])
