@@ -36,6 +36,7 @@ from sensing.errors import SensingError
 from sensing.field import Field
 from sensing.hand_eye import HandEye
 from sensing.line_detection import DetectionSettings, LineField, detect_line, search_windows
+from sensing.line_polynomial import fit_line_polynomial
 from sim.arm import SimulatedArm
 from sim.camera import CameraSettings, RenderedCamera
 from sim.surface import DrawnLine
@@ -343,11 +344,18 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
 
 
 def _picture(loop: _Loop, camera: RenderedCamera, arm: SimulatedArm, seen: LineField, raw: Field) -> FieldShown:
-    """The whole image of a field, with what was found in it and the line as it is believed to be."""
-    follower = loop.follower
-    ahead = follower.predict(seen.t, np.linspace(-0.02, 0.15, 60)).seen_from(follower.history.pose(seen.t))
+    """The whole image of a field, with the points found in it and the polynomial through them ([L] 5)."""
+    follower, reference = loop.follower, loop.cell.reference
+    pose = follower.history.pose(seen.t)
+    points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
+    s, deviation, _ = reference.project(points, float(follower.profile.s(seen.t - START)) + 0.06)
+    polynomial = fit_line_polynomial(s, deviation, seen.sigma[seen.used])
+    at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
+    frames = reference.frames(at)
+    curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal
     return FieldShown(seen.t, camera.frame(arm.tcp_at(seen.t)), tuple(tuple(w) for w in raw.windows),  # type: ignore[misc]
-                      seen.pixels, seen.used, loop.cell.camera.project_tool(ahead.points))
+                      seen.pixels, seen.used,
+                      loop.cell.camera.project_tool((curve - pose.translation) @ pose.rotation))
 
 
 def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError, float]:
