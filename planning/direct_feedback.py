@@ -52,7 +52,7 @@ class DirectFeedback:
         f = self._follower
         pose = f.history.pose(line.t) if pose is None else pose
         points = line.points_tcp[used] @ pose.rotation.T + pose.translation
-        s_tcp = float(f.profile.s(line.t - f.t_start))
+        s_tcp = f.profile.at(line.t - f.t_start)[0]
         s, lateral, _ = f.reference.project(points, s_tcp + 0.06)
         nearest = int(np.argmin(s))
         # The line as seen from the TCP against the reference as seen from the reference's TCP.
@@ -66,7 +66,7 @@ class DirectFeedback:
         self._last_signal = self._signal
         self._correction = float(np.clip(self._correction + change, -self._limit, self._limit))
         f = self._follower
-        s = float(f.profile.s(t - f.t_start))
+        s = f.profile.at(t - f.t_start)[0]
         frames = f.reference.frames(s)
         target = pin.SE3(f.reference.rotation(s), frames.position + self._correction * frames.normal)
         guess = f.q_start if self._q is None else self._q

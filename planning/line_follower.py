@@ -163,7 +163,7 @@ class LineFollower:
             ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will
                 be when the field takes effect.
         """
-        s_tcp = float(self.profile.s(t - self.t_start))
+        s_tcp = self.profile.at(t - self.t_start)[0]
         s = s_tcp + (self._where_to_look(t) if ahead is None else ahead)
         step, m = 1e-3, len(s)
         H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))[:, 0]
@@ -178,7 +178,7 @@ class LineFollower:
     def _where_to_look(self, t: float) -> Array:
         """What the TCP passes before the field has come and gone into the plan need not be looked at."""
         near, far = self.settings.view
-        passed = float(self.profile.speed(t - self.t_start)) * (self.settings.latency + 2 * self._T)
+        passed = self.profile.at(t - self.t_start)[1] * (self.settings.latency + 2 * self._T)
         first = min(max(near, passed), max(near, far - 0.06))
         return np.linspace(first, min(far, first + 0.1), 5)
 
@@ -203,7 +203,7 @@ class LineFollower:
         fused = self.fuse(measurement)
         if fused.dof:
             self.fields_used += 1
-            seen = (line.t, float(self.profile.s(line.t - self.t_start)))
+            seen = (line.t, self.profile.at(line.t - self.t_start)[0])
             self._last_seen = max(self._last_seen or seen, seen)
             self._front = max(self._front, float(measurement.s[fused.used].max()))
         return fused
@@ -218,7 +218,7 @@ class LineFollower:
         """[L] (5): deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``."""
         pose = self.history.pose(t) if pose is None else pose
         lever = points_tcp @ pose.rotation.T
-        s, value, _ = self.reference.project(lever + pose.translation, float(self.profile.s(t - self.t_start)) + 0.06)
+        s, value, _ = self.reference.project(lever + pose.translation, self.profile.at(t - self.t_start)[0] + 0.06)
         frames = self.reference.frames(s)
         covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
         # A turned camera moves a point by up × lever, a wrong time stamp by the velocity it has on the tool.
@@ -266,7 +266,7 @@ class LineFollower:
     def _check_seen(self, t: float, s: float) -> None:
         """Counts the blind distance from field to field, so that a late camera is not a blind one; a silent one is."""
         begin, end = self._line_span
-        looked = float(self.profile.s(max(self._field_t, t - SILENCE) - self.t_start))
+        looked = self.profile.at(max(self._field_t, t - SILENCE) - self.t_start)[0]
         if self._last_seen is None:
             if looked - begin > self.settings.max_search:
                 raise LineNeverSeenError(t, s, self.settings.max_search)

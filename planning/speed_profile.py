@@ -103,6 +103,14 @@ class SpeedProfile:
         """Path speed [m/s] at times ``t``."""
         return np.asarray(self._spline(np.clip(t, 0.0, self.duration), 1))
 
+    def at(self, t: float) -> tuple[float, float]:
+        """Arc length [m] and speed [m/s] at one instant, without the overhead of arrays."""
+        t = min(max(t, 0.0), self.duration)
+        i = min(int(t / TICK), self._spline.c.shape[1] - 1)
+        a, b, c, d = self._spline.c[:, i].tolist()
+        u = t - self._spline.x[i]
+        return float(((a * u + b) * u + c) * u + d), float((3.0 * a * u + 2.0 * b) * u + c)
+
     def acceleration(self, t: npt.ArrayLike) -> Array:
         """Path acceleration [m/s²] at times ``t``."""
         inside = np.clip(t, 0.0, self.duration)

@@ -93,3 +93,11 @@ def test_time_at_is_the_inverse_of_the_travel() -> None:
     for s in (0.05, 0.4, 0.9):
         assert travel.s(travel.time_at(s)) == pytest.approx(s, abs=2e-3)
     assert travel.time_at(travel.length + 1.0) == pytest.approx(travel.duration, abs=0.01)
+
+
+def test_single_instant_agrees_with_many() -> None:
+    travel = profile()
+    for t in (-1.0, 0.0, 0.1234, 0.9, travel.duration, travel.duration + 1.0):
+        s, speed = travel.at(t)
+        assert s == pytest.approx(float(travel.s(t)), abs=1e-12)
+        assert speed == pytest.approx(float(travel.speed(t)), abs=1e-9)
