@@ -218,6 +218,40 @@ def calibration(seeds: int) -> list[dict[str, Any]]:
     return rows
 
 
+def calibration_in_scenes(seeds: int) -> list[dict[str, Any]]:
+    """The simulated arm driven over the line of a scene, all world effects on; lateral error left."""
+    from ideal_robot.elasticity.deflection import GearDeflection
+    from scenes.line_calibration import calibrate_by_moving
+    from scenes.line_following import set_up
+    from scenes.models import model_for
+    from scenes.scene import load_scene
+    from sensing.line_detection import DetectionSettings
+    from sim.arm import SimulatedArm
+
+    x, y = np.meshgrid(AHEAD, np.linspace(-0.02, 0.02, 5))
+    probe = np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()])
+    rows = []
+    for name in ("line", "gap", "corner"):
+        for deflected in (True, False):
+            before, after, taken = [], [], []
+            for seed in range(1, seeds + 1):
+                cell = set_up(load_scene(name).changed(seed=seed))
+                bending = GearDeflection(model_for(cell.scene, cell.robot), cell.world.t_ipo) if deflected else None
+                with (SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm,
+                      RenderedCamera(cell.true_camera, cell.line, CameraSettings(), cell.camera_noise) as camera):
+                    begin = time.process_time()
+                    result = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, bending,
+                                                 0.5 * cell.reference.length, DetectionSettings())
+                    taken.append(time.process_time() - begin)
+                for camera_, errors in ((cell.camera, before), (result.camera, after)):
+                    back = camera_.on_plane(cell.true_camera.project_tool(probe), UP, 0.0)
+                    errors.append(float(np.abs((back - probe)[:, 1]).mean()))
+            rows.append({"scene": f"{name}, gear deflection {'from the model' if deflected else 'ignored'}",
+                         "before_um": 1e6 * float(np.mean(before)), "after_um": 1e6 * float(np.mean(after)),
+                         "worst_um": 1e6 * max(after), "seconds": float(np.median(taken))})
+    return rows
+
+
 def show(rows: list[dict[str, Any]]) -> None:
     """Prints a table with the keys as titles."""
     keys = list(rows[0])
@@ -234,7 +268,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also writes the tables here")
     arguments = parser.parse_args()
     tables = {"accuracy": accuracy(arguments.fields), "times": times(arguments.fields),
-              "calibration": calibration(max(arguments.fields // 20, 2))}
+              "calibration": calibration(max(arguments.fields // 20, 2)),
+              "calibration_in_scenes": calibration_in_scenes(max(arguments.fields // 60, 1))}
     for rows in tables.values():
         show(rows)
     if arguments.json:

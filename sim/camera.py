@@ -142,6 +142,9 @@ class RenderedCamera:
         rng: seeds the camera's noise. Every field draws from a stream of its own, so that a field is the same
             whatever was asked before.
         texture: painted surface; made from ``surface`` if not given, and kept as ``texture`` for another camera on it.
+
+    Raises:
+        InputError: the surface is too large for its resolution, or the lens cannot be inverted within the image.
     """
 
     def __init__(
@@ -153,6 +156,11 @@ class RenderedCamera:
         texture: Texture | None = None,
     ) -> None:
         self.model, self.surface, self.settings = model, surface, settings
+        edge_u, edge_v = np.linspace(0, model.width - 1, 9), np.linspace(0, model.height - 1, 9)
+        border = np.stack(np.meshgrid(edge_u, edge_v), axis=-1).reshape(-1, 2)
+        if not np.isfinite(model.rays(border)).all():
+            raise InputError("this lens folds the picture over within the image; take a weaker distortion",
+                             field="camera.distortion", value=tuple(model.distortion))
         self._key = int(rng.integers(2**63))
         self._offsets = _inside(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)

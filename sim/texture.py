@@ -72,11 +72,15 @@ class _Canvas:
     def stroke(self, xy: Array, width: float, edge: float, gray: float, drawn: NDArray[np.bool_] | None = None) -> None:
         texels = self._texels(xy)
         reach = (width + edge) / 2 / self.resolution + 1.0
-        distance = np.full(self.gray.shape, np.inf, dtype=np.float32)
-        _stroke_distance(distance, texels, np.ones(len(xy) - 1, dtype=bool) if drawn is None else drawn, reach)
+        first = np.maximum(np.floor(texels.min(axis=0) - reach).astype(int), 0)
+        last = np.maximum(np.ceil(texels.max(axis=0) + reach).astype(int), first)
+        part = self.gray[first[1] : last[1], first[0] : last[0]]
+        distance = np.full(part.shape, np.inf, dtype=np.float32)
+        drawn = np.ones(len(xy) - 1, dtype=bool) if drawn is None else drawn
+        _stroke_distance(distance, texels - first, drawn, reach)
         touched = np.isfinite(distance)
         cover = np.clip(0.5 + (width / 2 - distance[touched] * self.resolution) / edge, 0.0, 1.0)
-        self.gray[touched] += cover * (gray - self.gray[touched])
+        part[touched] += cover * (gray - part[touched])
 
     def patch(self, centre: Array, radius: float, add: float, factor: float) -> None:
         """Adds and multiplies with a smooth bump (1 - d²/r²)²."""
@@ -131,7 +135,7 @@ def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> 
                 canvas.patch(centre, feature.length / 2, gray, 1.0)
             else:
                 canvas.patch(centre, feature.length / 2, 0.0, gray / 100.0)
-    image = np.clip(np.rint(canvas.gray), 0, 255).astype(np.uint8)
+    image = np.clip(np.rint(canvas.gray, out=canvas.gray), 0, 255, out=canvas.gray).astype(np.uint8)
     return Texture(image, float(low[0]), float(high[1]), resolution)
 
 

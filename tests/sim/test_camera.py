@@ -151,6 +151,12 @@ def test_impossible_settings_are_named(change: dict[str, float], name: str) -> N
         CameraSettings(**change)  # type: ignore[arg-type]
 
 
+def test_a_lens_that_cannot_be_drawn_is_refused(texture: Texture) -> None:
+    folded = CameraModel.default(distortion=(-1.5, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"camera\.distortion"):
+        RenderedCamera(folded, LINE, QUIET, np.random.default_rng(0), texture)
+
+
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 1.2, -1.5])
 def test_rendered_and_detected_line_points_lie_on_the_analytic_line(texture: Texture, yaw: float) -> None:
     """The whole chain without disturbances: true pose, rendering, detection, back-projection."""
