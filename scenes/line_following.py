@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -210,6 +211,8 @@ class _Log:
     shown: list[FieldShown] = field(default_factory=list)
     cycles: list[float] = field(default_factory=list)
     with_field: list[bool] = field(default_factory=list)
+    s: list[float] = field(default_factory=list)
+    believed: list[float] = field(default_factory=list)
     used: int = 0
     first_used: float = np.nan
     failure: str | None = None
@@ -230,7 +233,11 @@ class _Loop:
             self.feedforward = IdealRobot.of(model, cell.robot, N_D, delay=int(cell.world.correction_delay))
             self.deflection = GearDeflection(model, cell.world.t_ipo)
         self.direct = DirectFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
+        self.state: Any
         self.state = self.feedforward.init(self.follower.q_start)
+        # Once for nothing, so that compiling does not fall into the first cycles.
+        self.feedforward.step(self.state, np.tile(self.follower.q_start, (N_D, 1)))
+        self.follower.reference.project(self.follower.reference.position(np.array([0.1])), 0.1)
 
     def sense(self, arrived: Field) -> LineField:
         """Line points of a field and what follows from them for the path."""
@@ -283,7 +290,8 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Pr
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(history["t"][-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
-        shown=tuple(log.shown), world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.uncalibrated)
+        shown=tuple(log.shown), world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.uncalibrated,
+        s_reference=np.array(log.s), believed=np.array(log.believed))
 
 
 def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, progress: Progress) -> None:
@@ -322,6 +330,8 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
         log.with_field.append(bool(new))
         log.t.append(t)
         log.q_d.append(last[0])
+        log.s.append(float(follower.profile.s(t - START)))
+        log.believed.append(follower.planned(t)[0] if loop.method in ("sensor_path", "ideal") else 0.0)
         exposures = camera.due(t, t + T)
         windows = []
         for exposure in exposures:

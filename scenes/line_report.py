@@ -13,6 +13,7 @@ from matplotlib.patches import Rectangle
 
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
+from planning.reference import ReferencePath
 from scenes.line_compare import LineComparison
 from scenes.line_result import FieldShown, LineResult
 from scenes.report import Report, write_json
@@ -84,8 +85,9 @@ def run_page(result: LineResult) -> Report:
                      [[name, calibrated.parameters[name] * scale, calibrated.sigma[name] * scale, unit]
                       for name, (unit, scale) in units.items()])
     report.heading("Along the line")
-    report.figure(_along(result), "Signed distance of the true tool centre point from the drawn line over its "
-                  "length; the grey part at the start does not count (0.3 s after the line is first followed).")
+    report.figure(_along(result), "Above: deviation from the reference path of the drawn line, and what planning made "
+                  "of the camera's fields. Below: signed distance of the true tool centre point from the drawn line "
+                  "over its length; the grey part does not count (before 0.3 s after the line is first followed).")
     report.heading("Errors")
     report.table(["", "mean mm", "95 % mm", "max mm", "speed m/s"],
                  [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
@@ -205,8 +207,19 @@ def _fields(shown: tuple[FieldShown, ...]) -> Figure:
 
 
 def _along(result: LineResult) -> Figure:
-    figure = Figure(figsize=(11, 3.2))
-    axes = figure.subplots()
+    figure = Figure(figsize=(11, 6))
+    above, axes = figure.subplots(2, 1)
+    plane = result.geometry.plane
+    reference = ReferencePath(result.geometry.reference, up=plane.rotation[:, 2], turning=1.0)
+    drawn = result.geometry.drawn[::10]
+    true = np.array([reference.project(point[None], start) for point, start in
+                     zip(drawn, result.scene.reference.run_up + 0.005 * np.arange(len(drawn)), strict=True)])[:, :2, 0]
+    above.plot(1e3 * true[:, 0], 1e3 * true[:, 1], color=INK, lw=3.5, alpha=0.6, label="drawn line")
+    above.plot(1e3 * result.s_reference, 1e3 * result.believed, color=ACCENT, lw=1.3, label="desired path x_d")
+    above.axhline(0, color=BLUE, lw=1.0, ls="--", label="reference path x_r")
+    above.set(xlabel="along the reference path [mm]", ylabel="deviation Δx_r [mm]")
+    above.grid(alpha=0.25)
+    above.legend(frameon=False, ncols=3)
     whole, error = result.control_error_from_start, result.control_error
     axes.axhline(0, color=INK, lw=0.8)
     axes.plot(1e3 * whole.s, 1e3 * whole.lateral, color=SOFT, lw=1.2, label="while the line is being found")

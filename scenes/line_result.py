@@ -115,6 +115,7 @@ class LineResult:
         shown: fields for the report.
         world: the world's settings.
         hand_eye: how the camera was calibrated before the run, if it was; warning: why not, if it should have been.
+        s_reference, believed: arc length of the reference at each cycle and the desired deviation there, x_d - x_r [m].
         recording_path, report: files written, if any.
     """
 
@@ -135,6 +136,8 @@ class LineResult:
     world: dict[str, Any] = field(repr=False, default_factory=dict)
     hand_eye: HandEye | None = field(repr=False, default=None)
     warning: str = ""
+    s_reference: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    believed: Array = field(repr=False, default_factory=lambda: np.empty(0))
     recording_path: Path | None = None
     report: Path | None = None
 

@@ -35,6 +35,8 @@ class Viewer:
         self._data = robot.model.createData()
         self._geometry = pin.buildGeomFromUrdf(robot.model, str(robot.urdf), pin.GeometryType.VISUAL)
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+        self.server.initial_camera.position = (2.6, -2.2, 1.7)
+        self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
         self._handles = [self._add(index, item) for index, item in enumerate(self._geometry.geometryObjects)]
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.25)
         self.show(robot.home)
