@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.interface import Array
 from ideal_robot.loop_model import Drives, LoopModel
 
@@ -60,6 +60,7 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
 
     Raises:
         InputError: wrong shape or non-finite commands.
+        IdealRobotError: the loop is unstable.
     """
     q_c = np.ascontiguousarray(q_c, dtype=float)
     if q_c.ndim != 2 or q_c.shape[1] != loop.n or not np.all(np.isfinite(q_c)):
@@ -78,6 +79,9 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
     torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
     q_a, q_m, tau = _play(loop.chain, loop.drives(stiffness, damping), reference, external, tau0, q0, loop.t_position,
                           loop.t_velocity, loop.steps_ipo)
+    if not np.isfinite(q_m).all():
+        raise IdealRobotError("the identified loop is unstable in simulation; check its gains, rotor inertias and "
+                              "stiffness (a very stiff gear counts as rigid when it is given as infinite)")
     return LoopMotion(np.asarray(np.arange(len(q_a)) * loop.t_ipo, dtype=float), q_a, q_m, tau)
 
 

@@ -65,7 +65,8 @@ class FrictionAdaptation:
         self._forgetting = np.exp(-loop.t_ipo / memory)
         self._drift = drift**2 * loop.t_ipo
         self._dry = loop.friction_torque[:, 0]
-        self._sigma = np.maximum(noise * self._dry.mean(axis=0), 1e-6)
+        # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
+        self._sigma = np.sqrt(3.0) * np.maximum(noise * self._dry.mean(axis=0), 1e-6)
         # Slower than this, presliding and not sliding decides.
         self._slow = 0.02 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
         half = _WINDOW // 2
@@ -98,8 +99,8 @@ class FrictionAdaptation:
         position, speed, acceleration = coefficients[0], coefficients[1], 2 * coefficients[2]
         if np.any(np.abs(speed) > 1.5 * loop.v_max) or np.any(np.abs(state.q[middle] - position) > 1e-2):
             return state
-        # Torques of the window's middle three samples: as smooth as the positions, nearly.
-        tau = state.tau[middle - 1 : middle + 2].mean(axis=0)
+        # Torque through the same filter as the positions, so that both are smoothed alike.
+        tau = self._fit[0] @ state.tau
         rigid = inverse_dynamics(loop.chain, position[None], speed[None], acceleration[None])[0]
         left = tau - rigid - loop.rotor_inertia * acceleration - loop.offset
         theta, covariance = state.theta.copy(), state.covariance.copy()

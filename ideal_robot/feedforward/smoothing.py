@@ -33,9 +33,11 @@ def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: flo
     basis = BSpline(knots, np.eye(size), _DEGREE, extrapolate=True)
     B = basis(t_samples)
     differences = np.diff(np.eye(size), _PENALTY_ORDER, axis=0)
-    # Per coefficient the penalty weighs (2 sin(ω h/2))^8 against the samples' 1; equal at the cut-off.
+    # A sinusoid of coefficients is penalised by (2 sin(ω h/2))^8 and appears in the samples with the basis' own gain
+    # sinc(f h)^6; both terms shall weigh the same at the cut-off.
     h = (end - start) / pieces
-    weight = len(t_samples) / (pieces + 1) / (2 * np.sin(min(np.pi * cutoff * h, 1.5))) ** (2 * _PENALTY_ORDER)
+    seen = len(t_samples) / (pieces + 1) * np.sinc(cutoff * h) ** (2 * (_DEGREE + 1))
+    weight = seen / (2 * np.sin(min(np.pi * cutoff * h, 1.5))) ** (2 * _PENALTY_ORDER)
     fit = np.linalg.solve(B.T @ B + weight * differences.T @ differences, B.T)
     return [np.ascontiguousarray(basis.derivative(order)(t_out) @ fit if order else basis(t_out) @ fit)
             for order in range(orders)]

@@ -1,0 +1,110 @@
+"""The ideal robot on a loop that it knows, roughly knows, and on one whose path changes under way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.closed_loop import simulate
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.ideal import IdealRobot
+from tests.ideal_robot.feedforward.plant import commands, motion, plant, rms
+
+LEAD = 40
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_inverts_the_loop_it_knows(delay):
+    loop, q_d = plant(delay=delay), motion()
+    uncorrected = simulate(loop, q_d).q_a[:-1] - q_d
+    corrected = simulate(loop, commands(IdealRobot(loop), q_d)).q_a[:-1] - q_d
+    # What is left is what a linear interpolation over 12 ms cannot command at reversals of friction.
+    assert rms(corrected[LEAD:]) < 0.01 * rms(uncorrected[LEAD:])
+
+
+def test_the_planners_delay_does_not_matter():
+    q_d = motion()
+    loops = plant(delay=0), plant(delay=1)
+    arms = [simulate(loop, commands(IdealRobot(loop), q_d)).q_a[LEAD:-1] for loop in loops]
+    assert rms(arms[0] - arms[1]) < 1e-5
+
+
+def test_wrong_inertias_friction_and_stiffness_cost_little():
+    loop, q_d = plant(), motion()
+    uncorrected = simulate(loop, q_d).q_a[:-1] - q_d
+    wrong = IdealRobot(plant(inertia=1.1, friction=0.9, stiffness=1.1))
+    corrected = simulate(loop, commands(wrong, q_d)).q_a[:-1] - q_d
+    assert rms(corrected[LEAD:]) < 0.05 * rms(uncorrected[LEAD:])
+
+
+def test_gears_that_are_known_to_be_elastic_are_compensated():
+    loop, q_d = plant(), motion()
+    error = {elastic: rms(simulate(loop, commands(IdealRobot(loop, elastic=elastic), q_d)).q_a[LEAD:-1] - q_d[LEAD:])
+             for elastic in (True, False)}
+    assert error[True] < 0.2 * error[False]
+
+
+def test_at_rest_the_arm_and_not_the_motor_is_where_it_shall_be():
+    loop = plant()
+    q_d = np.tile(motion()[0], (250, 1))
+    done = simulate(loop, commands(IdealRobot(loop), q_d))
+    assert np.max(np.abs(done.q_a[-1] - q_d[-1])) < 2e-5
+    assert np.max(np.abs(done.q_m[-1] - q_d[-1])) > 3e-4
+
+
+def test_expected_contact_torques_are_carried():
+    loop = plant()
+    q_d = np.tile(motion()[0], (220, 1))
+    t = np.arange(len(q_d))
+    torque = np.zeros_like(q_d)
+    torque[:, 1] = 150.0 * np.clip((t - 60) / 40, 0, 1)
+    feedforward = IdealRobot(loop)
+    ahead = np.concatenate([torque, np.tile(torque[-1], (30, 1))])
+    errors = {}
+    for told in (True, False):
+        state, q_c = feedforward.init(q_d[0]), np.empty_like(q_d)
+        for k in range(len(q_d)):
+            q_c[k], state = feedforward.step(state, q_d[:1].repeat(30, 0), ahead[k : k + 30] if told else None)
+        errors[told] = np.max(np.abs(simulate(loop, q_c, tau_ext=torque).q_a[60:-1] - q_d[60:]))
+    assert errors[True] < 0.3 * errors[False]
+
+
+def test_a_path_that_a_sensor_bends_under_way_is_followed():
+    """Every 20 ms the horizon changes sideways by up to 0.2 mrad, as camera fields make it."""
+    loop, planned = plant(), motion()
+    rng = np.random.default_rng(5)
+    shift = np.zeros(len(planned) + 40)
+    for start in range(0, len(shift), 2):
+        shift[start:] += rng.normal(scale=5e-5)
+    feedforward = IdealRobot(loop)
+    state, q_c, wanted = feedforward.init(planned[0]), np.empty_like(planned), np.empty_like(planned)
+    ahead = np.concatenate([planned, np.tile(planned[-1], (40, 1))])
+    for k in range(len(planned)):
+        # The future is expected to stay as it is now; when it does not, the horizon steps.
+        horizon = ahead[k : k + 30] + shift[k]
+        wanted[k] = horizon[0]
+        q_c[k], state = feedforward.step(state, horizon)
+    error = simulate(loop, q_c).q_a[:-1] - wanted
+    # Steps of 0.05 mrad in the desired path itself are not followed at once; nothing may be amplified beyond that.
+    assert rms(error[LEAD:]) < 3e-4
+    assert np.max(np.abs(np.diff(q_c, n=2, axis=0))) < 5e-3
+
+
+def test_noise_on_the_desired_path_is_not_amplified_beyond_the_arms_means():
+    loop, q_d = plant(), motion()
+    rng = np.random.default_rng(2)
+    noisy = q_d + rng.normal(scale=2e-5, size=q_d.shape)
+    difference = commands(IdealRobot(loop), noisy) - commands(IdealRobot(loop), q_d)
+    assert rms(difference) < 2e-3
+
+
+@pytest.mark.parametrize("bad", [np.full((30, 6), np.nan), np.zeros((30, 5)), np.zeros((0, 6)), np.zeros(6)])
+def test_bad_horizons_are_refused(bad):
+    feedforward = IdealRobot(plant())
+    with pytest.raises(InputError, match="finite desired positions"):
+        feedforward.step(feedforward.init(motion()[0]), bad)
+
+
+def test_horizon_must_have_a_row():
+    with pytest.raises(InputError, match="at least one row"):
+        IdealRobot(plant(), 0)

@@ -1,0 +1,153 @@
+"""The parts the feedforwards are made of: smoothing, command inverse, TCP errors, training, the paper's equations."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.closed_loop import interpolated, low_passed, simulate
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.command_inverse import command_inverse
+from ideal_robot.feedforward.from_model import cascade_gains, loop_model
+from ideal_robot.feedforward.precorrection import Precorrection, at_cycle
+from ideal_robot.feedforward.smoothing import spline_operators
+from ideal_robot.feedforward.tcp_errors import AXES, joint_errors, pose_errors
+from ideal_robot.feedforward.training import train
+from ideal_robot.model import Model
+from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
+from tests.ideal_robot.feedforward.test_laws import nominal_model
+
+
+def test_smoothing_is_exact_on_cubics():
+    t = T * np.arange(-6, 13, dtype=float)
+    at = np.linspace(0.0, 0.08, 7)
+    value, first, second = spline_operators(t, at, T, cutoff=14.0)
+    cubic = np.polynomial.Polynomial([0.3, -1.0, 4.0, 20.0])
+    np.testing.assert_allclose(value @ cubic(t), cubic(at), atol=1e-9)
+    np.testing.assert_allclose(first @ cubic(t), cubic.deriv()(at), atol=1e-7)
+    np.testing.assert_allclose(second @ cubic(t), cubic.deriv(2)(at), atol=1e-5)
+
+
+def test_smoothing_passes_slow_and_stops_fast():
+    t = T * np.arange(-30, 31, dtype=float)
+    value = spline_operators(t, np.zeros(1), T, cutoff=14.0, orders=1)[0]
+    gain = {f: float((value @ np.cos(2 * np.pi * f * t))[0]) for f in (3.0, 14.0, 35.0)}
+    assert gain[3.0] == pytest.approx(1.0, abs=1e-4)
+    assert gain[14.0] == pytest.approx(0.5, abs=0.1)
+    assert abs(gain[35.0]) < 0.02
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_command_inverse_undoes_interpolation_and_low_pass(delay):
+    loop = plant(delay=delay)
+    inverse = command_inverse(loop, 7)
+    t = np.arange(0.0, 2.0, loop.t_position)
+    wanted = 0.2 * np.sin(2 * np.pi * 1.5 * np.clip(t - 0.3, 0, None)) ** 2
+    rate = np.diff(wanted, prepend=wanted[0]) / loop.t_position
+    signal = loop.k_v[0] * wanted + loop.k_ff[0] * rate
+    past = np.zeros(inverse.n_past)
+    q_c = []
+    for k in range(140):
+        start = (k + delay) * loop.steps_ipo
+        q_c.append(inverse.wanted[0] @ signal[start : start + inverse.wanted.shape[1]] + inverse.past[0] @ past)
+        past = np.append(past[1:], q_c[-1])
+    commands_ = np.tile(np.array(q_c)[:, None], (1, 6))
+    seen = low_passed(interpolated(commands_, np.zeros(6), loop), np.zeros(6), loop.command_filter)[:, 0]
+    # A linear interpolation over a cycle cannot be closer to a curve than its chord's sagitta, ẍ T²/8.
+    sagitta = 0.1 * (2 * np.pi * 3.0) ** 2 * T**2 / 8
+    assert np.max(np.abs(seen - wanted[: len(seen)])) < sagitta
+
+
+def test_command_inverse_is_exact_at_rest():
+    inverse = command_inverse(plant(), 7)
+    still = plant().k_v[:, None] * np.ones((6, inverse.wanted.shape[1]))
+    total = np.sum(inverse.wanted * still, axis=1) + np.sum(inverse.past, axis=1)
+    np.testing.assert_allclose(total, 1.0, atol=1e-12)
+
+
+def test_all_six_degrees_of_freedom_give_the_joint_errors_back():
+    rng = np.random.default_rng(0)
+    q_d = ROBOT.home + rng.uniform(-0.2, 0.2, size=(20, 6))
+    true = rng.normal(scale=5e-4, size=q_d.shape)
+    fk = ROBOT.fk()
+    error = pose_errors([fk(q) for q in q_d], [fk(q - dq) for q, dq in zip(q_d, true, strict=True)])
+    np.testing.assert_allclose(joint_errors(ROBOT, q_d, error, noise=1e-7), true, atol=2e-6)
+
+
+def test_two_degrees_of_freedom_give_the_likeliest_joint_errors():
+    """[L] 3.3: they must explain what was measured, and be closer to the truth than knowing nothing."""
+    rng = np.random.default_rng(1)
+    q_d = ROBOT.home + rng.uniform(-0.2, 0.2, size=(30, 6))
+    true = rng.normal(scale=5e-4, size=q_d.shape)
+    fk = ROBOT.fk()
+    error = pose_errors([fk(q) for q in q_d], [fk(q - dq) for q, dq in zip(q_d, true, strict=True)])
+    rows = [AXES.index("y"), AXES.index("z")]
+    found = joint_errors(ROBOT, q_d, error[:, rows], axes=("y", "z"), prior=5e-4, noise=1e-6)
+    data = ROBOT.model.createData()
+    for q, dq, measured in zip(q_d, found, error[:, rows], strict=True):
+        J = pin.computeFrameJacobian(ROBOT.model, data, q, ROBOT.tool_id, pin.LOCAL_WORLD_ALIGNED)[rows]
+        np.testing.assert_allclose(J @ dq, measured, atol=1e-5)
+    assert rms(found - true) < rms(true)
+
+
+def test_unknown_axes_are_refused():
+    with pytest.raises(InputError, match="expected errors"):
+        joint_errors(ROBOT, np.zeros((3, 6)), np.zeros((3, 1)), axes=("w",))
+
+
+def test_training_carries_over_to_another_motion():
+    """Trained where learning got it right, used on a motion of other size and duration, as [G] 4.2.2 wants it."""
+    from ideal_robot.feedforward.ideal import IdealRobot
+
+    loop, q_d, other = plant(), motion(), motion(amplitude=-0.15, duration=1.9)
+    learned = commands(IdealRobot(loop), q_d)
+    before = rms(simulate(loop, other).q_a[:-1] - other)
+    for chain, factor in ((None, 0.2), (loop.chain, 0.1)):
+        trained = train([(q_d, learned)], T, chain=chain)
+        assert rms(simulate(loop, commands(trained, other)).q_a[:-1] - other) < factor * before
+
+
+def test_training_wants_matching_paths():
+    with pytest.raises(InputError, match="same shape"):
+        train([(np.zeros((10, 6)), np.zeros((9, 6)))], T)
+    with pytest.raises(InputError, match="at least one pair"):
+        train([], T)
+
+
+def test_precorrection_is_the_equations_of_the_paper():
+    """[G] (18)–(20) cycle by cycle on a motion of constant acceleration, where the smoothing is exact."""
+    model = dataclasses.replace(nominal_model(), stiffness=None, damping=None)
+    gains = at_cycle(model.controller, T)
+    t = T * np.arange(60)
+    q_d = ROBOT.home + 0.4 * t[:, None] ** 2 / 2
+    feedforward = Precorrection(model, ROBOT)
+    state = feedforward.init(q_d[0])
+    for k in range(40):
+        before = state
+        q_c, state = feedforward.step(state, q_d[k : k + 10])
+        if k < 10:
+            continue
+        qd, qdd = np.full(6, 0.4 * t[k]), np.full(6, 0.4)
+        tau = model.inverse_dynamics(q_d[k], qd, qdd)[0]
+        np.testing.assert_allclose(state.tau, tau, rtol=1e-5, atol=1e-6)
+        u = (state.tau - before.tau + before.u) / (1 + gains.k_i)
+        dq = (u + gains.k_d * before.correction / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
+        np.testing.assert_allclose(q_c, q_d[k] + dq, atol=1e-8)
+
+
+def test_models_without_controller_are_refused():
+    bare = Model.nominal(ROBOT)
+    with pytest.raises(InputError, match="no controller"):
+        Precorrection(bare, ROBOT)
+    with pytest.raises(InputError, match="no controller"):
+        loop_model(bare, ROBOT)
+
+
+def test_gains_survive_the_way_through_the_papers_form():
+    loop = plant()
+    k_v, k_ff, k_p, k_i = cascade_gains(nominal_model().controller)
+    for found, true in ((k_v, loop.k_v), (k_ff, loop.k_ff), (k_p, loop.k_p), (k_i, loop.k_i)):
+        np.testing.assert_allclose(found, true, rtol=1e-9)
