@@ -152,10 +152,14 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
                      s[S_T_POSITION], s[S_T_VELOCITY])
         x[X_CURRENT, j] += s[S_CURRENT_PASS] * (x[X_TORQUE, j] - x[X_CURRENT, j])
         motor = x[X_CURRENT, j] * p[P_GAIN, j]
+        # Drives measure the mean current since the last sample: the torque falls and jumps within each position cycle,
+        # and samples at its jumps would see an inertia that is not there.
+        row[1 + 2 * n + j] += x[X_CURRENT, j]
         if log_due:
             row[1 + j] = x[X_COMMAND, j]
             row[1 + n + j] = x[X_ENCODER, j]
-            row[1 + 2 * n + j] = x[X_CURRENT, j] + p[P_NOISE, j] * noise[j]
+            steps = counts[N_LOG] if tick > 0 else 1
+            row[1 + 2 * n + j] = row[1 + 2 * n + j] / steps + p[P_NOISE, j] * noise[j]
             row[1 + 3 * n + j] = q_m
             row[1 + 4 * n + j] = q_a[j]
             row[1 + 5 * n + j] = qd_a[j]
