@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +46,8 @@ from sim.world import World
 
 SceneModel = LineScene
 METHODS = ("none", "direct_feedback", "sensor_path", "ideal")
-N_D = 25
-"""Desired positions handed to the ideal robot: 0.3 s, several times the arm's main time constant ([L] 2.2)."""
+HORIZON = 0.3
+"""Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
 START = 0.48
 """Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
 REST = 0.2
@@ -161,8 +161,10 @@ def set_up(scene: LineScene) -> Cell:
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
     """
-    robot = Robot.load(scene.robot)
     world = World.from_table(scene.robot, scene.world)
+    # A controller's cycle times are no secret: they stand in its manual.
+    robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
+                    t_velocity=world.t_velocity)
     place, noise, camera_noise, calibration = _streams(scene)
     where = geometry(scene, place)
     line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
@@ -176,7 +178,7 @@ def set_up(scene: LineScene) -> Cell:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
         begin = scene.reference.run_up
         follower = LineFollower(
-            robot, reference, profile, N_D, t_start=START,
+            robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
             line_span=(begin, reference.length - scene.reference.run_out),
             settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05))
     except OutOfReachError as error:
@@ -224,19 +226,20 @@ class _Loop:
     def __init__(self, cell: Cell, method: str, gains: tuple[float, float] | None) -> None:
         self.cell, self.method, self.follower = cell, method, cell.follower
         self.detection = _detection(cell)
+        self.n_d = cell.follower.n_d
         self.feedforward: Feedforward = PassThrough(cell.world.t_ipo)
         self.deflection: GearDeflection | None = None
         if method == "ideal":
             from ideal_robot.feedforward.ideal import IdealRobot
 
             model = model_for(cell.scene, cell.robot)
-            self.feedforward = IdealRobot.of(model, cell.robot, N_D, delay=int(cell.world.correction_delay))
+            self.feedforward = IdealRobot.of(model, cell.robot, self.n_d, delay=int(cell.world.correction_delay))
             self.deflection = GearDeflection(model, cell.world.t_ipo)
         self.direct = DirectFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
         self.state: Any
         self.state = self.feedforward.init(self.follower.q_start)
         # Once for nothing, so that compiling does not fall into the first cycles.
-        self.feedforward.step(self.state, np.tile(self.follower.q_start, (N_D, 1)))
+        self.feedforward.step(self.state, np.tile(self.follower.q_start, (self.n_d, 1)))
         self.follower.reference.project(self.follower.reference.position(np.array([0.1])), 0.1)
 
     def sense(self, arrived: Field) -> LineField:
@@ -254,8 +257,8 @@ class _Loop:
         if self.method in ("sensor_path", "ideal"):
             return self.follower.horizon(t)
         self.follower.fusion.travel(float(self.follower.profile.s(t - START)))
-        k = min(max(round((t - START) / self.cell.world.t_ipo), 0), len(self.follower.q_reference) - N_D)
-        return self.follower.q_reference[k : k + N_D]
+        k = min(max(round((t - START) / self.cell.world.t_ipo), 0), len(self.follower.q_reference) - self.n_d)
+        return self.follower.q_reference[k : k + self.n_d]
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint positions ``(n,)``."""
@@ -303,7 +306,7 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
     q = follower.q_start
     stopping: Iterator[Array] | None = None
     still = 0
-    last = np.tile(q, (N_D, 1))
+    last = np.tile(q, (loop.n_d, 1))
     for k in range(count):
         t = k * T
         begin = time.perf_counter()

@@ -154,3 +154,10 @@ def test_bad_scenes_are_refused_before_anything_moves(changes: dict, says: str) 
 def test_unknown_method() -> None:
     with pytest.raises(InputError, match="expected one of none, direct_feedback"):
         run(short(), method="magic")
+
+
+def test_a_controller_with_a_cycle_of_four_milliseconds() -> None:
+    # The model was identified at 12 ms; a shorter cycle must not make the line worse.
+    result = run(short(world={"t_ipo": 0.004}), method="ideal")
+    assert result.failure is None
+    assert result.control_error.mean < 2e-4
