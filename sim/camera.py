@@ -36,6 +36,8 @@ PoseAt = Callable[[float], pin.SE3]
 # point of OpenCV's convention (pixel centres at integers) before it goes into the projection matrix.
 PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
 NEAR, FAR = 0.02, 3.0
+FINE = 160_000
+"""Pixels from which on a whole image gets one sample a pixel."""
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,10 @@ class RenderedCamera:
 
     def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None) -> Gray:
         """The whole image ``(height, width)`` from one TCP pose, for reports; noise only if ``noise_rng`` is given."""
-        gray = self._render(Window(0, 0, self.model.width, self.model.height), [self._view(pose)], 2)
+        whole = Window(0, 0, self.model.width, self.model.height)
+        # A fine image shows its line smooth enough with one sample a pixel, and takes long anyway.
+        samples = 2 if whole.width * whole.height <= FINE else 1
+        gray = self._render(whole, [self._view(pose)], samples)
         return self._noisy(gray, noise_rng)
 
     def _stream(self, k: int) -> np.random.Generator:
