@@ -127,7 +127,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     wanted = min(HIGHEST_RATE, ROWS / (n * duration))
     filtered = preprocess(recording, cutoff=cutoff)
     # The torque is looked at up to far above what the motion contains: ripple and spikes are there.
-    wanted = min(0.5 * wanted, max(2.5 * filtered.cutoff, 12.0), 0.5 * rate)
+    wanted = min(0.5 * wanted, 0.5 * rate)
     filtered = preprocess(recording, cutoff=filtered.cutoff, cutoff_decimation=wanted)
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
@@ -156,7 +156,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     if not shared:
         W = _own_copies(W)
     moving, undecided = _moving(t, q, qd, noise_velocity, robot)
-    use = moving[:: filtered.factor][filtered.keep]
+    use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
     measured = filtered.decimate(filtered.tau)
     units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
     return Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
@@ -172,6 +172,18 @@ def _soften(W: Array, model: Model, signals: Signals) -> None:
             if name in ("Fc", "a2"):
                 W[:, j, at + i] = signals.direction(signals.qd[:, j], j + 1)
         at += len(law.coefficients)
+
+
+def _apart_from_reversals(qd: Array) -> np.ndarray:
+    """Mask ``(N, n)`` without the two samples next to each change of direction.
+
+    When exactly friction changes sign between two samples nobody knows; each reversal would leave a spike of its own.
+    """
+    change = np.diff(np.sign(qd), axis=0) != 0
+    mask = np.ones(qd.shape, dtype=bool)
+    mask[:-1][change] = False
+    mask[1:][change] = False
+    return mask
 
 
 def _reversal_columns(signals: Signals, filtered: Filtered) -> Array:

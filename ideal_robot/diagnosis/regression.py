@@ -10,8 +10,10 @@ from scipy import linalg, stats
 from ideal_robot.diagnosis.gram import Columns, Data
 from ideal_robot.interface import Array
 
-_RIDGE = 1e-8
-"""Relative to the size of each column: decides only what the data leave open."""
+_RIDGE = 3e-5
+"""Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
+_SMOOTH = 3e-3
+"""The same for the coefficients of a candidate with many columns, some of which a fold may hardly show."""
 
 
 class Design:
@@ -187,6 +189,8 @@ class Fit:
         S = CC - Z @ CX.T
         # A column that the others explain all but a hundred-thousandth of has nothing of its own.
         own = np.diag(S) > 1e-5 * np.diag(CC)
+        if len(Cy) > 3:
+            S = S + _SMOOTH * np.diag(np.diag(CC))
         m = len(Cy)
         gamma = np.zeros(m)
         right = Cy - CX @ self._beta[k]

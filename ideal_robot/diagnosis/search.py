@@ -154,7 +154,7 @@ class Search:
     def _score(self, fit: Fit, residual: Array, pool: list[list[Candidate]]) -> list[Scored]:
         """The best start of every effect at every joint, with its held-out trial."""
         scored = []
-        taken = {(c.candidate.effect.name, c.candidate.joint) for c in self.choices}
+        taken = {(c.candidate.effect.name, c.candidate.joint) for c in self.choices if c.candidate.key in fit.keys}
         for starts in pool:
             first = starts[0]
             repeatable = isinstance(first.effect, TorqueRipple)
@@ -357,7 +357,7 @@ class Search:
             fit = self.fit(without=choice)
             present = self._tried(fit, choice.candidate)
             pool = [starts for starts in self.pool if starts[0].joint in (choice.candidate.joint, 0)
-                    and starts[0].place != choice.candidate.place]
+                    and (starts[0].place != choice.candidate.place or len(starts) > 1)]
             rivals = self._score(fit, self.residual(fit), pool)
             rivals = [s for s in rivals if s.p_value < self.options.false_discovery and self._large(s)
                       and s.trial.total > 0.8 * present.trial.total]
