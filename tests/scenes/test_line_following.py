@@ -78,7 +78,7 @@ def test_methods_rank_as_the_papers_say(ideal: LineResult) -> None:
     assert sensor < direct < none
 
 
-@pytest.mark.parametrize("name", ["straight", "corner", "svg", "gap"])
+@pytest.mark.parametrize("name", ["straight", "corner", "svg", "gap", "cluttered"])
 def test_every_scene_is_followed(name: str) -> None:
     # Twice the mean error of the default scene: gaps are bridged by the fusion, corners ask more of the wrist.
     result = run(load_scene(name).changed(calibration=CALIBRATED), method="ideal")
