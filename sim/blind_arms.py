@@ -139,7 +139,8 @@ def _strokes(rng: np.random.Generator, arm: Arm, t: Array) -> tuple[Array, Array
             there = float(rng.uniform(arm.low[j], arm.high[j]))
             step = there - here
             # Peak velocity of the septic is 2.19 d/T, peak acceleration 7.52 d/T².
-            T = max(2.19 * abs(step) / (arm.fast[j] * rng.uniform(0.3, 1.0)), np.sqrt(7.52 * abs(step) / arm.quick[j]), 0.3)
+            T = max(2.19 * abs(step) / (arm.fast[j] * rng.uniform(0.3, 1.0)),
+                    np.sqrt(7.52 * abs(step) / arm.quick[j]), 0.3)
             rows = (t >= at) & (t < at + T)
             s = (t[rows] - at) / T
             q[rows, j] = here + step * (35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7)

@@ -144,7 +144,8 @@ def _visible(s: Scene, column: Array, joint: int, noise: Array) -> float:
         base.append([*full, qdd[joint], qd[joint], np.tanh(qd[joint] / (2e-3 * s.arm.fast[joint])), 1.0])
     W = np.array(base)
     # Only what an arm's torque measurement resolves counts.
-    smooth = signal.sosfiltfilt(signal.butter(2, min(15.0 * 2.0 * (s.t[1] - s.t[0]), 0.9), output="sos"), column[:, joint])
+    lowpass = signal.butter(2, min(15.0 * 2.0 * (s.t[1] - s.t[0]), 0.9), output="sos")
+    smooth = signal.sosfiltfilt(lowpass, column[:, joint])
     y = smooth[rows]
     own = float(np.std(y - W @ np.linalg.lstsq(W, y, rcond=1e-9)[0]))
     return own / max(0.25 * noise[joint], 0.003 * float(np.std(s.torque[:, joint])))
@@ -174,7 +175,8 @@ def _structural(rng: np.random.Generator, s: Scene, name: str, joint: int, noise
                                                       - np.tanh(s.qd[:, joint] / (2e-3 * s.arm.fast[joint]))))
         return q, change
 
-    small = {"dead_time": 1e-3, "joint_elasticity": 1e-4 / float(np.std(s.load[:, joint]) + 1e-9), "backlash": 1e-5}[name]
+    small = {"dead_time": 1e-3, "joint_elasticity": 1e-4 / float(np.std(s.load[:, joint]) + 1e-9),
+             "backlash": 1e-5}[name]
     q, change = recorded(small)
     if name == "dead_time":
         seen = change
@@ -245,7 +247,7 @@ def _measured(rng: np.random.Generator, arm: Arm, t: Array, q: Array, tau: Array
         tau = np.round(tau / step) * step
     encoder = float(rng.choice([1e-7, 1e-6, 5e-6]))
     q = np.round((q + rng.normal(size=q.shape) * 0.3 * encoder) / encoder) * encoder
-    columns: dict[str, Array] = {"q": q, "tau": tau}
+    columns = {"q": q, "tau": tau}
     if qa is not None:
         columns["qa"] = qa
     if rng.random() < 0.25:
@@ -254,4 +256,6 @@ def _measured(rng: np.random.Generator, arm: Arm, t: Array, q: Array, tau: Array
         columns = {name: np.column_stack([np.interp(stamps, t, column) for column in values.T])
                    for name, values in columns.items()}
         t = stamps
-    return Recording.from_arrays(t, source="blind", **columns)
+    named = {f"{name}_{i + 1}": np.ascontiguousarray(values[:, i]) for name, values in columns.items()
+             for i in range(arm.n)}
+    return Recording({"t": np.array(t), **named}, {}, "blind")

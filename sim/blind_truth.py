@@ -152,7 +152,8 @@ def disturbance(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Outside the library: a disturbance that changes with time."""
     span = s.t[-1] - s.t[0]
     f = rng.uniform(1.5, 6.0) / span
-    return _on(s, j, np.sin(2 * np.pi * f * s.t + rng.uniform(0, 6)) + 0.5 * np.tanh((s.t - 0.6 * span) / (0.05 * span)))
+    jump = 0.5 * np.tanh((s.t - 0.6 * span) / (0.05 * span))
+    return _on(s, j, np.sin(2 * np.pi * f * s.t + rng.uniform(0, 6)) + jump)
 
 
 def directed_place(rng: np.random.Generator, s: Scene, j: int) -> Array:

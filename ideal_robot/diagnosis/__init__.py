@@ -1,0 +1,9 @@
+"""From a residual to the physical effect behind it."""
+
+from __future__ import annotations
+
+from ideal_robot.diagnosis.diagnose import diagnose
+from ideal_robot.diagnosis.result import Diagnosis, FoundEffect
+from ideal_robot.diagnosis.search import Options
+
+__all__ = ["Diagnosis", "FoundEffect", "Options", "diagnose"]

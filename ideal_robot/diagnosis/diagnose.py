@@ -14,8 +14,8 @@ from ideal_robot.diagnosis.experiment import Experiment, experiment
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
 from ideal_robot.diagnosis.rebase import with_parameters
 from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
-from ideal_robot.diagnosis.reversal import fitted_blur
 from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect, Traces
+from ideal_robot.diagnosis.reversal import fitted_blur
 from ideal_robot.diagnosis.search import Choice, Options, Progress, Search
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
 from ideal_robot.identification.checks import checked
@@ -47,24 +47,27 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     report: Progress = progress or (lambda share, word: None)
     rng = np.random.default_rng(seed)
     report(0.0, "reading")
+    # Torques made of currents without known gains are in amperes: then joints must not share inertias.
+    amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
     (recording,), warnings = checked([recording], robot)
     if validate is not None:
         (validate,), more = checked([validate], robot)
         warnings += more
-    return TorqueDiagnosis(recording, robot, model, validate, options, rng, report, warnings).run()
+    shared = model is not None or not amperes
+    return TorqueDiagnosis(recording, robot, model, validate, options, rng, report, warnings, shared).run()
 
 
 class TorqueDiagnosis:
     """The diagnosis of the motor torques; see ``diagnose`` for the arguments."""
 
     def __init__(self, recording: Recording, robot: Robot, model: Model | None, validate: Recording | None,
-                 options: Options, rng: np.random.Generator, report: Progress, warnings: list[str]) -> None:
+                 options: Options, rng: np.random.Generator, report: Progress, warnings: list[str],
+                 shared: bool) -> None:
         self.robot, self.options, self.rng, self.report, self.warnings = robot, options, rng, report, warnings
         self.recording, self.validate = recording, validate
         self.given = model
         self.blur: Array | None = None
-        # Joints whose torques are in unknown units must not share inertias.
-        self.shared = recording.meta.get("torque_unit") != "A"
+        self.shared = shared
         self.start = model if model is not None else Model.nominal(robot)
 
     def run(self) -> Diagnosis:
@@ -95,7 +98,8 @@ class TorqueDiagnosis:
     # -- steps -------------------------------------------------------------------------------------------------------
 
     def _experiment(self, recording: Recording, model: Model, cutoff: float | None = None) -> Experiment:
-        return experiment(recording, self.robot, model, cutoff=cutoff, shared=self.shared, blur=self.blur)
+        made = experiment(recording, self.robot, model, cutoff=cutoff, shared=self.shared, blur=self.blur)
+        return made if self.shared else in_own_units(made)
 
     def _search(self, raw: Experiment, data: Data) -> tuple[list[Choice], Array | None]:
         effects = tuple(effect for effect in library() if effect.domain == MOTOR_TORQUE)
@@ -152,7 +156,8 @@ class TorqueDiagnosis:
         if self.validate is not None:
             seen = self._experiment(self.validate, self.start, raw.filtered.cutoff)
             if choices and self.shared:
-                moved = self._experiment(self.validate, with_parameters(self.start, steps[-1].change), raw.filtered.cutoff)
+                moved = self._experiment(self.validate, with_parameters(self.start, steps[-1].change),
+                                         raw.filtered.cutoff)
                 seen = dataclasses.replace(seen, signals=moved.signals)
             where = np.ones(len(seen.t), bool)
             how = f"parameters and selection from {_name(self.recording)}, errors on {_name(self.validate)}"
@@ -204,6 +209,15 @@ class TorqueDiagnosis:
                                    "effects": [f.fitted.name for f in found]}
         effects: tuple[FittedEffect, ...] = tuple(f.fitted for f in found)
         return dataclasses.replace(model, effects=model.effects + effects, provenance=provenance)
+
+
+def in_own_units(made: Experiment) -> Experiment:
+    """Torque and load of the nominal model in the units of each joint's measurement, by one factor a joint."""
+    nominal = made.decimate(made.signals.torque)
+    factor = (nominal * made.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300)
+    signals = dataclasses.replace(made.signals, torque=made.signals.torque * factor, load=made.signals.load * factor,
+                                  friction=made.signals.friction * factor, rigid=None)
+    return dataclasses.replace(made, signals=signals, y=made.measured, units=("A",) * len(made.units))
 
 
 def prior_precision(model: Model, raw: Experiment, data: Data) -> Array:

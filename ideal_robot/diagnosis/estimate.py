@@ -63,7 +63,8 @@ def estimate(experiment: Experiment, data: Data, chosen: list[Candidate], prior:
     # Uncertainty: theta moves the prediction by dC/dtheta c, which joins the fit as further columns.
     extra: list[str] = []
     for c, own in zip(chosen, coefficients, strict=True):
-        for i in range(len(c.theta) if c.effect.bounds(experiment.signals, c.joint) and c.effect.name != "dead_time" else 0):
+        moves = c.effect.theta_is_physical and bool(c.effect.bounds(experiment.signals, c.joint))
+        for i in range(len(c.theta) if moves else 0):
             key = f"d{i}:{c.key}"
             step = 1e-3 * max(abs(c.theta[i]), 1e-6)
             if c.theta[i] == 0.0:

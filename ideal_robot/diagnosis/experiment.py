@@ -13,7 +13,6 @@ import numpy as np
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.effects.base import Signals
-from ideal_robot.errors import InputError
 from ideal_robot.identification.preprocess import Signals as Filtered
 from ideal_robot.identification.preprocess import preprocess
 from ideal_robot.interface import Array
@@ -76,36 +75,6 @@ class Experiment:
                        extra={name: at(values) for name, values in s.extra.items()})
 
 
-def torque_recording(recording: Recording, robot: Robot) -> tuple[Recording, bool]:
-    """The recording with ``tau_i``, made of ``current_i`` where it has none, and whether torques are comparable.
-
-    With currents only and no drive gains in the robot's data file, the joints' torques are in amperes, each with its
-    own unknown factor: then they must not share inertias.
-
-    Raises:
-        InputError: no torque and no current, a joint count other than the URDF's, columns that are not finite.
-    """
-    if recording.n != robot.n:
-        raise InputError(f"the recording has {recording.n} joints (q_1 …), the URDF has {robot.n}",
-                         file=recording.source, field="q_i", value=recording.n)
-    for name, values in recording.columns.items():
-        if name.startswith(("t", "q_", "tau_", "current_")) and not np.all(np.isfinite(values)):
-            raise InputError(f"{int(np.sum(~np.isfinite(values)))} of {len(values)} values are not finite numbers",
-                             file=recording.source, field=name)
-    if recording.has("tau"):
-        return recording, True
-    if not recording.has("current"):
-        missing = next(i for i in range(1, recording.n + 2) if f"tau_{i}" not in recording.columns)
-        raise InputError("column is missing; tau_i [N m] or current_i [A] is needed for every joint",
-                         file=recording.source, field=f"tau_{missing}")
-    gains = robot.drive_gain
-    columns = dict(recording.columns)
-    for i in range(recording.n):
-        columns[f"tau_{i + 1}"] = np.array(recording.columns[f"current_{i + 1}"]) * gains[i]
-    known = bool(np.any(gains != 1.0))
-    return Recording(columns, dict(recording.meta), recording.source), known
-
-
 def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
                shared: bool = True, blur: Array | None = None) -> Experiment:
     """Builds the regression of the motor torques.
@@ -119,7 +88,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
         shared: whether the joints share inertias; False gives each joint its own copy of all parameters.
 
     Raises:
-        InputError: see ``torque_recording`` and ``preprocess``.
+        InputError: see ``preprocess``.
     """
     n = robot.n
     rate = (len(recording.t) - 1) / max(float(recording.t[-1] - recording.t[0]), 1e-9)

@@ -118,6 +118,7 @@ class Effect(ABC):
         coefficient_names: linear coefficients, one per column of ``columns``.
         in_base: whether an ordinary identified model already has a parameter of the same form, so that the effect can
             only be seen against a model identified before.
+        theta_is_physical: False where theta only serves the computation and has no uncertainty of its own.
         source: where the equation comes from.
     """
 
@@ -128,6 +129,7 @@ class Effect(ABC):
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
     coefficient_units: ClassVar[tuple[str, ...]] = ("N m",)
     in_base: ClassVar[bool] = False
+    theta_is_physical: ClassVar[bool] = True
     source: ClassVar[str] = ""
 
     def acts_on(self, channel: str) -> bool:

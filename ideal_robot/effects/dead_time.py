@@ -30,6 +30,7 @@ class DeadTime(Effect):
     name = "dead_time"
     theta_names = ("chord",)
     theta_units = ("s",)
+    theta_is_physical = False
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
     source = "first-order expansion of a pure delay"

@@ -1,0 +1,61 @@
+"""``ideal-robot diagnose``: which physical effect a model misses in a recording, where, and what it is worth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")],
+    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
+    model: Annotated[Path | None, typer.Option(help="Model to diagnose; without it a baseline (rigid body, Coulomb and "
+                                                    "viscous friction, rotors, offsets) is identified first.")] = None,
+    validate: Annotated[Path | None, typer.Option(help="Another recording of the same arm, for the errors that are "
+                                                       "reported; else every fourth block of time is kept "
+                                                       "apart.")] = None,
+    robot: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML).")] = None,
+    model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0,
+    json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("out/diagnose"),
+) -> None:
+    """Finds the effect behind a model's residual, adds it, and reports the error before and after on held-out data.
+
+    Example: `ideal-robot diagnose estimation.parquet --urdf arm.urdf --validate other.parquet --model-out better.json`
+    """
+    from ideal_robot.diagnosis import diagnose
+    from ideal_robot.model import Model
+    from ideal_robot.recording import Recording
+    from ideal_robot.robot import Robot
+    from scenes.commands.common import progress_bar, show_table
+    from scenes.diagnosis_report import diagnosis_page, summary
+    from scenes.report import write_json
+
+    with progress_bar("diagnose") as progress:
+        arm = Robot.load(urdf, robot)
+        found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
+                         validate=None if validate is None else Recording.read(validate), seed=seed, progress=progress)
+        progress(0.97, "drawing")
+        page = diagnosis_page(found, f"Diagnosis of {recording.name}").write(out / "report.html")
+    if json is not None:
+        write_json(json, found.to_dict())
+    if model_out is not None and found.model is not None:
+        found.model.save(model_out)
+    show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
+               ["channel", "before", "refitted", "after", "noise", "unit"],
+               [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit] for c in found.channels])
+    if found.effects or found.unknown:
+        show_table("what was added", ["effect", "joint", "channel", "before", "after", "p", "parameters", "or"],
+                   [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.0e}",
+                     ", ".join(e.depends_on) or "; ".join(f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}"
+                                                          for p in e.fitted.parameters),
+                     ", ".join(e.indistinguishable_from)] for e in (*found.effects, *found.unknown)])
+    for joint, reason in sorted(found.undecided.items()):
+        typer.echo(f"undecided: joint {joint} {reason}", err=True)
+    for warning in found.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(summary(found))
+    typer.echo(f"report: {page}")
