@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from sensing.camera_model import CameraModel
+from sensing.field import Field
 from sensing.line_detection import DetectionSettings, LineField, PredictedLine, detect_line, search_windows
 from tests.sensing.synthetic import NORMAL, GrayAt, make_field, stroke
 
@@ -209,3 +212,27 @@ def test_field_and_prediction_must_match() -> None:
 def test_settings_are_checked() -> None:
     with pytest.raises(InputError, match=r"detection\.line_width"):
         DetectionSettings(line_width=0.0)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_whatever_the_picture_shows_the_answer_is_sound(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    prediction = predicted(rng.uniform(-0.1, 0.1), rng.uniform(-3, 3), sigma=10 ** rng.uniform(-5, -1))
+    windows = search_windows(CAMERA, prediction)
+    kinds = (lambda shape: rng.integers(0, 256, shape), lambda shape: np.full(shape, rng.integers(0, 256)),
+             lambda shape: 255 * (rng.random(shape) < 0.5),
+             lambda shape: 255 * (np.arange(shape[1]) % 5 < 2) + np.zeros(shape))
+    patches = tuple(np.asarray(kinds[rng.integers(4)]((w.height, w.width))).astype(np.uint8) for w in windows)
+    found = detect_line(Field(0.0, 0.04, windows, patches), CAMERA, prediction)
+    assert found.seen == (found.used.sum() >= 3) == (found.reason == "")
+    assert np.isfinite(found.points_tcp[found.used]).all()
+    assert (found.sigma[found.used] > 0).all()
+    assert ((found.quality >= 0) & (found.quality <= 1)).all()
+
+
+def test_a_line_behind_the_camera_has_no_windows() -> None:
+    points = np.column_stack([X, 0.0 * X, 0.0 * X - 0.5])
+    prediction = PredictedLine(points, np.tile([1.0, 0.0, 0.0], (5, 1)), NORMAL, 0.001)
+    windows = search_windows(CAMERA, prediction)
+    assert all(w.width == 0 for w in windows)
+    assert not detect_line(make_field(CAMERA, windows, CLEAN), CAMERA, prediction).seen
