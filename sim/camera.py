@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -18,16 +17,19 @@ from typing import Any
 import cv2
 import numpy as np
 import pinocchio as pin
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
-from sensing.camera_model import CameraModel, undistort
+from sensing.camera_model import CameraModel
 from sensing.field import Field, Gray, Window
 from sim.bullet import pybullet, quiet
+from sim.camera_settings import CameraSettings
+from sim.lens_sampling import add_samples, displacements, sample_rays
 from sim.surface import DrawnLine
 from sim.texture import Texture, paint
+
+__all__ = ["CameraSettings", "PoseAt", "RenderedCamera"]
 
 PoseAt = Callable[[float], pin.SE3]
 """True TCP pose in the base frame at a time [s]."""
@@ -38,100 +40,6 @@ PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
 NEAR, FAR = 0.02, 3.0
 FINE = 160_000
 """Pixels from which on a whole image gets one sample a pixel."""
-
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """What the camera does to the picture and to its time.
-
-    Attributes:
-        rate: fields per second [Hz].
-        phase: time of the first mid-exposure [s].
-        exposure: exposure time [s]; motion blur comes from ``sub_exposures`` pictures along the true pose.
-        sub_exposures: pictures averaged over one exposure, each displaced by a fraction of a sample.
-        supersampling: samples per pixel and axis in each of them.
-        noise: standard deviation of gray noise.
-        latency: from mid-exposure to the data's arrival [s].
-        jitter: standard deviation of the latency [s].
-        stamp_offset: constant error of the time stamp [s].
-        stamp_noise: standard deviation of the time stamp [s].
-        loss: probability that a field is lost.
-        resolution: texel of the drawn surface [m].
-    """
-
-    rate: float = 50.0
-    phase: float = 0.005
-    exposure: float = 0.002
-    sub_exposures: int = 3
-    supersampling: int = 2
-    noise: float = 3.0
-    latency: float = 0.040
-    jitter: float = 0.001
-    stamp_offset: float = 0.0
-    stamp_noise: float = 0.00005
-    loss: float = 0.0
-    resolution: float = 0.00025
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not math.isfinite(value):
-                raise InputError("must be finite", field=f"camera.{f.name}", value=value)
-            if f.name not in ("phase", "stamp_offset") and value < 0:
-                raise InputError("must not be negative", field=f"camera.{f.name}", value=value)
-        for name in ("rate", "sub_exposures", "supersampling", "resolution"):
-            if getattr(self, name) <= 0:
-                raise InputError("must be positive", field=f"camera.{name}", value=getattr(self, name))
-        if self.exposure * self.rate > 1.0:
-            raise InputError("the exposure cannot be longer than the time between two fields", field="camera.exposure",
-                             value=self.exposure)
-        if self.loss >= 1.0:
-            raise InputError("expected a probability below 1", field="camera.loss", value=self.loss)
-
-
-@njit(cache=True)
-def _add_samples(
-    total: Array, image: NDArray[np.uint8], x: Array, y: Array, scale: float, column0: float, row0: float, weight: float
-) -> None:
-    """Adds the picture, sampled bilinearly at normalised coordinates, averaged over each pixel's samples, to ``total``.
-
-    ``x``, ``y`` have shape ``(height, width, n)``: n samples per pixel.
-    """
-    rows, columns = image.shape[0], image.shape[1]
-    height, width, n = x.shape
-    for i in range(height):
-        for j in range(width):
-            value = 0.0
-            for m in range(n):
-                c = min(max(x[i, j, m] * scale + column0, 0.0), columns - 1.000001)
-                r = min(max(y[i, j, m] * scale + row0, 0.0), rows - 1.000001)
-                ci, ri = int(c), int(r)
-                a, b = c - ci, r - ri
-                value += (1.0 - b) * ((1.0 - a) * image[ri, ci, 0] + a * image[ri, ci + 1, 0]) + b * (
-                    (1.0 - a) * image[ri + 1, ci, 0] + a * image[ri + 1, ci + 1, 0]
-                )
-            total[i, j] += weight * value / n
-
-
-@njit(cache=True)
-def _sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: Array) -> tuple[Array, Array]:
-    """Undistorted normalised coordinates ``(height, width, n²)`` of ``n`` × ``n`` samples spread over each pixel."""
-    x = np.empty((height, width, n * n))
-    y = np.empty((height, width, n * n))
-    for i in range(height):
-        for j in range(width):
-            for a in range(n):
-                for b in range(n):
-                    y_d = (v0 + i + (a + 0.5) / n - 0.5 - K[1, 2]) / K[1, 1]
-                    x_d = (u0 + j + (b + 0.5) / n - 0.5 - K[0, 2] - K[0, 1] * y_d) / K[0, 0]
-                    x[i, j, a * n + b], y[i, j, a * n + b] = undistort(x_d, y_d, k)
-    return x, y
-
-
-def _inside(n: int) -> Array:
-    """Displacements ``(n, 2)`` in samples, evenly spread over one sample: a rotated lattice."""
-    i = np.arange(n)
-    return np.column_stack([(i + 0.5) / n, (i * 0.618034 + 0.5) % 1.0]) - 0.5
 
 
 class RenderedCamera:
@@ -164,7 +72,7 @@ class RenderedCamera:
             raise InputError("this lens folds the picture over within the image; take a weaker distortion",
                              field="camera.distortion", value=tuple(model.distortion))
         self._key = int(rng.integers(2**63))
-        self._offsets = _inside(settings.sub_exposures)
+        self._offsets = displacements(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
         self.texture = paint(surface, settings.resolution) if texture is None else texture
         with quiet():
@@ -254,7 +162,7 @@ class RenderedCamera:
         K, k = self.model.K, self.model.distortion
         if window.width == 0 or window.height == 0:
             return np.zeros((window.height, window.width))
-        x, y = _sample_rays(window.u, window.v, window.height, window.width, n, K, k)
+        x, y = sample_rays(window.u, window.v, window.height, window.width, n, K, k)
         scale = n * K[0, 0]
         offsets = self._offsets if len(views) > 1 else np.zeros((1, 2))
         # The smallest undistorted picture that covers all samples wherever a sub-exposure moves its grid.
@@ -266,7 +174,7 @@ class RenderedCamera:
         for view, (du, dv) in zip(views, offsets, strict=True):
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
             image = self._picture(view, width, height, scale, column0 + du, row0 + dv)
-            _add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(views))
+            add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(views))
         return total
 
     def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float) -> NDArray[np.uint8]:
@@ -284,18 +192,19 @@ class RenderedCamera:
         )  # fmt: skip
         return picture[2]
 
-    def _load(self, texture: Texture) -> None:
-        """Puts the surface into the renderer's client: two triangles with texture coordinates from an .obj file."""
+    def _mesh(self, texture: Texture) -> str:
+        """The surface as an .obj: two triangles with texture coordinates, in the plane's frame."""
         x0, y1 = texture.x_min, texture.y_max
         x1, y0 = x0 + texture.size[0], y1 - texture.size[1]
+        corners = "".join(f"v {x!r} {y!r} 0\n" for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
+        return corners + "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n"
+
+    def _load(self, texture: Texture) -> None:
+        """Puts the surface into the renderer's client. Only an .obj file has the right texture coordinates there."""
         # PyBullet caches meshes by file name, so each file gets a fresh folder.
         with tempfile.TemporaryDirectory(prefix="ideal_robot_surface_") as folder:
             mesh, image = Path(folder) / "surface.obj", Path(folder) / "surface.png"
-            mesh.write_text(
-                "".join(f"v {x!r} {y!r} 0\n" for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
-                + "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n",
-                encoding="ascii",
-            )
+            mesh.write_text(self._mesh(texture), encoding="ascii")
             cv2.imwrite(str(image), texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
             shape = pybullet.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), rgbaColor=[1, 1, 1, 1],
                                                physicsClientId=self._client)

@@ -1,0 +1,57 @@
+"""What a camera does to the picture and to its time: rate, exposure, noise, latency, time stamps, lost fields."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+from ideal_robot.errors import InputError
+
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What the camera does to the picture and to its time.
+
+    Attributes:
+        rate: fields per second [Hz].
+        phase: time of the first mid-exposure [s].
+        exposure: exposure time [s]; motion blur comes from ``sub_exposures`` pictures along the true pose.
+        sub_exposures: pictures averaged over one exposure, each displaced by a fraction of a sample.
+        supersampling: samples per pixel and axis in each of them.
+        noise: standard deviation of gray noise.
+        latency: from mid-exposure to the data's arrival [s].
+        jitter: standard deviation of the latency [s].
+        stamp_offset: constant error of the time stamp [s].
+        stamp_noise: standard deviation of the time stamp [s].
+        loss: probability that a field is lost.
+        resolution: texel of the drawn surface [m].
+    """
+
+    rate: float = 50.0
+    phase: float = 0.005
+    exposure: float = 0.002
+    sub_exposures: int = 3
+    supersampling: int = 2
+    noise: float = 3.0
+    latency: float = 0.040
+    jitter: float = 0.001
+    stamp_offset: float = 0.0
+    stamp_noise: float = 0.00005
+    loss: float = 0.0
+    resolution: float = 0.00025
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not math.isfinite(value):
+                raise InputError("must be finite", field=f"camera.{f.name}", value=value)
+            if f.name not in ("phase", "stamp_offset") and value < 0:
+                raise InputError("must not be negative", field=f"camera.{f.name}", value=value)
+        for name in ("rate", "sub_exposures", "supersampling", "resolution"):
+            if getattr(self, name) <= 0:
+                raise InputError("must be positive", field=f"camera.{name}", value=getattr(self, name))
+        if self.exposure * self.rate > 1.0:
+            raise InputError("the exposure cannot be longer than the time between two fields", field="camera.exposure",
+                             value=self.exposure)
+        if self.loss >= 1.0:
+            raise InputError("expected a probability below 1", field="camera.loss", value=self.loss)
