@@ -17,7 +17,11 @@ INK, SOFT = "#1c2430", "#8893a1"
 COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected_1": "#7fb2dd",
            "precorrected": "#0a6ebd", "model_learned": "#2b8a3e", "learned_4": "#c2255c", "ideal": "#e06a00",
            "adapted": "#1c2430"}
-"""Methods that are drawn, and their colours on every page."""
+"""Colours of the methods on every page."""
+DRAWN = ("none", "trained", "precorrected_1", "precorrected", "learned_4", "ideal")
+"""Methods whose deviation over time is drawn; the rest stand in the table."""
+TRACED = ("none", "precorrected_1", "precorrected", "ideal")
+"""Methods whose path is drawn."""
 MAGNIFIED = 50
 """Factor on deviations in pictures of paths."""
 DEFINITION = (
@@ -73,11 +77,12 @@ def comparison_page(comparison: PathComparison) -> Report:
         f"{less['time_matched']:.1f} % and {less['aligned']:.1f} % less.")
     columns, rows = comparison.full_table()
     report.table(columns, rows, f"{DEFINITION} Paper: {scene.paper.source}.")
-    shown = [run for method, run in runs.items() if method in COLOURS]
-    report.figure(path_figure(shown), f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")
-    report.figure(deviation_figure(shown, "aligned"), "Aligned deviation over time, without the planner's delay.")
-    delayed = [run for method, run in runs.items() if method.removesuffix(DELAY) in COLOURS and method.endswith(DELAY)]
-    report.figure(deviation_figure(delayed, "aligned"), "The same with the standard path planner's delay in force.")
+    report.figure(path_figure([runs[method] for method in TRACED]),
+                  f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")
+    report.figure(deviation_figure([runs[method] for method in DRAWN], "aligned"),
+                  "Aligned deviation over time, without the planner's delay.")
+    report.figure(deviation_figure([runs[method + DELAY] for method in DRAWN], "aligned"),
+                  "The same with the standard path planner's delay in force.")
     report.figure(learning_figure(comparison), "What learning saw, play by play.")
     report.heading("World")
     report.text("The model is identified from recordings of this world; nothing is read from the world itself.")
@@ -92,8 +97,11 @@ def path_figure(results: list[PathResult]) -> Figure:
     path = results[0].path
     x_d, t = path.x_d[path.counts], path.t[path.counts]
     centre = x_d.mean(axis=0)
-    # The plane of the path: its two directions of largest extent.
-    plane = np.linalg.svd(x_d - centre, full_matrices=False)[2][:2]
+    # The plane of the path, seen from the robot: to the right, and up or ahead.
+    normal = np.linalg.svd(x_d - centre, full_matrices=False)[2][2]
+    normal *= np.sign(normal[2]) if abs(normal[2]) > 1e-6 else -np.sign(normal[0])
+    right = np.array([0.0, -1.0, 0.0]) + normal * normal[1]
+    plane = np.array([right, np.cross(normal, right)]) / np.linalg.norm(right)
     flat = (x_d - centre) @ plane.T
     axes.plot(*(1e3 * flat.T), color=INK, lw=2.5, alpha=0.35, label="desired")
     for result in results:
@@ -115,11 +123,12 @@ def deviation_figure(results: list[PathResult], kind: str) -> Figure:
     for result in results:
         path = result.path
         t = path.t[path.counts]
-        axes.plot(t - t[0], 1e3 * getattr(result.errors, kind).deviation, color=_colour(result), lw=1.1,
-                  label=result.method)
+        deviation = 1e3 * getattr(result.errors, kind).deviation
+        axes.semilogy(t - t[0], np.maximum(deviation, 1e-3), color=_colour(result), lw=1.1, label=result.method)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("deviation [mm]")
-    axes.set_ylim(bottom=0.0)
+    axes.set_ylim(bottom=5e-3)
+    axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     _plain(axes)
     return figure
@@ -132,6 +141,7 @@ def learning_figure(comparison: PathComparison) -> Figure:
     plays = ["none", *(f"learned_{p}" for p in range(1, 5))]
     values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays]
     axes.semilogy(range(5), values, "o-", color=COLOURS["learned_4"], label="learning on the arm")
+    axes.yaxis.set_major_formatter("{x:g}")
     for method in ("precorrected", "model_learned", "ideal"):
         axes.axhline(1e3 * comparison.runs[method].errors.time_matched.E_car, color=COLOURS[method], lw=1, ls="--",
                      label=method)

@@ -140,7 +140,7 @@ class PathComparison:
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method, what fits a terminal: E_car [mm], its reduction and the paper's [%]."""
         paper = self.scene.paper.E_car_reduction_percent
-        columns = ["method", "timed mm", "aligned mm", "E_car less %", "E_max less %", "paper %"]
+        columns = ["method", "timed mm", "aligned", "E_car −%", "E_max −%", "paper −%"]
         rows: list[list[Any]] = []
         for method, run in self.runs.items():
             less = self.reduction(method)

@@ -42,22 +42,22 @@ class Lags:
         torque_past, torque_ahead: rigid-body torques likewise, used only where a chain is given.
     """
 
-    past: int = 2
-    ahead: int = 5
+    past: int = 1
+    ahead: int = 2
     sign_past: int = 24
     sign_ahead: int = 5
-    torque_past: int = 2
-    torque_ahead: int = 4
+    torque_past: int = 0
+    torque_ahead: int = 2
 
     @property
     def before(self) -> int:
         """Desired positions of the past that are needed: velocities are backward differences."""
-        return max(self.past, self.sign_past, self.torque_past) + 1
+        return max(self.past + 1, self.sign_past + 1, self.torque_past + 2)
 
     @property
     def n_d(self) -> int:
         """Length of the horizon that is needed."""
-        return max(self.ahead, self.sign_ahead, self.torque_ahead + 1) + 1
+        return max(self.ahead, self.sign_ahead, self.torque_ahead + 2) + 1
 
 
 class Trained(Feedforward):
@@ -100,7 +100,7 @@ class Trained(Feedforward):
 
 
 def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | None = None,
-          chain: Chain | None = None, base: Feedforward | None = None, noise: float = 2e-4,
+          chain: Chain | None = None, base: Feedforward | None = None, noise: float = 5e-4,
           limits: tuple[Array, Array] | None = None) -> Trained:
     """Fits the weights of [G] (12) or (13) to learned commands, by least squares in information form.
 
@@ -160,14 +160,17 @@ def _regressors(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -
 
 
 def _torques(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> Array:
-    """Rigid-body torques ``(N, torque_past + torque_ahead + 1, n)`` by central differences; no rows without a chain."""
+    """Rigid-body torques ``(N, torque_past + torque_ahead + 1, n)``; no rows without a chain.
+
+    Differences over two cycles: paths whose acceleration jumps must not put peaks of one cycle into the command.
+    """
     N, _, n = windows.shape
     if chain is None:
         return np.empty((N, 0, n))
-    around = windows[:, lags.before - lags.torque_past - 1 : lags.before + lags.torque_ahead + 2]
-    q = around[:, 1:-1]
-    qd = (around[:, 2:] - around[:, :-2]) / (2 * t_ipo)
-    qdd = (around[:, 2:] - 2 * q + around[:, :-2]) / t_ipo**2
+    around = windows[:, lags.before - lags.torque_past - 2 : lags.before + lags.torque_ahead + 3]
+    q = around[:, 2:-2]
+    qd = (around[:, 4:] - around[:, :-4]) / (4 * t_ipo)
+    qdd = (around[:, 4:] - 2 * q + around[:, :-4]) / (2 * t_ipo) ** 2
     flat = [np.ascontiguousarray(values.reshape(-1, n)) for values in (q, qd, qdd)]
     return inverse_dynamics(chain, *flat).reshape(q.shape)
 
