@@ -140,9 +140,9 @@ def run(scene: LineScene, *, method: str | None = None, out: Path | None = None,
             gains = best_gains(scene, own, progress=lambda fraction, text: progress(0.8 * fraction, text))[0]
     if shared is None:
         with prepared(scene, progress) as own:
-            result = _play(set_up(scene), method, gains, own, progress)
+            result = _play(set_up(scene), method, gains, own, progress, pictures=out is not None)
     else:
-        result = _play(set_up(scene), method, gains, shared, progress)
+        result = _play(set_up(scene), method, gains, shared, progress, pictures=out is not None)
     if out is None:
         return result
     from scenes.line_report import write_run
@@ -210,7 +210,7 @@ class _Log:
     t: list[float] = field(default_factory=list)
     q_d: list[Array] = field(default_factory=list)
     fields: list[LineField] = field(default_factory=list)
-    shown: list[FieldShown] = field(default_factory=list)
+    shown: list[tuple[pin.SE3, FieldShown]] = field(default_factory=list)
     cycles: list[float] = field(default_factory=list)
     with_field: list[bool] = field(default_factory=list)
     s: list[float] = field(default_factory=list)
@@ -273,8 +273,8 @@ class _Loop:
         self.follower.observe(t, q_a)
 
 
-def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Prepared,
-          progress: Progress) -> LineResult:
+def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Prepared, progress: Progress, *,
+          pictures: bool) -> LineResult:
     scene, follower = cell.scene, cell.follower
     if shared.hand_eye is not None:
         cell.camera = shared.hand_eye.camera
@@ -286,6 +286,7 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Pr
         history = arm.history()
         tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
         recording = line_recording(arm, scene, method, np.array(log.t), np.array(log.q_d), log.fields, log.failure)
+    shown = tuple(replace(seen, image=shared.camera.frame(pose)) for pose, seen in log.shown) if pictures else ()
     whole, error, followed_from = _control_error(cell, history["t"], tcp, log.first_used)
     return LineResult(
         scene=scene, method=method, control_error=error, control_error_from_start=whole,
@@ -293,7 +294,7 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Pr
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(history["t"][-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
-        shown=tuple(log.shown), world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.uncalibrated,
+        shown=shown, world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.uncalibrated,
         s_reference=np.array(log.s), believed=np.array(log.believed))
 
 
@@ -344,7 +345,7 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
         for exposure, wanted in zip(exposures, windows, strict=True):
             under_way.append(camera.windows(exposure, arm.tcp_at, wanted))
         if k in picture_at and new and log.fields and log.fields[-1].seen:
-            log.shown.append(_picture(loop, camera, arm, log.fields[-1], new[-1]))
+            log.shown.append((arm.tcp_at(log.fields[-1].t), _picture(loop, log.fields[-1], new[-1])))
             picture_at.discard(k)
         elif k in picture_at:
             picture_at.discard(k)
@@ -356,8 +357,8 @@ def _cycles(loop: _Loop, arm: SimulatedArm, camera: RenderedCamera, log: _Log, p
             progress(k / count, loop.method)
 
 
-def _picture(loop: _Loop, camera: RenderedCamera, arm: SimulatedArm, seen: LineField, raw: Field) -> FieldShown:
-    """The whole image of a field, with the points found in it and the polynomial through them ([L] 5)."""
+def _picture(loop: _Loop, seen: LineField, raw: Field) -> FieldShown:
+    """The points found in a field and the polynomial through them ([L] 5); the image itself is rendered later."""
     follower, reference = loop.follower, loop.cell.reference
     pose = follower.history.pose(seen.t)
     points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
@@ -366,8 +367,7 @@ def _picture(loop: _Loop, camera: RenderedCamera, arm: SimulatedArm, seen: LineF
     at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
     frames = reference.frames(at)
     curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal
-    return FieldShown(seen.t, camera.frame(arm.tcp_at(seen.t)), tuple(tuple(w) for w in raw.windows),  # type: ignore[misc]
-                      seen.pixels, seen.used,
+    return FieldShown(seen.t, np.empty((0, 0), dtype=np.uint8), raw.windows, seen.pixels, seen.used,
                       loop.cell.camera.project_tool((curve - pose.translation) @ pose.rotation))
 
 

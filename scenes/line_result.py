@@ -13,6 +13,7 @@ from ideal_robot.interface import Array
 from ideal_robot.recording import Recording
 from scenes.line_scene import Geometry, LineScene
 from scenes.metrics import PathErrors
+from sensing.field import Window
 from sensing.hand_eye import HandEye
 
 SETTLING = 0.3
@@ -56,7 +57,7 @@ class FieldShown:
 
     t: float
     image: NDArray[np.uint8]
-    windows: tuple[tuple[int, int, int, int], ...]
+    windows: tuple[Window, ...]
     pixels: Array
     used: NDArray[np.bool_]
     polynomial_pixels: Array
