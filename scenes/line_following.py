@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import InputError
