@@ -93,11 +93,17 @@ def residual_std(predictions: Sequence[Prediction]) -> np.ndarray:
 def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequence[Recording] = (),
             method: str = "joint", friction: str = "auto", cutoff: float | None = None,
             cutoff_decimation: float | None = None, without_integrator: Sequence[Recording] = (),
-            progress: Callable[[float, str], None] = lambda fraction, text: None) -> Analysis:
+            cascade: bool = True, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Analysis:
     """Identifies rigid body, friction, offsets and, where the recordings hold what is needed, controller and stiffness.
 
     Args:
+        recordings, validation: to identify from, and to compare with.
+        robot: the arm.
         method: ``joint`` (whole motions at once) or ``two-step`` ([G] 3.1.2, recordings of the planned program).
+        friction, cutoff, cutoff_decimation: as for ``ideal_robot.identification.idim.identify``.
+        without_integrator: recordings with the controllers' integrators off, for [G] (16).
+        cascade: fit the controllers at their own cycles too, which precorrection is better with; takes half a minute.
+        progress: called with the share done and what is being done.
 
     Raises:
         InputError: recordings that cannot be used, an unknown method.
@@ -116,7 +122,7 @@ def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequen
     controller, model = None, result.model
     with_command = [r for r in result.recordings if r.has("q_c")]
     if with_command:
-        controller, model = _with_controller(with_command, without_integrator, robot, model, warnings)
+        controller, model = _with_controller(with_command, without_integrator, robot, model, warnings, cascade)
     with_arm = [r for r in result.recordings if r.has("qa")]
     if with_arm:
         stiffness, damping = stiffness_from_arm(with_arm, model)
@@ -125,17 +131,19 @@ def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequen
 
 
 def _with_controller(recordings: Sequence[Recording], without_integrator: Sequence[Recording], robot: Robot,
-                     model: Model, warnings: list[str]) -> tuple[ControllerIdentification | None, Model]:
-    """The controllers at the interpolation cycle for the report, and those at their own cycles in the model."""
+                     model: Model, warnings: list[str], cascade: bool,
+                     ) -> tuple[ControllerIdentification | None, Model]:
+    """The controllers at the interpolation cycle, and for the model, where wanted, those at their own cycles."""
     try:
         found = identify_controller(recordings, robot.t_ipo, without_integrator)
     except InputError as error:
         warnings.append(f"no-controller: {error}")
         return None, model
     controller = found.model
-    try:
-        controller = fit_controller(recordings[0], robot).controller
-    except InputError as error:
-        warnings.append(f"controller-at-interpolation-cycle: the model has the controller at {1e3 * robot.t_ipo:g} ms "
-                        f"only; {error}")
+    if cascade:
+        try:
+            controller = fit_controller(recordings[0], robot).controller
+        except InputError as error:
+            warnings.append(f"controller-at-interpolation-cycle: the model has the controller at {1e3 * robot.t_ipo:g} "
+                            f"ms only; {error}")
     return found, dataclasses.replace(model, controller=controller)

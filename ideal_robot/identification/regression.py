@@ -11,6 +11,8 @@ from ideal_robot.interface import Array
 _RANK = 1e-8
 """Directions of the scaled regressor weaker than this share of the strongest count as not excited."""
 
+_BLOCKS = 10
+
 
 @dataclass(frozen=True)
 class Solution:
@@ -109,6 +111,25 @@ def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: 
         for lag in range(1, min(lags, len(block) - 1) + 1):
             variance += 2.0 * (1.0 - lag / (lags + 1.0)) * np.sum(block[lag:] * block[:-lag], axis=0)
     white = np.diag(inverse)
+    variance = np.maximum(variance * count / max(1, count - scores.shape[1]), _jackknife(W, residual, inverse))
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.sqrt(np.maximum(variance, 0.0) / white * count / max(1, count - scores.shape[1]))
+        ratio = np.sqrt(np.maximum(variance, 0.0) / white)
     return np.maximum(1.0, np.nan_to_num(ratio, nan=1.0, posinf=1.0))
+
+
+def _jackknife(W: Array, residual: Array, inverse: Array) -> Array:
+    """Variances ``(P,)`` from leaving out one of ten blocks of time after the other.
+
+    A model that is not quite right fits different stretches with different parameters, however long its residual stays
+    alike; what the blocks disagree about, the whole cannot know either.
+    """
+    blocks = np.array_split(np.arange(len(W)), _BLOCKS)
+    information = np.linalg.pinv(inverse, hermitian=True)
+    steps = []
+    for rows in blocks:
+        A = W[rows].reshape(-1, W.shape[2])
+        # Without these rows the normal equations lose AᵀA and Aᵀe: the estimate moves by minus what they had added.
+        left = information - A.T @ A
+        steps.append(-np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ (A.T @ residual[rows].reshape(-1)))
+    deviation = np.array(steps) - np.mean(steps, axis=0)
+    return np.asarray((_BLOCKS - 1) / _BLOCKS * np.sum(deviation**2, axis=0))

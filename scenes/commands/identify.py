@@ -47,7 +47,8 @@ def command(
         loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
                                    for paths in (recordings, validate, without_integrator))
         analysis = analyse(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
-                           cutoff_decimation=decimate_to, without_integrator=pd_only, progress=progress)
+                           cutoff_decimation=decimate_to, without_integrator=pd_only,
+                           cascade=model is not None, progress=progress)
         progress(0.8, "drawing")
         page = identification_page(analysis).write(out / "report.html")
     content = analysis.json()
