@@ -42,7 +42,13 @@ def command(
     if csv is not None:
         csv.parent.mkdir(parents=True, exist_ok=True)
         frame[shown].to_csv(csv, index=False)
+    kinds = [key for key in ("scene", "method", "m/s") if key in frame]
+    figures = [title for title in names.values() if title not in ("m/s",)]
+    worst = frame.groupby(kinds, sort=False, dropna=False)[figures].max().reset_index()
+    counts = frame.groupby(kinds, sort=False, dropna=False).size().to_numpy()
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
+    rows = [[*row, int(count)] for row, count in zip(worst.astype(object).to_numpy().tolist(), counts, strict=True)]
+    show_table("largest of each kind of run", [*kinds, *figures, "runs"], rows)
 
 
 FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_error_mm.p95": "95 % mm",
