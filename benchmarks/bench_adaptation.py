@@ -1,0 +1,144 @@
+"""An hour of warm-up in compressed time: the ideal robot with a fixed model, with adaptation, with perfect knowledge.
+
+    python benchmarks/bench_adaptation.py [--minutes 60] [--compression 20] [--figure docs/pictures/adaptation.png]
+
+The arm starts cold (22 °C) and draws the circle of scene ``iso9283_3`` again and again; the model was identified at
+35 °C. The oracle reads the true friction at the true gear temperatures from the simulator, which no model may, and uses
+the identified rest. Thermal time runs ``compression`` times faster than the arm.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ideal_robot.feedforward.adaptation import AdaptedIdeal
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.interface import Array
+from ideal_robot.loop_model import LoopModel
+from ideal_robot.robot import Robot
+from scenes.models import model_for
+from scenes.path_methods import Workshop
+from scenes.path_scene import joint_path
+from scenes.scene import load_scene
+from sim.arm import SimulatedArm
+from sim.friction import steady_friction
+from sim.individual import draw_individual
+from sim.world import World
+
+REST = 0.3
+"""Rest between two circles [s]."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--compression", type=float, default=20.0)
+    parser.add_argument("--figure", type=Path, default=Path("docs/pictures/adaptation.png"))
+    options = parser.parse_args()
+    scene = load_scene("iso9283_3")
+    robot = Robot.load(scene.robot)
+    world = World.default(robot.name).replace(correction_delay=False, start_temperature=22.0,
+                                              time_compression=options.compression)
+    path = joint_path(scene, robot, world.t_ipo)
+    place = Workshop(robot, world, model_for(scene, robot), path, "tcp", scene.seed)
+    loop = place.loop()
+    circle = path.q_d[path.counts]
+    # Back to the start without a jump: the circle ends where it began.
+    once = np.concatenate([circle, np.tile(circle[0], (round(REST / world.t_ipo), 1))])
+    count = max(2, round(60.0 * options.minutes / options.compression / (len(once) * world.t_ipo)))
+    x_d = np.array([robot.fk()(q).translation for q in once])[: len(circle)]
+    results = {}
+    for name in ("fixed", "adapted", "oracle"):
+        results[name], temperature = _hour(robot, world, loop, once, count, x_d, name)
+    minutes = (np.arange(count) + 0.5) * len(once) * world.t_ipo * options.compression / 60.0
+    print(f"{options.minutes:g} min of warm-up in {count * len(once) * world.t_ipo:.0f} s of arm time "
+          f"(thermal time {options.compression:g} times faster), joint 1 from 22 to {temperature[-1]:.0f} °C\n")
+    print("minute    fixed  adapted   oracle   E_car [mm], time-matched")
+    for k in np.unique(np.linspace(0, count - 1, 9).astype(int)):
+        print(f"{minutes[k]:6.1f}  " + "  ".join(f"{1e3 * results[name][k]:7.3f}" for name in results))
+    whole = {name: float(np.sqrt(np.mean(values**2))) for name, values in results.items()}
+    print("\nwhole hour: " + ", ".join(f"{name} {1e3 * value:.3f} mm" for name, value in whole.items())
+          + f"; adapted / oracle = {whole['adapted'] / whole['oracle']:.2f}, "
+          f"fixed / oracle = {whole['fixed'] / whole['oracle']:.2f}")
+    options.figure.parent.mkdir(parents=True, exist_ok=True)
+    _figure(minutes, results, temperature).savefig(options.figure, dpi=130, bbox_inches="tight")
+    print(f"figure: {options.figure}")
+
+
+def _hour(robot: Robot, world: World, loop: LoopModel, once: Array, count: int, x_d: Array, name: str
+          ) -> tuple[Array, Array]:
+    """E_car of each circle ``(count,)`` [m] and the temperature of joint 1 at its end [°C]."""
+    feedforward = AdaptedIdeal(IdealRobot(loop))
+    truth = _true_friction(robot, world, loop)
+    lead = round(0.9 / world.t_ipo)
+    with SimulatedArm(robot, world, np.random.default_rng(1), once[0]) as arm:
+        state = feedforward.init(once[0])
+        q_d = np.concatenate([np.tile(once[0], (lead, 1)), np.tile(once, (count, 1)), np.tile(once[-1], (30, 1))])
+        for k in range(lead + count * len(once)):
+            if name == "oracle" and (k - lead) % len(once) == 0:
+                known = IdealRobot(loop.replace(**truth(arm.history()["temperature"][-1] if k else np.full(6, 22.0))))
+            horizon = q_d[k : k + 30]
+            if name == "oracle":
+                known_drives = known.drives if k >= lead else feedforward.ideal.drives
+                q_c, inner = feedforward.ideal.step_with(known_drives, state.ideal, horizon)
+                state = type(state)(inner, state.factors)
+                arm.cycle(q_c)
+                continue
+            q_c, state = feedforward.step(state, horizon)
+            measured = arm.cycle(q_c)
+            if name == "adapted":
+                state = feedforward.observe(state, measured)
+        log = arm.history()
+        every = round(world.t_ipo / 0.002)
+        q_a, temperature = log["q_a"][::every], log["temperature"][::every, 0]
+        fk = robot.fk()
+        errors = np.empty(count)
+        for i in range(count):
+            start = lead + i * len(once)
+            x = np.array([fk(q).translation for q in q_a[start : start + len(x_d)]])
+            errors[i] = np.sqrt(np.mean(np.sum((x - x_d) ** 2, axis=1)))
+    return errors, temperature[lead + len(once) - 1 :: len(once)][:count]
+
+
+def _true_friction(robot: Robot, world: World, loop: LoopModel) -> Callable[[Array], dict[str, Array]]:
+    """True friction at given gear temperatures ``(n,)``, in the units of the measured torque."""
+    gain = draw_individual(robot, world).drive_gain
+    speeds = np.maximum(loop.friction_velocity, 1e-9)
+
+    def at(temperature: Array) -> dict[str, Array]:
+        columns = [steady_friction(world, robot.n, speeds, temperature=float(temperature[i]))[:, i]
+                   for i in range(robot.n)]
+        table = np.column_stack(columns) / gain
+        dry = np.exp(-world.dry_temperature * (temperature - world.reference_temperature))
+        load = dry * world.per_joint("coulomb", robot.n) * world.per_joint("load_friction", robot.n) / robot.tau_max
+        return {"friction_torque": np.stack([table, table]), "friction_load": load,
+                "friction_bend": world.per_joint("presliding", robot.n)}
+
+    return at
+
+
+def _figure(minutes: Array, results: dict[str, Array], temperature: Array) -> Figure:
+    figure = Figure(figsize=(8.0, 4.0))
+    axes = figure.add_subplot()
+    colours = {"fixed": "#8893a1", "adapted": "#e06a00", "oracle": "#1c2430"}
+    for name, values in results.items():
+        axes.plot(minutes, 1e3 * values, label=name, color=colours[name], lw=1.6, ls="--" if name == "oracle" else "-")
+    axes.set_xlabel("minutes since switch-on")
+    axes.set_ylabel("E_car of each circle, time-matched [mm]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False, loc="lower right")
+    axes.spines[["top"]].set_visible(False)
+    warm = axes.twinx()
+    warm.plot(minutes, temperature, color="#c2255c", lw=1, ls=":")
+    warm.set_ylabel("gear temperature of joint 1 [°C]", color="#c2255c")
+    warm.spines[["top"]].set_visible(False)
+    return figure
+
+
+if __name__ == "__main__":
+    main()
