@@ -222,7 +222,7 @@ def calibration_in_scenes(seeds: int) -> list[dict[str, Any]]:
     """The simulated arm driven over the line of a scene, all world effects on; lateral error left."""
     from ideal_robot.elasticity.deflection import GearDeflection
     from scenes.line_calibration import calibrate_by_moving
-    from scenes.line_following import set_up
+    from scenes.line_cell import set_up
     from scenes.models import model_for
     from scenes.scene import load_scene
     from sensing.line_detection import DetectionSettings

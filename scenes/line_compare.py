@@ -14,7 +14,7 @@ from scenes.line_scene import LineScene
 from scenes.result import Progress, silent
 
 if TYPE_CHECKING:
-    from scenes.line_following import Prepared
+    from scenes.line_cell import Prepared
 
 K_P = (0.01, 0.02, 0.03, 0.045, 0.065, 0.09, 0.13, 0.18, 0.25)
 """Gains tried on the deviation, per cycle."""
@@ -84,7 +84,8 @@ Run = Callable[..., LineResult]
 def compare_lines(scene: LineScene, run: Run, *, out: Path | None = None,
                   progress: Progress = silent) -> LineComparison:
     """Runs all methods; direct sensor feedback with the gain that suits this very scene best."""
-    from scenes.line_following import METHODS, prepared
+    from scenes.line_cell import prepared
+    from scenes.line_following import METHODS
 
     gain, overshoots = overshoot_gain(scene, progress=lambda fraction, text: progress(0.35 * fraction, text))
     runs = {}
@@ -135,7 +136,8 @@ def overshoot_gain(scene: LineScene, *, progress: Progress = silent) -> tuple[fl
 
     The step is a straight line beside its reference by 10 mm; what the TCP does beyond the line is overshoot.
     """
-    from scenes.line_following import prepared, run
+    from scenes.line_cell import prepared
+    from scenes.line_following import run
 
     origin = scene.surface.origin
     step = scene.changed(

@@ -9,7 +9,7 @@ from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.interface import Array
 from scenes.errors import SceneError
 from scenes.line_calibration import calibrate_by_moving
-from scenes.line_following import Cell, set_up
+from scenes.line_cell import Cell, set_up
 from scenes.line_scene import LineScene
 from scenes.models import model_for
 from scenes.scene import load_scene

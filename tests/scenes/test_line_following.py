@@ -12,7 +12,8 @@ import pytest
 from ideal_robot.errors import InputError
 from ideal_robot.recording import Recording
 from scenes import load_scene
-from scenes.line_following import prepared, run
+from scenes.line_cell import prepared
+from scenes.line_following import run
 from scenes.line_result import LineResult
 from scenes.line_scene import LineScene, geometry
 
