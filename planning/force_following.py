@@ -23,6 +23,8 @@ from sensing.force_deviation import force_deviation
 
 STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is believed."""
+KNOWN_LATERAL = 0.001
+"""Standard deviation of the lateral deviation below which the line counts as known [m]."""
 KNOWN_AFTER = 0.03
 """Way after which the slope along the path is known from the map [m]."""
 
@@ -64,7 +66,7 @@ class ContactSettings:
     settle: float = 0.15
     clearance: float = 0.01
     noise: float = 0.3
-    position_noise: float = 2e-5
+    position_noise: float = 3e-5
     frozen: int = 1
     cutoff: float = 25.0
     correction: float = 4.0
@@ -165,6 +167,10 @@ class SurfaceFollower:
         """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before samples are handed in."""
         self.history.add(t, q_a)
 
+    def speed_at(self, t: float) -> float:
+        """Speed of the travel at ``t`` [m/s]."""
+        return float(self.profile.speed(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
+
     def s_at(self, t: float) -> float:
         """Arc length of the travel at ``t`` [m]."""
         return float(self.profile.s(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
@@ -202,14 +208,18 @@ class SurfaceFollower:
         ]
         covariance = np.diag([one.sigma**2 for one in seen]) + settings.position_noise**2
         value = np.array([one.value for one in seen])
-        if self._lateral:
-            # With a camera the force says how far to go along the surface's normal, not along the reference's.
+        if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
+            # With a camera the force says how far to go along the surface's normal, not along the reference's. While
+            # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
             direction = np.tile([normal @ across, normal @ up], (len(t), 1))
             value = direction[:, 0] * lateral + direction[:, 1] * height + value * float(normal @ up)
         else:
             direction = np.tile([0.0, 1.0], (len(t), 1))
             value = height + value
         return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force"))
+
+    def _lateral_sigma(self, s: Array) -> float:
+        return float(np.sqrt(self.fusion.deviation(s)[1][0, 0]))
 
     def _normal(self, s: float, force: Array, along: Array, across: Array, up: Array) -> Array:
         """Surface normal: slope along the path from the map, since friction falsifies it, across from the force.
@@ -244,7 +254,11 @@ class SurfaceFollower:
         keep = self.settings.frozen
         rows = self._rows(k + keep + 1 + np.arange(self._samples))
         estimate = self._estimate(t, keep, rows)
-        self._plan[:, keep + 1 : keep + 1 + self._samples] = self._smoother.plan(self._plan[:, keep], estimate)
+        for direction in (0, 1):
+            # Each on its own: a large correction along one must not make the other one slow.
+            one = slice(direction, direction + 1)
+            planned = self._smoother.plan(self._plan[:, keep, one], estimate[:, one])
+            self._plan[:, keep + 1 : keep + 1 + self._samples, one] = planned
         self._solve(k, keep)
         return self._q[: self.n_d].copy()
 

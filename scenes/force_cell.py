@@ -14,6 +14,7 @@ from ideal_robot.model import Model
 from ideal_robot.robot import Robot
 from planning.errors import OutOfReachError
 from planning.force_following import ContactSettings, SurfaceFollower
+from planning.fusion import DeviationFilter
 from planning.kinematics import InverseKinematics
 from planning.reference import ReferencePath
 from planning.speed_profile import Limits, SpeedProfile
@@ -28,6 +29,8 @@ from sim.world import World
 
 N_D = 20
 """Desired positions handed to the ideal robot [cycles]."""
+POSITION_NOISE = 3e-5
+"""Standard deviation of the estimated tip position at 0.2 m/s [m]."""
 START_HEIGHT = 0.01
 """Of the tip above the reference when the approach begins [m]."""
 
@@ -48,10 +51,13 @@ class Cell:
     noise: np.random.Generator
     camera_streams: tuple[np.random.Generator, np.random.Generator]
 
-    def follower(self, elasticity: float) -> SurfaceFollower:
-        """A fresh follower that assumes this elasticity [N/m]."""
-        settings = ContactSettings(force=self.scene.force, elasticity=elasticity)
-        return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, start_height=START_HEIGHT)
+    def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
+        """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
+        # What the observer does not see of the arm's vibration grows with the accelerations, so with the square of speed.
+        noise = POSITION_NOISE * (self.scene.speed / 0.2) ** 2
+        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=noise)
+        return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
+                               lateral=fusion is not None, start_height=START_HEIGHT)
 
 
 def set_up(scene: ForceScene) -> Cell:

@@ -23,6 +23,7 @@ from scenes.force_cell import N_D, Cell, calibrations, set_up
 from scenes.force_compare import ForceComparison, compare_forces
 from scenes.force_result import ForceLog, ForceResult, force_result
 from scenes.force_scene import ForceScene
+from scenes.glue import GlueCamera, glue_fusion
 from scenes.result import Progress, silent
 from sensing.force_calibration import ContactElasticity, ToolLoad
 from sensing.force_deviation import WrenchFilter
@@ -36,6 +37,8 @@ WINDOW = 0.0
 """Length of the moving average over wrenches [s]; the map averages better, and without delay."""
 BRAKING = 2.0
 """Deceleration of a stop on the path [m/s²]."""
+REST = 12
+"""Cycles for which the recording goes on after a stop."""
 LONGEST = 60.0
 """A run that has not ended by then is stuck [s]."""
 
@@ -84,7 +87,10 @@ def play(scene: ForceScene, method: str, gains: tuple[float, float] | None = Non
         started = time.perf_counter()
         loop.play(arm, contact, progress)
         wall = time.perf_counter() - started
-        return force_result(scene, method, loop, arm, contact, wall)
+        result = force_result(scene, method, loop, arm, contact, wall)
+    if loop.vision is not None:
+        loop.vision.close()
+    return result
 
 
 class ForceLoop:
@@ -93,7 +99,10 @@ class ForceLoop:
     def __init__(self, cell: Cell, method: str, gains: tuple[float, float] | None, tool: ToolLoad,
                  elasticity: ContactElasticity) -> None:
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
-        self.follower = cell.follower(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)
+        assumed = cell.scene.assumed.elasticity_ratio * elasticity.stiffness
+        glue = cell.scene.task == "glue"
+        self.follower = cell.follower(assumed, glue_fusion(cell) if glue else None)
+        self.vision = GlueCamera(cell, self.follower) if glue else None
         self.watch = Watch(cell.robot, cell.scene.emergency.limits())
         self.filter = WrenchFilter(WINDOW)
         self.direct = DirectForceFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
@@ -114,6 +123,7 @@ class ForceLoop:
         follower, T = self.follower, arm.t_ipo
         q, last = follower.q_start, np.tile(follower.q_start, (N_D, 1))
         stopping: Iterator[Array] | None = None
+        resting = 0
         for k in range(int(LONGEST / T)):
             t = k * T
             begin = time.perf_counter()
@@ -121,27 +131,33 @@ class ForceLoop:
             if stopping is None:
                 try:
                     self._sense(t)
+                    if self.vision is not None:
+                        self.vision.sense(t)
                     self._check(t)
                     # Direct feedback goes its own way between touch-down and lift: no need to plan.
                     last = self._desired(t, last)
                 except (PlanningError, LimitError) as error:
                     self.log.failure = str(error)
                     moving = np.isfinite(follower.t_travel)
-                    speed = float(follower.profile.speed(t - follower.t_travel)) if moving else 0.02
-                    stopping = stopping_rows(last[1:], T, max(speed, 0.02), BRAKING)
+                    speed = float(follower.profile.speed(t - follower.t_travel)) if moving else 0.0
+                    stopping = stopping_rows(last[1:], T, max(speed, 0.1), BRAKING)
             if stopping is not None:
                 last = _padded(next(stopping))
             self._torque = follower.contact_torque(last)
             try:
                 q_c = self._command(t, last)
                 self.log.add(t, last[0], q_c, follower, time.perf_counter() - begin)
+                wanted = self.vision.windows(t, t + T) if self.vision is not None else []
                 q = arm.cycle(q_c).q
+                if self.vision is not None:
+                    self.vision.expose(wanted, arm)
             except (PlanningError, LimitError) as error:
                 # A gain of direct feedback that drives the arm out of its limits: the controller refuses.
                 self.log.failure = self.log.failure or str(error)
                 break
             self.under_way += self.cell.sensor.due(t, t + T, arm.tcp_at, contact.force_at)
-            if self._done() or (stopping is not None and np.allclose(last, last[0], atol=1e-9)):
+            resting = resting + 1 if stopping is not None and np.allclose(last, last[0], atol=1e-9) else 0
+            if self._done() or resting > REST:
                 break
             if k % 16 == 0:
                 progress(min(1.0, t / (self.cell.profile.duration + 2.0)), self.method)
@@ -177,6 +193,8 @@ class ForceLoop:
             # Samples are late: contact is judged at the time of the newest one.
             newest = self.log.samples[-1][0] if self.log.samples else t
             self.watch.contact(newest, follower.last_touch)
+            if self.vision is not None:
+                self.vision.sight.check(t)
         elif follower.phase is Phase.APPROACH:
             self.watch.approach(t, follower.descended, follower.settings.reach)
 

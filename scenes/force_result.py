@@ -133,12 +133,21 @@ def force_result(scene: ForceScene, method: str, loop: ForceLoop, arm: Simulated
                  wall: float) -> ForceResult:
     """Collects what a run leaves behind."""
     history, log = contact.history(), loop.log
+    lateral: dict[str, Any] = {}
+    series = (np.empty(0), np.empty(0))
+    moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
+    if loop.vision is not None and moving:
+        log.fields = loop.vision.fields
+        at = (history["t"] >= moving[0]) & (history["t"] <= moving[-1])
+        plane = loop.cell.surface.plane
+        tip = history["tip"][at] @ plane.rotation.T + plane.translation
+        lateral, series = loop.vision.control_error(history["t"][at], tip)
     return ForceResult(
         scene=scene, method=method, figures=force_figures(scene, history, log),
         elasticity=(loop.follower.settings.elasticity, loop.elasticity.std, scene.tip.stiffness),
         tool={"mass": loop.tool.mass, "force_residual_N": float(loop.tool.residual[0])}, history=history, log=log,
         recording=force_recording(arm, scene, method, history, log), urdf=loop.cell.robot.urdf,
-        real_time_factor=arm.t / wall, failure=log.failure)
+        real_time_factor=arm.t / wall, lateral=lateral, lateral_series=series, failure=log.failure)
 
 
 def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, history: dict[str, Array],

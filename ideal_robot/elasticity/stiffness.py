@@ -23,7 +23,8 @@ CORRELATED_SECONDS = 4.0
 WORST_CONDITION = 60.0
 """A Jacobian (moments divided by 1 m) worse than this makes joint torques from wrenches unreliable, [J] 2.3."""
 LOADED_SHARE = 0.08
-"""A joint counts as loaded in a recording if its torque varies by this share of the most loaded joint's …"""
+"""A joint counts as loaded in a recording if its torque varies by this share of the most loaded joint's, each as a part
+of its limit …"""
 LEAST_CORRELATION = 0.9
 """… and goes with its motor angle at least as well as this."""
 
@@ -119,7 +120,7 @@ def joint_loads(signals: Sequence[ClampedSignals], robot: Robot, method: Method,
         tau, use = joint_torque(one, robot, method)
         if np.count_nonzero(use) < 10:
             continue
-        spans = np.ptp(tau[use], axis=0)
+        spans = np.ptp(tau[use], axis=0) / (robot.tau_max if np.all(np.isfinite(robot.tau_max)) else 1.0)
         # Also where the torque does not vary at all, as with a wrench that does not reach the joint.
         if spans[joint - 1] <= LOADED_SHARE * np.max(spans):
             continue
