@@ -50,19 +50,22 @@ def signal_names(signals: Signals, channel: int) -> list[str]:
     names = ["t"]
     for kind in ("q", "qd", "qdd"):
         names += [f"{kind}_{i + 1}" for i in range(n)]
-    names += [f"load_{channel + 1}"]
+    own = min(channel, n - 1) + 1
+    names += [f"load_{own}"]
     if signals.temperature is not None:
-        names += [f"temp_{channel + 1}"]
+        names += [f"temp_{own}"]
     names += list(signals.extra)
     return [name for name in names if _varies(signal_of(signals, name))]
 
 
-def terms(signals: Signals, channel: int, pairs: bool) -> list[Unknown]:
+def terms(signals: Signals, channel: int, pairs: bool, head: str = "tau") -> list[Unknown]:
     """Curves to try on a channel: single signals, directed ones, and with ``pairs`` products of two."""
     names = signal_names(signals, channel)
-    result = [Unknown((name,), False, (_knots(signal_of(signals, name), 16 if name == "t" else 9),)) for name in names]
+    result = [Unknown((name,), False, (_knots(signal_of(signals, name), 16 if name == "t" else 9),), head=head)
+              for name in names]
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
-    result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
+    if head == "tau":
+        result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
     if pairs:
         j = channel + 1
         own = [f"{kind}_{j}" for kind in ("q", "qd")]
@@ -70,7 +73,7 @@ def terms(signals: Signals, channel: int, pairs: bool) -> list[Unknown]:
         both = {tuple(sorted((a, b))) for a in own for b in smooth if a != b and a in names}
         both |= {tuple(sorted((a, b))) for a in smooth for b in smooth
                  if a != b and a.split("_")[0] == b.split("_")[0]}
-        result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair))
+        result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair), head=head)
                    for pair in sorted(both)]
     return result
 
@@ -110,7 +113,7 @@ def dependence(residual: Array, use: Array, blocks: np.ndarray, signals: Signals
     return Dependence(channel, term, observed / total, mean_null / total, p)
 
 
-def time_period(residual: Array, use: Array, t: Array, channel: int) -> Unknown | None:
+def time_period(residual: Array, use: Array, t: Array, head: str) -> Unknown | None:
     """The strongest oscillation over time of a residual as a candidate term; None for a short recording."""
     r = np.where(use, residual, 0.0)
     N = len(r)
@@ -121,7 +124,7 @@ def time_period(residual: Array, use: Array, t: Array, channel: int) -> Unknown 
     f = np.fft.rfftfreq(4 * N, dt)
     power[f < 3.0 / (N * dt)] = 0.0
     best = float(f[int(np.argmax(power))])
-    return Unknown(("t",), False, ((float(t[0]), float(t[-1])),), 2.0 * np.pi * best)
+    return Unknown(("t",), False, ((float(t[0]), float(t[-1])),), 2.0 * np.pi * best, head=head)
 
 
 def _varies(x: Array) -> bool:

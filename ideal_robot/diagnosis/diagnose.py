@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
-from ideal_robot.diagnosis.candidates import Candidate
-from ideal_robot.diagnosis.estimate import Estimate, estimate, fitted_effect
-from ideal_robot.diagnosis.evidence import ranked_structure, would_tell
+from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment
+from ideal_robot.diagnosis.estimate import Estimate, estimate
 from ideal_robot.diagnosis.experiment import Experiment, experiment
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.part import Part, rms
 from ideal_robot.diagnosis.rebase import with_parameters
 from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
-from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect, Traces
+from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.diagnosis.reversal import fitted_blur
 from ideal_robot.diagnosis.search import Choice, Options, Progress, Search
-from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, FittedEffect, library
 from ideal_robot.identification.checks import checked
 from ideal_robot.interface import Array
 from ideal_robot.model import Model
@@ -138,10 +137,10 @@ class TorqueDiagnosis:
         return dataclasses.replace(raw, signals=moved.signals)
 
     def _undecided(self, raw: Experiment) -> Diagnosis:
-        rms = _rms(raw.y, raw.use, np.ones(len(raw.t), bool))
-        signal = _rms(raw.measured, raw.use, np.ones(len(raw.t), bool))
-        channels = tuple(ChannelResult(name, unit, float(rms[j]), float(rms[j]), float(rms[j]), float(raw.quiet[j]),
-                                       float(signal[j]))
+        everywhere = np.ones(len(raw.t), bool)
+        levels = [rms(values, raw.use, everywhere) for values in (raw.y, raw.measured)]
+        channels = tuple(ChannelResult(name, unit, float(levels[0][j]), float(levels[0][j]), float(levels[0][j]),
+                                       float(raw.quiet[j]), float(levels[1][j]))
                          for j, (name, unit) in enumerate(zip(raw.channels, raw.units, strict=True)))
         return Diagnosis("undecided", channels, (), (), "nothing: no joint moves enough to decide anything", 0.0,
                          raw.undecided, warnings=tuple(self.warnings), model=self.given)
@@ -150,55 +149,49 @@ class TorqueDiagnosis:
 
     def _reported(self, raw: Experiment, data: Data, choices: list[Choice], prior: Array | None,
                   final: Estimate) -> Diagnosis:
-        self.report(0.95, "held-out errors")
-        steps = [estimate(raw, data, [c.candidate for c in choices[:k]], prior, spread=False)
-                 for k in range(len(choices) + 1)]
+        self.report(0.8, "held-out errors")
+        seen = None
         if self.validate is not None:
+            change = estimate(raw, data, [c.candidate for c in choices], prior, spread=False).change
             seen = self._experiment(self.validate, self.start, raw.filtered.cutoff)
             if choices and self.shared:
-                moved = self._experiment(self.validate, with_parameters(self.start, steps[-1].change),
-                                         raw.filtered.cutoff)
+                moved = self._experiment(self.validate, with_parameters(self.start, change), raw.filtered.cutoff)
                 seen = dataclasses.replace(seen, signals=moved.signals)
-            where = np.ones(len(seen.t), bool)
+        torque = Part(raw, data, choices, prior, final, seen, self.given is not None, self.recording.hash)
+        parts = [torque, *self._other_domains(raw, seen)]
+        results = [part.result(self.rng) for part in parts]
+        if self.validate is not None:
             how = f"parameters and selection from {_name(self.recording)}, errors on {_name(self.validate)}"
         else:
-            seen = raw
-            where = data.blocks.fold[data.blocks.of_samples()] < 0
             how = (f"every fourth of {data.blocks.count} blocks of time of {_name(self.recording)}, which neither "
                    "selection nor estimation saw")
-        residuals = [predicted(seen, s, [c.candidate for c in choices[:k]]) for k, s in enumerate(steps)]
-        before = seen.y if self.given is not None else residuals[0]
-        rms = [_rms(r, seen.use, where) for r in residuals]
-        rms_before, signal = _rms(before, seen.use, where), _rms(seen.measured, seen.use, where)
-        channels = tuple(ChannelResult(name, unit, float(rms_before[j]), float(rms[0][j]), float(rms[-1][j]),
-                                       float(seen.quiet[j]), float(signal[j]))
-                         for j, (name, unit) in enumerate(zip(seen.channels, seen.units, strict=True)))
-        found = [self._found(k, choice, final, rms, seen) for k, choice in enumerate(choices)]
+        found = [f for r in results for f in r.found]
         effects = tuple(f for f in found if f.fitted.name != "unknown")
         unknown = tuple(f for f in found if f.fitted.name == "unknown")
         verdict = "unknown" if unknown else ("effects" if effects else "none")
-        # Dependences are looked for in the recording itself, where the fit is at home.
-        own = predicted(raw, steps[-1], [c.candidate for c in choices])
-        start = raw.y if self.given is not None else predicted(raw, steps[0], [])
-        return Diagnosis(verdict, channels, effects, unknown, how, float(where.sum() * (seen.t[1] - seen.t[0])),
-                         raw.undecided, ranked_structure(raw, data, start, self.rng),
-                         ranked_structure(raw, data, own, self.rng), tuple(self.warnings),
-                         self._extended(final, found),
-                         (_traces(seen, before, residuals[-1], where, choices, steps[-1]),))
+        return Diagnosis(verdict, tuple(c for r in results for c in r.channels), effects, unknown, how,
+                         torque.held_out_seconds, raw.undecided, tuple(x for r in results for x in r.before),
+                         tuple(x for r in results for x in r.remaining), tuple(self.warnings),
+                         self._extended(final, found), tuple(r.traces for r in results))
 
-    def _found(self, k: int, choice: Choice, final: Estimate, rms: Sequence[Array], seen: Experiment) -> FoundEffect:
-        candidate = choice.candidate
-        j = candidate.joint - 1 if candidate.joint else int(np.argmax((rms[k] - rms[k + 1]) / (rms[k] + 1e-300)))
-        rivals = tuple(dict.fromkeys(name for name, joint, _ in choice.rivals if name != candidate.effect.name))
-        transfers = None if self.validate is None else bool(rms[k + 1][j] < rms[k][j])
-        prismatic = seen.units[j] == "N"
-        evidence = {"p_value": choice.p_value, "rms_before": rms[k][j], "rms_after": rms[k + 1][j],
-                    "indistinguishable_from": list(rivals), "transfers": transfers,
-                    "recording": self.recording.hash}
-        fitted = fitted_effect(candidate, final.coefficients[k], final.std[k], final.theta_std[k], prismatic, evidence)
-        names = tuple(choice.dependence.names) if choice.dependence is not None else ()
-        return FoundEffect(fitted, float(rms[k][j]), float(rms[k + 1][j]), choice.p_value, rivals,
-                           would_tell(candidate.effect.name, rivals), transfers, names)
+    def _other_domains(self, raw: Experiment, seen: Experiment | None) -> list[Part]:
+        """Arm angles and TCP positions, where the recording has them."""
+        parts = []
+        for build, domain in ((arm_experiment, ARM_POSITION), (tcp_experiment, TCP_POSITION)):
+            made = build(self.recording, self.robot, raw)
+            if made is None:
+                continue
+            self.report(0.85, domain.replace("_", " "))
+            other = None if seen is None or self.validate is None else build(self.validate, self.robot, seen)
+            blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
+            data = Data(made.y, made.W, made.use, blocks)
+            search = Search(made, data, tuple(e for e in library() if e.domain == domain), prior=None, in_base=True,
+                            options=self.options, rng=self.rng, progress=lambda share, word: None)
+            choices = search.run()
+            every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
+            final = estimate(made, Data(made.y, made.W, made.use, every), [c.candidate for c in choices], None)
+            parts.append(Part(made, data, choices, None, final, other, True, self.recording.hash))
+        return parts
 
     def _extended(self, final: Estimate, found: list[FoundEffect]) -> Model | None:
         if not self.shared:
@@ -248,26 +241,5 @@ def prior_precision(model: Model, raw: Experiment, data: Data) -> Array:
     return precision
 
 
-def predicted(seen: Experiment, found: Estimate, chosen: list[Candidate]) -> Array:
-    """Residual ``(N, c)`` of an experiment with the numbers of an estimate."""
-    r = seen.y - seen.W @ found.change
-    for candidate, coefficients in zip(chosen, found.coefficients, strict=True):
-        r = r - seen.decimate(candidate.effect.columns(seen.signals, candidate.joint, candidate.theta) @ coefficients)
-    return np.asarray(r)
-
-
-def _rms(values: Array, use: np.ndarray, where: np.ndarray) -> Array:
-    mask = use & where[:, None]
-    return np.sqrt((values**2 * mask).sum(axis=0) / np.maximum(mask.sum(axis=0), 1))
-
-
 def _name(recording: Recording) -> str:
     return str(recording.source).rsplit("/", 1)[-1]
-
-
-def _traces(seen: Experiment, before: Array, after: Array, where: np.ndarray, choices: list[Choice],
-            last: Estimate) -> tuple[tuple[str, ...], Traces]:
-    at = seen.decimated_signals()
-    added = tuple(seen.decimate(c.candidate.effect.columns(seen.signals, c.candidate.joint, c.candidate.theta) @ own)
-                  for c, own in zip(choices, last.coefficients, strict=True))
-    return seen.channels, Traces(seen.t, seen.measured, before, after, seen.use, where, at.q, at.qd, added)

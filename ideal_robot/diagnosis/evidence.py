@@ -45,7 +45,7 @@ def ranked_structure(raw: Experiment, data: Data, residual: Array, rng: np.rando
     result = []
     for j, channel in enumerate(raw.channels):
         tests = [dependence(residual[:, j], data.use[:, j], blocks, signals, j, term, rng)
-                 for term in terms(signals, j, pairs=False)]
+                 for term in terms(signals, j, False, raw.head)]
         limit = 0.01 / max(len(tests) * len(raw.channels), 1)
         clear: list[Dependence] = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]
         clear.sort(key=lambda d: -(d.share - d.expected))

@@ -43,6 +43,7 @@ class Experiment:
         signals: undecimated signals for effects.
         filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
         undecided: joints (from 1) that move too little, with the reason.
+        head: first part of the channels' names in effects.
         quiet: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
     """
 
@@ -57,6 +58,11 @@ class Experiment:
     filtered: Filtered = field(repr=False)
     undecided: dict[int, str]
     quiet: Array
+    head: str = "tau"
+
+    def channel_of(self, joint: int) -> int | None:
+        """Index of the channel of a joint; None where effects do not belong to one channel."""
+        return joint - 1 if joint and self.head != "tcp" else None
 
     def decimate(self, columns: Array) -> Array:
         """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""
@@ -70,7 +76,7 @@ class Experiment:
             return np.asarray(values[::step][keep])
 
         return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
-                       friction=at(s.friction), payload=None, rigid=None,
+                       friction=at(s.friction), payload=None, rigid=None, frames=None,
                        temperature=None if s.temperature is None else at(s.temperature),
                        extra={name: at(values) for name, values in s.extra.items()})
 

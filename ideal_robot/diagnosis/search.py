@@ -308,13 +308,13 @@ class Search:
         blocks = self.data.blocks.of_samples()
         selecting = self.data.blocks.fold[blocks] >= 0
         for j in range(self.data.c):
-            if j + 1 in self.experiment.undecided:
+            if j + 1 in self.experiment.undecided and self.experiment.head != "tcp":
                 continue
             use = self.data.use[:, j] & selecting
             squares = float(np.sum(residual[use, j] ** 2) * self.weights[j])
             tests = [dependence(residual[:, j], use, blocks, self.at_rows, j, term, self.rng)
-                     for term in terms(self.at_rows, j, pairs=best is None)]
-            period = time_period(residual[:, j], use, self.at_rows.t, j)
+                     for term in terms(self.at_rows, j, best is None, self.experiment.head)]
+            period = time_period(residual[:, j], use, self.at_rows.t, self.experiment.head)
             if period is not None:
                 tests.append(dependence(residual[:, j], use, blocks, self.at_rows, j, period, self.rng))
             tests.sort(key=lambda d: -(d.share - d.expected))

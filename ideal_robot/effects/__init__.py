@@ -39,6 +39,7 @@ def library() -> tuple[Effect, ...]:
     from ideal_robot.effects.presliding_hysteresis import PreslidingHysteresis
     from ideal_robot.effects.rotor_inertia import RotorInertia
     from ideal_robot.effects.stribeck import Stribeck
+    from ideal_robot.effects.tcp import AtTool, KinematicError, ThermalGrowth, ToolDeadTime
     from ideal_robot.effects.thermal_drift import ThermalDrift
     from ideal_robot.effects.torque_ripple import TorqueRipple
     from ideal_robot.effects.transmission_error import TransmissionError
@@ -48,7 +49,8 @@ def library() -> tuple[Effect, ...]:
             ThermalDrift(), PreslidingHysteresis(), TorqueRipple(), CurrentOffset(), DriveGain(), RotorInertia(),
             GravitySpring(), CableSpring(), Payload(), AxisCoupling(), DeadTime(), PositionDeadTime(),
             JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash(),
-            ArmBacklashByLoad())
+            ArmBacklashByLoad(), ToolDeadTime(), AtTool(ArmElasticity()),
+            AtTool(ArmBacklash()), KinematicError(), ThermalGrowth())
 
 
 def names() -> tuple[str, ...]:

@@ -30,6 +30,25 @@ RigidBody = Callable[[Array, Array, Array], Array]
 
 
 @dataclass(frozen=True)
+class Frames:
+    """Kinematics along a motion.
+
+    Attributes:
+        axis: joint axes in the base frame ``(N, n, 3)``.
+        normal: a direction of each joint's frame across its axis ``(N, n, 3)``.
+        position: origins of the joint frames ``(N, n, 3)`` [m].
+        tool: TCP ``(N, 3)`` [m].
+        jacobian: of the TCP's position ``(N, 3, n)``.
+    """
+
+    axis: Array
+    normal: Array
+    position: Array
+    tool: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True)
 class Signals:
     """What effects may look at: everything on one uniform time grid of ``N`` samples.
 
@@ -42,6 +61,7 @@ class Signals:
         temperature: gear temperature ``(N, n)`` [°C], or None where it was not measured.
         rigid: the rigid body as a function, for effects that change positions; None where there is none.
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
+        frames: kinematics along the motion, or None.
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
         v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
     """
@@ -57,6 +77,7 @@ class Signals:
     rigid: RigidBody | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     payload: Array | None = None
+    frames: Frames | None = None
     v_small: Array | None = None
 
     @property
@@ -204,9 +225,8 @@ class FittedEffect:
     @property
     def domain(self) -> str:
         """Where it acts: see ``Effect.domain``."""
-        from ideal_robot.effects import effect_of
-
-        return effect_of(self).domain
+        heads = {"qa": ARM_POSITION, "tcp": TCP_POSITION, "line": SENSOR, "force": SENSOR}
+        return heads.get(self.channel.split("_")[0], MOTOR_TORQUE)
 
     def contribution(self, signals: Signals) -> Array:
         """What the effect adds to its channels ``(N, n)`` [N m for motor torque, rad or m for positions]."""

@@ -23,6 +23,7 @@ class Unknown(Effect):
         depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
         directed: whether the curve is multiplied by the sign of the joint's velocity.
         knots: knots of each signal's spline, ends included.
+        head: first part of the name of the channel it acts on.
         frequency: for a term periodic in the signal: its angular frequency instead of a spline.
     """
 
@@ -31,6 +32,7 @@ class Unknown(Effect):
     knots: tuple[tuple[float, ...], ...]
     frequency: float = 0.0
     margin: float = 0.1
+    head: str = "tau"
 
     name = "unknown"
     source = "learned from the residual"
@@ -39,18 +41,27 @@ class Unknown(Effect):
     def from_data(cls, data: Mapping[str, Any]) -> Unknown:
         """Reads what ``to_data`` wrote."""
         return cls(tuple(str(s) for s in data["depends_on"]), bool(data["directed"]),
-                   tuple(tuple(float(v) for v in k) for k in data["knots"]), float(data.get("frequency", 0.0)))
+                   tuple(tuple(float(v) for v in k) for k in data["knots"]), float(data.get("frequency", 0.0)),
+                   head=str(data.get("head", "tau")))
 
     def to_data(self) -> dict[str, Any]:
         """What the model file has to remember."""
         return {"depends_on": list(self.depends_on), "directed": self.directed,
-                "knots": [list(k) for k in self.knots], "frequency": self.frequency}
+                "knots": [list(k) for k in self.knots], "frequency": self.frequency, "head": self.head}
+
+    def channel(self, joint: int) -> str:
+        """Name of the channel it acts on."""
+        return f"{self.head}_{joint}"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, m)``: the basis functions on the joint's channel."""
         basis = self.basis(signals)
         if self.directed:
             basis = basis * signals.direction(signals.qd[:, joint - 1], joint)[:, None]
+        if self.head == "tcp":
+            result = np.zeros((len(signals.t), 3, basis.shape[1]))
+            result[:, joint - 1] = basis
+            return result
         return signals.on_joint(joint, *basis.T)
 
     def basis(self, signals: Signals) -> Array:

@@ -1,0 +1,78 @@
+"""Blind trials of the diagnosis: draws, diagnoses, scores, and writes the confusion matrix.
+
+Run: ``python benchmarks/blind_trials.py --count 240`` (``--write`` puts the tables into docs/diagnosis.md).
+Seeds from 5000 on are the reported ones; thresholds were set on seeds below 1000.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import argparse
+import dataclasses
+import sys
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.robot import Robot
+from sim.blind_score import Score, confusion, rates, score
+from sim.blind_trials import KINDS, draw_trial
+
+
+def play(job: tuple[int, str | None]) -> Score:
+    """Draws, diagnoses and scores one trial."""
+    seed, kind = job
+    trial = draw_trial(seed, kind)
+    start = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        urdf = Path(folder) / "arm.urdf"
+        urdf.write_text(trial.urdf, encoding="utf-8")
+        robot = Robot.load(urdf)
+        model = None
+        if trial.reference is not None:
+            model = diagnose(trial.reference, robot).model
+            model = None if model is None else dataclasses.replace(model, effects=())
+        found = diagnose(trial.recording, robot, model=model)
+    return score(trial.seed, trial.kind, trial.truth, trial.outside, found, time.process_time() - start)
+
+
+def main() -> None:
+    """Plays the trials and prints the rates and the confusion matrix."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=240)
+    parser.add_argument("--first", type=int, default=5000)
+    parser.add_argument("--kind", choices=KINDS)
+    parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--quiet", action="store_true")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
+    options = parser.parse_args()
+    jobs = [(seed, options.kind) for seed in range(options.first, options.first + options.count)]
+    scores: list[Score] = []
+    with ProcessPoolExecutor(options.processes) as pool:
+        for s in (pool.map(play, jobs) if options.processes > 1 else map(play, jobs)):
+            scores.append(s)
+            if not options.quiet:
+                mark = "ok " if s.right else "BAD"
+                print(f"{mark} {s.seed} {s.kind:8s} {s.seconds:5.1f} s  true {s.truth}  found {s.verdict} {s.found}",
+                      flush=True)
+    text = "\n".join([rates(scores), "", confusion(scores)])
+    print(text)
+    print("kinds:", dict(Counter(s.kind for s in scores)), f"CPU {sum(s.seconds for s in scores) / len(scores):.1f} s a trial")
+    if options.write:
+        page = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
+        before, _, rest = page.read_text(encoding="utf-8").partition("<!-- blind trials -->\n")
+        after = rest.partition("<!-- end of blind trials -->")[2]
+        page.write_text(f"{before}<!-- blind trials -->\n{text}\n<!-- end of blind trials -->{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
