@@ -1,13 +1,13 @@
 r"""A line seen by a camera on a surface of unknown height ([L] 4.3, sensors that are not orthogonal).
 
-A pixel is a ray, not a point. Where the surface is higher than believed, the seen point is displaced along the ray, so a
-field measures the deviation :math:`\Delta x_r` not along the path's lateral normal but across the ray,
+A pixel is a ray, not a point. Where the surface is higher than believed, the seen point is displaced along the ray, so
+a field measures the deviation :math:`\Delta x_r` not along the path's lateral normal but across the ray,
 
 .. math:: g = (1,\; -r_n / r_u)
 
 with the components :math:`r_n, r_u` of the ray across the path and out of the surface. Together with the force, which
-measures along the surface's normal, that gives two sensors whose directions are neither the same nor orthogonal, and one
-filter for both.
+measures along the surface's normal, that gives two sensors whose directions are neither the same nor orthogonal, and
+one filter for both.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class Cell:
 
     def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
-        # What the observer does not see of the arm's vibration grows with the accelerations, so with the square of speed.
+        # What the observer does not see of the arm's vibration grows with acceleration, so with the square of speed.
         noise = POSITION_NOISE * (self.scene.speed / 0.2) ** 2
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=noise)
         return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
