@@ -4,9 +4,10 @@
 estimates all joints from them. Both are one least-squares problem per sample with a prior: joints err by about
 ``prior`` each, the device by ``noise``,
 
-    δq = W Jᵀ (J W Jᵀ + R)⁻¹ δx ,   W = diag(prior²) , R = noise² I
+    δq = W Jᵀ (J W Jᵀ + R)⁻¹ δx ,   W = diag(prior²) + c cᵀ , R = noise² I
 
-which is the Jacobian's inverse where everything is measured well, and the likeliest joint errors where it is not.
+where c is an error that all joints make together: a common lag, with which each errs in proportion to its speed. That
+is the Jacobian's inverse where everything is measured well, and the likeliest joint errors where it is not.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def joint_errors(robot: Robot, q_d: Array, error: Array, *, axes: tuple[str, ...] = AXES, prior: Array | float = 1e-3,
-                 noise: Array | float = 2e-5) -> Array:
+                 common: Array | None = None, noise: Array | float = 2e-5) -> Array:
     """Joint errors ``(N, n)`` [rad] of TCP errors.
 
     Args:
@@ -32,6 +33,7 @@ def joint_errors(robot: Robot, q_d: Array, error: Array, *, axes: tuple[str, ...
         error: desired minus measured, along ``axes`` ``(N, m)`` [m, rad].
         axes: which degrees of freedom are measured, of ``AXES``.
         prior: expected size of joint errors, for all or per sample and joint, broadcast to ``(N, n)`` [rad].
+        common: errors that all joints make together, of the size that is expected ``(N, n)`` [rad]; None for none.
         noise: standard deviation of the device, for all or per axis ``(m,)`` [m, rad].
 
     Raises:
@@ -49,6 +51,8 @@ def joint_errors(robot: Robot, q_d: Array, error: Array, *, axes: tuple[str, ...
     for k, q in enumerate(q_d):
         J = pin.computeFrameJacobian(robot.model, data, q, tool, pin.LOCAL_WORLD_ALIGNED)[rows]
         WJ = weights[k][:, None] * J.T
+        if common is not None:
+            WJ = WJ + np.outer(common[k], J @ common[k])
         out[k] = WJ @ np.linalg.solve(J @ WJ + R, error[k])
     return out
 
