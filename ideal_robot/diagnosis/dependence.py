@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ideal_robot.effects import Signals
-from ideal_robot.effects.unknown import Unknown, signal_of
+from ideal_robot.effects.unknown import Unknown, signal_of, spline_basis
 from ideal_robot.interface import Array
 
 _FLIPS = 400
@@ -78,42 +78,64 @@ def terms(signals: Signals, channel: int, pairs: bool, head: str = "tau") -> lis
     return result
 
 
-def dependence(residual: Array, use: Array, blocks: np.ndarray, signals: Signals, channel: int, term: Unknown,
-               rng: np.random.Generator) -> Dependence:
-    """Tests one curve on one channel's residual.
+class Sieve:
+    """Tests many curves on residuals at the same samples; bases are computed once.
 
     Args:
-        residual, use: ``(N,)``.
-        blocks: block of each sample ``(N,)``.
-        signals: at the same samples.
-        channel: index of the channel.
-        term: the curve.
+        signals: at the samples.
+        edges: first sample of each block of time, and the end.
         rng: for the flips.
     """
-    columns = term.columns(signals, channel + 1, ())[:, channel]
-    r = np.where(use, residual, 0.0)
-    columns = columns * use[:, None]
-    mean = columns.sum(axis=0) / max(use.sum(), 1)
-    columns = (columns - mean) * use[:, None]
-    U, s, _ = np.linalg.svd(columns.T @ columns)
-    keep = s > 1e-6 * s[0] if s[0] > 0 else np.zeros(len(s), bool)
-    if not keep.any():
-        return Dependence(channel, term, 0.0, 0.0, 1.0)
-    Q = columns @ (U[:, keep] / np.sqrt(s[keep]))
-    count = int(blocks.max()) + 1
-    parts = np.zeros((count, Q.shape[1]))
-    np.add.at(parts, blocks, Q * r[:, None])
-    total = max(float(r @ r), 1e-300)
-    observed = float(np.sum(parts.sum(axis=0) ** 2))
-    flips = rng.choice([-1.0, 1.0], size=(_FLIPS, count))
-    null = np.sum((flips @ parts) ** 2, axis=1)
-    # A gamma distribution of the same mean and variance carries the p-value below one in ``_FLIPS``.
-    mean_null, var_null = float(null.mean()), float(null.var()) + 1e-300
-    p = float(stats.gamma.sf(observed, mean_null**2 / var_null, scale=var_null / max(mean_null, 1e-300)))
-    return Dependence(channel, term, observed / total, mean_null / total, p)
+
+    def __init__(self, signals: Signals, edges: tuple[int, ...], rng: np.random.Generator) -> None:
+        self.signals, self.starts = signals, np.asarray(edges[:-1])
+        self._flips = rng.choice([-1.0, 1.0], size=(_FLIPS, len(self.starts)))
+        self._bases: dict[tuple[object, ...], Array] = {}
+        self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
+
+    def test(self, residual: Array, use: np.ndarray, channel: int, term: Unknown) -> Dependence:
+        """Tests one curve on one channel's residual ``(N,)``; ``use (N,)`` says which samples count."""
+        columns = self._basis(term, channel) * use[:, None]
+        r = np.where(use, residual, 0.0)
+        gram, sums, count = columns.T @ columns, columns.sum(axis=0), max(float(use.sum()), 1.0)
+        # About the mean, as a constant is in every model.
+        s, U = np.linalg.eigh(gram - np.outer(sums, sums) / count)
+        keep = s > 1e-6 * max(s[-1], 1e-300)
+        if s[-1] <= 0.0:
+            return Dependence(channel, term, 0.0, 0.0, 1.0)
+        T = U[:, keep] / np.sqrt(s[keep])
+        r = np.where(use, r - r.sum() / count, 0.0)
+        parts = np.add.reduceat(columns * r[:, None], self.starts, axis=0) @ T
+        total = max(float(r @ r), 1e-300)
+        observed = float(np.sum(parts.sum(axis=0) ** 2))
+        null = np.sum((self._flips @ parts) ** 2, axis=1)
+        # A gamma distribution of the same mean and variance carries the p-value below one in ``_FLIPS``.
+        mean_null, var_null = float(null.mean()), float(null.var()) + 1e-300
+        p = float(special.gammaincc(mean_null**2 / var_null, observed * mean_null / var_null))
+        return Dependence(channel, term, observed / total, mean_null / total, p)
+
+    def _basis(self, term: Unknown, channel: int) -> Array:
+        key = (term.depends_on, term.knots, term.frequency, channel if term.directed else -1)
+        if key not in self._bases:
+            if term.frequency:
+                basis = term.basis(self.signals)
+            else:
+                parts = [self._curve(name, knots, term.margin)
+                         for name, knots in zip(term.depends_on, term.knots, strict=True)]
+                basis = parts[0] if len(parts) == 1 else \
+                    (parts[0][:, :, None] * parts[1][:, None, :]).reshape(len(parts[0]), -1)
+            if term.directed:
+                basis = basis * self.signals.direction(self.signals.qd[:, channel], channel + 1)[:, None]
+            self._bases[key] = basis
+        return self._bases[key]
+
+    def _curve(self, name: str, knots: tuple[float, ...], margin: float) -> Array:
+        if (name, knots) not in self._curves:
+            self._curves[name, knots] = spline_basis(signal_of(self.signals, name), knots, margin)
+        return self._curves[name, knots]
 
 
-def time_period(residual: Array, use: Array, t: Array, head: str) -> Unknown | None:
+def time_period(residual: Array, use: np.ndarray, t: Array, head: str) -> Unknown | None:
     """The strongest oscillation over time of a residual as a candidate term; None for a short recording."""
     r = np.where(use, residual, 0.0)
     N = len(r)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment
 from ideal_robot.diagnosis.estimate import Estimate, estimate
-from ideal_robot.diagnosis.experiment import Experiment, experiment
+from ideal_robot.diagnosis.experiment import Experiment, about, experiment, with_blur
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
 from ideal_robot.diagnosis.part import Part, rms
 from ideal_robot.diagnosis.rebase import with_parameters
@@ -72,24 +72,25 @@ class TorqueDiagnosis:
     def run(self) -> Diagnosis:
         """All steps in order."""
         self.report(0.05, "model")
-        raw = experiment(self.recording, self.robot, self.start, shared=self.shared)
+        raw = self._experiment(self.recording, self.start)
         if len(raw.undecided) == self.robot.n:
             return self._undecided(raw)
         blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=self.validate is None)
         every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
-        self.blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks))
-        raw = self._experiment(self.recording, self.start)
+        if self.shared:
+            self.blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks))
+            raw = with_blur(raw, self.start, self.blur)
         if self.given is None and self.shared:
             first = estimate(raw, Data(raw.y, raw.W, raw.use, blocks), [], None, spread=False)
             self.start = with_parameters(self.start, first.change)
-            raw = self._experiment(self.recording, self.start)
+            raw = about(raw, self.start)
         data = Data(raw.y, raw.W, raw.use, blocks)
         choices, prior = self._search(raw, data)
         self.report(0.92, "fit")
         # The columns of some effects follow from the model; with the effects in it they are taken once more.
         if choices and self.shared:
             found = estimate(raw, data, [c.candidate for c in choices], prior, spread=False)
-            raw = self._about(raw, found.change)
+            raw = dataclasses.replace(raw, signals=about(raw, with_parameters(self.start, found.change)).signals)
             data = Data(raw.y, raw.W, raw.use, blocks)
         final = estimate(raw, Data(raw.y, raw.W, raw.use, every), [c.candidate for c in choices], prior)
         return self._reported(raw, data, choices, prior, final)
@@ -97,7 +98,8 @@ class TorqueDiagnosis:
     # -- steps -------------------------------------------------------------------------------------------------------
 
     def _experiment(self, recording: Recording, model: Model, cutoff: float | None = None) -> Experiment:
-        made = experiment(recording, self.robot, model, cutoff=cutoff, shared=self.shared, blur=self.blur)
+        made = experiment(recording, self.robot, model, cutoff=cutoff, shared=self.shared, blur=self.blur,
+                          payload=self.given is not None)
         return made if self.shared else in_own_units(made)
 
     def _search(self, raw: Experiment, data: Data) -> tuple[list[Choice], Array | None]:
@@ -107,16 +109,21 @@ class TorqueDiagnosis:
             return Search(raw, data, effects, prior=prior, in_base=in_base, options=self.options, rng=self.rng,
                           progress=self.report)
 
-        free = search(None, False)
-        free.run()
-        covariance = self.start.covariance
-        if self.given is None or not np.any(covariance):
-            return free.choices, None
+        if self.given is None or not np.any(self.start.covariance):
+            return search(None, False).run(), None
         # Against a model known before: its parameters hold unless the data say that they have changed, and then the
         # change itself is an effect.
         prior = prior_precision(self.start, raw, data)
         held = search(1e4 * prior, True)
         held.run()
+        held.settle(prior)
+        free = search(None, False)
+        free.choices = [c for c in held.choices if not c.candidate.effect.in_base]
+        free.adopt(held)
+        if self._loss(held) < 1.05 * self._loss(free):
+            return held.choices, prior
+        free.choices = []
+        free.run()
         if self._loss(held) < 1.1 * self._loss(free):
             return held.choices, prior
         self.warnings.append("the model's parameters do not hold for this recording and were fitted anew; changes of "
@@ -130,11 +137,6 @@ class TorqueDiagnosis:
         squares, count = fit.held_out_squares()[selecting].sum(axis=0), search.data.count[selecting].sum(axis=0)
         kept = count > 0
         return float(np.exp(np.mean(np.log(np.maximum(squares[kept], 1e-300) / count[kept]))))
-
-    def _about(self, raw: Experiment, change: Array) -> Experiment:
-        """The same regression with load and torque of the model as the joint fit leaves it."""
-        moved = self._experiment(self.recording, with_parameters(self.start, change))
-        return dataclasses.replace(raw, signals=moved.signals)
 
     def _undecided(self, raw: Experiment) -> Diagnosis:
         everywhere = np.ones(len(raw.t), bool)
@@ -155,8 +157,7 @@ class TorqueDiagnosis:
             change = estimate(raw, data, [c.candidate for c in choices], prior, spread=False).change
             seen = self._experiment(self.validate, self.start, raw.filtered.cutoff)
             if choices and self.shared:
-                moved = self._experiment(self.validate, with_parameters(self.start, change), raw.filtered.cutoff)
-                seen = dataclasses.replace(seen, signals=moved.signals)
+                seen = dataclasses.replace(seen, signals=about(seen, with_parameters(self.start, change)).signals)
         torque = Part(raw, data, choices, prior, final, seen, self.given is not None, self.recording.hash)
         parts = [torque, *self._other_domains(raw, seen)]
         results = [part.result(self.rng) for part in parts]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ideal_robot.diagnosis.dependence import Dependence, dependence, terms
+from ideal_robot.diagnosis.dependence import Dependence, Sieve, terms
 from ideal_robot.diagnosis.experiment import Experiment
 from ideal_robot.diagnosis.gram import Data
 from ideal_robot.diagnosis.result import Structure
@@ -41,10 +41,10 @@ def ranked_structure(raw: Experiment, data: Data, residual: Array, rng: np.rando
                      most: int = 3) -> tuple[Structure, ...]:
     """For each channel the strongest dependences of a residual that stand out of their null distribution."""
     signals = raw.decimated_signals()
-    blocks = data.blocks.of_samples()
+    sieve = Sieve(signals, data.blocks.edges, rng)
     result = []
     for j, channel in enumerate(raw.channels):
-        tests = [dependence(residual[:, j], data.use[:, j], blocks, signals, j, term, rng)
+        tests = [sieve.test(residual[:, j], data.use[:, j], j, term)
                  for term in terms(signals, j, False, raw.head)]
         limit = 0.01 / max(len(tests) * len(raw.channels), 1)
         clear: list[Dependence] = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]

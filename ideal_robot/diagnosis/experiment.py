@@ -12,7 +12,7 @@ import numpy as np
 
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
-from ideal_robot.effects.base import Signals
+from ideal_robot.effects.base import MOTOR_TORQUE, Signals
 from ideal_robot.identification.preprocess import Signals as Filtered
 from ideal_robot.identification.preprocess import preprocess
 from ideal_robot.interface import Array
@@ -82,7 +82,7 @@ class Experiment:
 
 
 def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
-               shared: bool = True, blur: Array | None = None) -> Experiment:
+               shared: bool = True, blur: Array | None = None, payload: bool = False) -> Experiment:
     """Builds the regression of the motor torques.
 
     Args:
@@ -91,6 +91,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
         model: what predicts, and whose parameters may change.
         cutoff: of the position filter [Hz], from the data if None.
         blur: speed over which dry friction changes sign ``(n,)`` [rad/s]; from the noise of the position if None.
+        payload: whether effects need the regressor of a body on the last link.
         shared: whether the joints share inertias; False gives each joint its own copy of all parameters.
 
     Raises:
@@ -109,44 +110,53 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
                    if recording.has("temp") else None)
 
-    chain = chain_of(model._exact_model)
-    load = inverse_dynamics(chain, q, qd, qdd)
-    friction = model.friction.torque(qd, load)
-    rotor = model._exact[10 * n : 11 * n]
-    torque = load + rotor * qdd + model.offset + friction
     noise_velocity = _small_velocity(recording, filtered)
-    v_small = noise_velocity if blur is None else blur
-    payload = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :]
     extra = {name: values for name, values in filtered.columns.items() if not _is_joint_column(name)}
-    signals = Signals(t, q, qd, qdd, load, torque, friction, temperature,
-                      rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c), extra=extra, payload=payload,
-                      v_small=v_small)
-    prediction = torque
-    if model.effects:
-        prediction = torque + np.sum([e.contribution(signals) for e in model.effects if e.channel.startswith("tau")],
-                                     axis=0)
+    body = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
+    still = np.zeros_like(q)
+    signals = Signals(t, q, qd, qdd, still, still, still, temperature, extra=extra, payload=body,
+                      v_small=noise_velocity)
+    load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
-    _soften(W, model, signals)
-    W = filtered.decimate(np.concatenate([W, _reversal_columns(signals, filtered)], axis=2))
-    if not shared:
-        W = _own_copies(W)
+    W = filtered.decimate(np.concatenate([W, np.zeros((*q.shape, 2 * n))], axis=2))
     moving, undecided = _moving(t, q, qd, noise_velocity, robot)
     use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
     measured = filtered.decimate(filtered.tau)
     units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
-    return Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
-                      measured - filtered.decimate(prediction), measured, W, use, signals, filtered, undecided,
-                      _noise(filtered))
+    made = Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
+                      measured, measured, W, use, signals, filtered, undecided, _noise(filtered))
+    made = with_blur(about(made, model), model, noise_velocity if blur is None else blur)
+    return made if shared else replace(made, W=_own_copies(made.W))
 
 
-def _soften(W: Array, model: Model, signals: Signals) -> None:
-    """Replaces the sign of velocity in linear friction columns by one that noise does not flip."""
+def about(made: Experiment, model: Model) -> Experiment:
+    """The same regression about a model of the same structure with other parameters."""
+    s, n = made.signals, made.signals.n
+    chain = chain_of(model._exact_model)
+    load = inverse_dynamics(chain, s.q, s.qd, s.qdd)
+    friction = model.friction.torque(s.qd, load)
+    torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
+    signals = replace(s, load=load, torque=torque, friction=friction,
+                      rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c))
+    prediction = torque
+    for effect in model.effects:
+        if effect.domain == MOTOR_TORQUE:
+            prediction = prediction + effect.contribution(signals)
+    return replace(made, signals=signals, y=made.measured - made.filtered.decimate(prediction))
+
+
+def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
+    """The same regression with dry friction that changes sign over other speeds ``(n,)`` [rad/s]."""
+    signals = replace(made.signals, v_small=blur)
+    W, n = made.W.copy(), signals.n
     at = model.base.count
     for j, law in enumerate(model.friction.laws):
         for i, name in enumerate(law.coefficient_names):
             if name in ("Fc", "a2"):
-                W[:, j, at + i] = signals.direction(signals.qd[:, j], j + 1)
+                W[:, j, at + i] = made.filtered.decimate(signals.direction(signals.qd[:, j], j + 1))
         at += len(law.coefficients)
+    W[:, :, -2 * n :] = made.filtered.decimate(_reversal_columns(signals, made.filtered))
+    return replace(made, signals=signals, W=W)
 
 
 def _apart_from_reversals(qd: Array) -> np.ndarray:

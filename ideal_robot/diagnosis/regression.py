@@ -116,7 +116,7 @@ class Fit:
     def squares(self, beta: Array | None = None) -> Array:
         """Squares of the residual per block and channel ``(B, c)``, unweighted."""
         v = np.append(-(self.beta if beta is None else beta), 1.0)
-        return np.maximum(np.einsum("i,bcij,j->bc", v, self.G, v, optimize=True), 0.0)
+        return np.maximum(_quadratic(self.G, v), 0.0)
 
     def held_out_squares(self) -> Array:
         """As ``squares``, each block predicted by the fit without its fold; report blocks by the fit on all others."""
@@ -124,7 +124,7 @@ class Fit:
         for k in range(self.folds):
             mine = self.fold == k
             v = np.append(-self._beta[k + 1], 1.0)
-            result[mine] = np.maximum(np.einsum("i,bcij,j->bc", v, self.G[mine], v, optimize=True), 0.0)
+            result[mine] = np.maximum(_quadratic(self.G[mine], v), 0.0)
         return result
 
     def covariance(self) -> Array:
@@ -160,15 +160,14 @@ class Fit:
             G = self.G[mine]
             before = np.append(-self._beta[k + 1], 1.0)
             after = np.append(-beta, 1.0)
-            L0 = np.einsum("i,bcij,j->bc", before, G, before, optimize=True)
-            L1 = (np.einsum("i,bcij,j->bc", after, G, after, optimize=True)
-                  - 2.0 * np.einsum("m,bcmi,i->bc", gamma, full[0][mine], after[:-1], optimize=True)
-                  - 2.0 * np.einsum("m,bcmi->bc", gamma, full[1][mine], optimize=True)
-                  + np.einsum("m,bcmn,n->bc", gamma, full[2][mine], gamma, optimize=True))
             step = np.append(beta - self._beta[k + 1], 0.0)
-            size = (np.einsum("i,bcij,j->bc", step, G, step, optimize=True)
-                    + 2.0 * np.einsum("m,bcmi,i->bc", gamma, full[0][mine], step[:-1], optimize=True)
-                    + np.einsum("m,bcmn,n->bc", gamma, full[2][mine], gamma, optimize=True))
+            CX_gamma = np.swapaxes(full[0][mine], 2, 3) @ gamma
+            Cy_gamma = full[1][mine][..., 0] @ gamma
+            CC_gamma = _quadratic(full[2][mine], gamma)
+            L0 = _quadratic(G, before)
+            # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
+            L1 = _quadratic(G, after) + 2.0 * CX_gamma @ beta - 2.0 * Cy_gamma + CC_gamma
+            size = _quadratic(G, step) + 2.0 * CX_gamma @ step[:-1] + CC_gamma
             won[mine] = (L0 - L1) * self.weights
             # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
             score[mine] = ((L0 - L1 + size) * self.weights).sum(axis=1) / 2.0
@@ -200,6 +199,11 @@ class Fit:
             inner = S[np.ix_(index, index)] * np.outer(scale, scale)
             gamma[index] = scale * (linalg.pinvh(inner, rtol=1e-6) @ (scale * right[index]))
         return float(right @ gamma), gamma, self._beta[k] - Z.T @ gamma
+
+
+def _quadratic(G: Array, v: Array) -> Array:
+    """``v' G v`` for stacked matrices ``(…, m, m)``."""
+    return np.asarray((G @ v) @ v)
 
 
 def _one_sided(score: Array, left: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import optimize
 
 from ideal_robot.diagnosis.candidates import Candidate, candidates, prepared, scanned
-from ideal_robot.diagnosis.dependence import Dependence, dependence, terms, time_period
+from ideal_robot.diagnosis.dependence import Dependence, Sieve, terms, time_period
 from ideal_robot.diagnosis.experiment import Experiment
 from ideal_robot.diagnosis.gram import Data
 from ideal_robot.diagnosis.regression import Design, Fit, Trial, channel_weights
@@ -96,9 +96,10 @@ class Search:
     def __init__(self, experiment: Experiment, data: Data, library: tuple[Effect, ...], *, prior: Array | None,
                  in_base: bool, options: Options, rng: np.random.Generator, progress: Progress) -> None:
         self.experiment, self.data, self.prior = experiment, data, prior
-        self.options, self.rng, self.progress = options, rng, progress
+        self.options, self.progress = options, progress
         self.design = Design(data)
         self.at_rows = experiment.decimated_signals()
+        self.sieve = Sieve(self.at_rows, data.blocks.edges, rng)
         self.pool = list(candidates(library, experiment.signals, experiment.undecided, in_base))
         self.weights = self._weights(["W"])
         self.choices: list[Choice] = []
@@ -148,6 +149,24 @@ class Search:
         best = self._best(fit, scored)
         learned = self._learned(fit, residual, best)
         return learned if learned is not None else best
+
+    def settle(self, prior: Array) -> None:
+        """Takes a looser prior and drops effects that the model's own parameters can now take over."""
+        self.prior = prior
+        self.weights = self._weights(self.keys())
+        for choice in sorted(self.choices, key=lambda c: c.share):
+            if choice.candidate.effect.in_base:
+                continue
+            trial = self._tried(self.fit(without=choice), choice.candidate, choice.dependence)
+            if trial.p_value > self.options.false_discovery or trial.share < self._smallest(choice.candidate, choice):
+                self.choices.remove(choice)
+                self.weights = self._weights(self.keys())
+
+    def adopt(self, other: Search) -> None:
+        """Takes over the columns of another search's choices."""
+        for choice in self.choices:
+            self.design.add(choice.candidate.key, other.design.groups[choice.candidate.key])
+        self.weights = self._weights(self.keys())
 
     # -- scoring -----------------------------------------------------------------------------------------------------
 
@@ -229,9 +248,9 @@ class Search:
             return False
         return bool(np.max(size / self.torque_rms[list(columns.channels)]) > self.options.smallest_torque)
 
-    def _smallest(self, candidate: Candidate) -> float:
-        """Share of the residual's squares that is asked of a candidate."""
-        occupied = any(c.candidate.joint == candidate.joint for c in self.choices)
+    def _smallest(self, candidate: Candidate, own: Choice | None = None) -> float:
+        """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
+        occupied = any(c.candidate.joint == candidate.joint for c in self.choices if c is not own)
         if candidate.effect.name == "unknown":
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
         if candidate.effect.in_base:
@@ -312,11 +331,11 @@ class Search:
                 continue
             use = self.data.use[:, j] & selecting
             squares = float(np.sum(residual[use, j] ** 2) * self.weights[j])
-            tests = [dependence(residual[:, j], use, blocks, self.at_rows, j, term, self.rng)
+            tests = [self.sieve.test(residual[:, j], use, j, term)
                      for term in terms(self.at_rows, j, best is None, self.experiment.head)]
             period = time_period(residual[:, j], use, self.at_rows.t, self.experiment.head)
             if period is not None:
-                tests.append(dependence(residual[:, j], use, blocks, self.at_rows, j, period, self.rng))
+                tests.append(self.sieve.test(residual[:, j], use, j, period))
             tests.sort(key=lambda d: -(d.share - d.expected))
             # Only a sieve: what is promising is tried on held-out blocks below, paid for all curves looked at.
             promising = [d for d in tests if d.p_value < 0.02 and 3.0 * d.share * squares > to_beat]
