@@ -31,7 +31,8 @@ def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
     q = np.ascontiguousarray(q, dtype=float)
     distance = np.asarray(distance, dtype=float)
     v = np.asarray(qd, dtype=float)[0]
-    start = np.sign(v) * -np.expm1(-np.abs(v) * _BEFORE / distance)
+    # Squared, so that the noise of a velocity at rest counts for nothing.
+    start = np.sign(v) * -np.expm1(-((v * _BEFORE / distance) ** 2))
     return np.asarray(_follow(q, start, distance))
 
 

@@ -129,7 +129,9 @@ class FrictionChoice:
         if not option.bounds:
             return ()
         low, high = np.log10(np.array(option.bounds)).T
-        names = [name for name, _ in option.make(self._start(option)).names_of_shape]
+        # The presliding distance is much the same whatever the law; the law's own shape is another once there is one.
+        names = [name if name == "presliding" else f"{option.law.key} {name} {option.presliding}"
+                 for name, _ in option.make(self._start(option)).names_of_shape]
 
         def error(x: Array) -> float:
             shape = tuple(float(v) for v in 10.0 ** np.clip(x, low, high))
