@@ -1,0 +1,136 @@
+"""Conventional identification finds a known truth, says how well it knows it, and reproduces published results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.friction import Arctan, CubeRoot, ViscousCoulomb
+from ideal_robot.identification.idim import identify, relative_error
+from ideal_robot.model import Model
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+from tests.ideal_robot.identification.arm import SHARED, base, record, robot, truth, wrong_by_half
+
+EMPS = SHARED / "emps" / "emps_estimation.parquet"
+UR10E = SHARED / "ur10e" / "free_12harm_50s.parquet"
+
+
+def deviations(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Deviation from the truth in standard deviations, and which base parameters are well excited."""
+    rng = np.random.default_rng(seed)
+    what = truth()
+    result = identify([record(what, rng)], wrong_by_half(rng), friction="viscous_coulomb")
+    std = np.sqrt(np.diag(result.model.covariance))[: base().count]
+    good = std < 0.3 * np.abs(result.model.base_values)
+    return (result.model.base_values - what.base) / std, good
+
+
+def within(seeds: range) -> tuple[float, float]:
+    """Share of runs in which all well-excited parameters are within three σ, and the rms of all deviations."""
+    runs, squares = [], []
+    for seed in seeds:
+        z, good = deviations(seed)
+        assert good.sum() >= 15
+        runs.append(bool(np.all(np.abs(z[good]) < 3.0)))
+        squares.append(z[good] ** 2)
+    return float(np.mean(runs)), float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def test_known_truth_from_wrong_start_within_its_own_deviations() -> None:
+    share, rms = within(range(8))
+    assert share >= 0.95 - 1 / 8
+    # Neither too proud nor too humble: σ that are right give 1.
+    assert 0.5 < rms < 1.3
+
+
+@pytest.mark.slow
+def test_known_truth_in_fifty_runs() -> None:
+    share, rms = within(range(50))
+    assert share >= 0.95
+    assert 0.5 < rms < 1.3
+
+
+def test_without_noise_the_truth_is_found() -> None:
+    what = truth()
+    result = identify([record(what, np.random.default_rng(0), noise=0.0)], robot(), friction="viscous_coulomb")
+    exact = result.model.predict(record(what, np.random.default_rng(1), noise=0.0))
+    assert np.all(exact.relative_error_percent < 1.0)
+    found = result.model.friction.laws[1].coefficients
+    np.testing.assert_allclose(found, what.friction.laws[1].coefficients, rtol=0.02)
+
+
+def test_friction_laws_and_refinements_are_found() -> None:
+    arm = robot()
+    c = [np.array([[0.01 * tau], [0.03 * tau], [0.04 * tau]]) for tau in arm.tau_max]
+    laws = [CubeRoot(c[0]), Arctan(c[1], [[8.0]]), Arctan(np.vstack([c[2], [[0.1]]]), [[8.0]], loaded=True),
+            ViscousCoulomb(c[3][:2], [[5e-3]], presliding=True), ViscousCoulomb(c[4][:2]), ViscousCoulomb(c[5][:2])]
+    what = truth(laws)
+    rng = np.random.default_rng(5)
+    result = identify([record(what, rng)], arm, validation=[record(what, rng, seed=2)])
+    found = result.model.friction.laws
+    assert found[2].loaded
+    assert found[3].presliding
+    assert found[3].shape[-1, 0] == pytest.approx(5e-3, rel=0.2)
+    plain = identify([record(what, rng)], arm, validation=[record(what, rng, seed=2)], friction="viscous_coulomb")
+    assert np.all(relative_error(result.validation)[:4] < relative_error(plain.validation)[:4])
+    speed = np.linspace(0.05, 1.0, 20)[:, None]
+    for j in (0, 1):
+        np.testing.assert_allclose(found[j].torque(speed), laws[j].torque(speed), rtol=0.08)
+
+
+def test_prediction_covers_what_is_measured() -> None:
+    what, rng = truth(), np.random.default_rng(9)
+    model = identify([record(what, rng)], robot(), friction="viscous_coulomb").model
+    p = model.predict(record(what, rng, seed=2))
+    inside = np.mean(np.abs(p.measured - p.tau) < 2.0 * p.std, axis=0)
+    assert np.all(inside > 0.85)
+
+
+def test_model_survives_its_file(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    what, rng = truth(), np.random.default_rng(3)
+    recording = record(what, rng)
+    model = identify([recording], robot()).model
+    back = Model.load(model.save(tmp_path / "model.json"))
+    np.testing.assert_allclose(back.predict(recording).tau, model.predict(recording).tau, atol=1e-6)
+    assert [p.name for p in back.parameters] == [p.name for p in model.parameters]
+    assert back.provenance["recordings"] == model.provenance["recordings"]
+
+
+def test_exported_urdf_moves_like_the_consistent_model(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    model = identify([record(truth(), np.random.default_rng(3))], robot(), friction="viscous_coulomb").model
+    exported = Robot.load(model.export_urdf(tmp_path / "arm.urdf"))
+    q = np.random.default_rng(4).normal(size=(20, 6))
+    from ideal_robot.dynamics import torques
+
+    plain = model.dynamics.copy()
+    plain.armature = np.zeros(6)
+    np.testing.assert_allclose(torques(exported.model, q, q, q), torques(plain, q, q, q), rtol=1e-6, atol=1e-6)
+    for inertia in list(exported.model.inertias)[1:]:
+        assert inertia.mass > 0
+        assert np.all(np.linalg.eigvalsh(inertia.inertia) > 0)
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason="measured data (../shared/data/emps) are not there")
+@pytest.mark.parametrize(("law", "published", "error"), [
+    ("viscous_coulomb", {"m_1": 95.1089, "Fv_1": 203.5034, "Fc_1": 20.3935, "offset_1": -3.1648}, 4.0834),
+    ("asymmetric", {"m_1": 95.1540, "Fv+_1": 166.7061, "Fc+_1": 20.1440, "Fv-_1": 240.4236, "Fc-_1": 20.6277}, 3.1117),
+])
+def test_published_estimates_of_the_emps_axis(law: str, published: dict[str, float], error: float) -> None:
+    axis = Robot.load(SHARED / "emps" / "emps.urdf")
+    result = identify([Recording.read(EMPS)], axis, friction=law, cutoff=100.0, cutoff_decimation=50.0)
+    assert relative_error(result.estimation)[0] == pytest.approx(error, rel=1e-3)
+    found = {p.name: p for p in result.model.parameters}
+    for name, value in published.items():
+        assert abs(found[name].value - value) < found[name].std
+
+
+@pytest.mark.skipif(not UR10E.exists(), reason="measured data (../shared/data/ur10e) are not there")
+def test_a_real_arm_better_than_plain_least_squares() -> None:
+    """The bounds are what a plain fit with Coulomb and viscous friction reaches on the same recordings."""
+    arm = Robot.load(SHARED / "ur10e" / "ur10e.urdf")
+    free50, free30, free20, points = (Recording.read(SHARED / "ur10e" / f"{name}.parquet") for name in (
+        "free_12harm_50s", "free_12harm_30s", "free_8harm_20s", "ptp_10_points"))
+    result = identify([free50, free30], arm, validation=[free20, points])
+    assert np.all(result.validation[0].residual_std_percent < [12.1, 5.9, 6.0, 13.4, 20.9, 16.2])
+    assert np.all(result.validation[1].residual_std_percent < [23, 9, 5.5, 17, 36, 54])
