@@ -48,7 +48,7 @@ def segments(s: Signals, *, shortest: float = 0.08, flat: float = 0.05) -> list[
     for j in range(s.q.shape[1]):
         steady = np.abs(s.qdd[:, j]) < flat * max(float(np.max(np.abs(s.qdd[:, j]))), 1e-9)
         near = _near_reversal(s.qd[:, j], moves[:, j], round(shortest / s.dt))
-        label = np.where(~moves[:, j], 0, np.where(near, 2, np.where(steady, 1, 3)))
+        label = np.where(near, 2, np.where(~moves[:, j], 0, np.where(steady, 1, 3)))
         for start, stop in runs(label):
             kind = ("rest", "constant", "reversal", "other")[label[start]]
             if kind in ("rest", "constant") and (stop - start) * s.dt < shortest:

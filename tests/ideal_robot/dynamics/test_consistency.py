@@ -1,0 +1,46 @@
+"""Physically possible parameters: unchanged where possible already, nearest where not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.dynamics import base_parameters, link_parameters
+from ideal_robot.dynamics.consistency import consistent_parameters, pseudo_inertia
+
+
+def arm() -> tuple[pin.Model, np.ndarray]:
+    model = pin.buildSampleModelManipulator()
+    for i in range(1, model.njoints):
+        model.inertias[i] = pin.Inertia(5.0 / i, np.array([0.05, 0.02, 0.1]), 0.05 * np.eye(3))
+    return model, np.concatenate([link_parameters(model), np.full(6, 0.3), np.zeros(6)])
+
+
+def test_pseudo_inertia_of_a_point_mass() -> None:
+    link = pin.Inertia(2.0, np.array([0.1, 0.2, 0.3]), np.zeros((3, 3))).toDynamicParameters()
+    r = np.array([0.1, 0.2, 0.3, 1.0])
+    np.testing.assert_allclose(pseudo_inertia(link), 2.0 * np.outer(r, r), atol=1e-12)
+
+
+def test_possible_parameters_stay() -> None:
+    model, full = arm()
+    base = base_parameters(model)
+    covariance = 1e-6 * np.eye(base.count)
+    result = consistent_parameters(base, base.of(full), covariance, full)
+    assert result.was_consistent
+    np.testing.assert_allclose(base.of(result.full), base.of(full), atol=1e-4)
+
+
+def test_impossible_parameters_become_possible_and_stay_near() -> None:
+    model, full = arm()
+    base = base_parameters(model)
+    rng = np.random.default_rng(1)
+    std = 0.3 * np.abs(base.of(full)) + 0.05
+    values = base.of(full) + std * rng.normal(size=base.count)
+    result = consistent_parameters(base, values, np.diag(std**2), full)
+    assert not result.was_consistent
+    for i in range(6):
+        assert np.linalg.eigvalsh(pseudo_inertia(result.full[10 * i : 10 * i + 10]))[0] > 0
+    assert np.all(result.full[60:66] >= -1e-9)
+    # The truth is possible too, so what is nearest cannot be farther away than the truth is.
+    assert np.linalg.norm(result.deviation) <= np.linalg.norm((base.of(full) - values) / std) + 0.1

@@ -1,0 +1,66 @@
+"""Excitation keeps to the limits and excites; trapezoids are what they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles, design_excitation
+from ideal_robot.identification.program import plan_two_step, trapezoid
+from tests.ideal_robot.identification.arm import motion, robot
+
+
+def test_motion_keeps_to_limits_and_workspace_and_starts_at_rest() -> None:
+    arm, found = robot(), motion()
+    q, qd, qdd = found.at(np.linspace(0, found.period, 2000))
+    assert np.all(q > arm.q_min)
+    assert np.all(q < arm.q_max)
+    assert np.all(np.abs(qd) < arm.v_max)
+    assert np.all(np.abs(qdd) < arm.a_max)
+    assert clear_of_obstacles(arm, q[::20], Workspace(z_min=0.05, r_min=0.25))
+    np.testing.assert_allclose(qd[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(qdd[[0, -1]], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.gradient(q[:, 0], found.period / 1999)[5:-5], qd[5:-5, 0], atol=1e-3)
+
+
+def test_search_lowers_the_condition_number() -> None:
+    rough = design_excitation(robot(), np.random.default_rng(3), trials=1, refinements=0)
+    assert motion().condition_number < rough.condition_number
+
+
+def test_impossible_wishes_are_refused() -> None:
+    with pytest.raises(InputError, match="harmonics"):
+        design_excitation(robot(), np.random.default_rng(0), harmonics=2)
+    with pytest.raises(InputError, match="workspace"):
+        design_excitation(robot(), np.random.default_rng(0), workspace=Workspace(z_min=9.0), trials=3)
+
+
+def test_trapezoid_keeps_velocity_and_acceleration() -> None:
+    s = trapezoid(0.5, 0.4, 2.0, 0.001)
+    v = np.gradient(s, 0.001)
+    assert s[-1] == pytest.approx(0.5)
+    assert v.max() == pytest.approx(0.4, rel=1e-3)
+    assert np.abs(np.gradient(v, 0.001)[3:-3]).max() < 2.1
+    short = trapezoid(0.01, 0.4, 2.0, 0.001)
+    assert np.gradient(short, 0.001).max() < 0.4
+
+
+def test_approach_ends_at_rest_within_the_limits() -> None:
+    arm = robot()
+    q = approach(arm.home, arm.home + 0.4, 0.012, arm.v_max, arm.a_max)
+    np.testing.assert_allclose(q[-1], arm.home + 0.4)
+    assert np.all(np.abs(np.diff(q, axis=0)) / 0.012 < arm.v_max)
+
+
+def test_program_has_every_axis_at_every_operating_point_within_the_limits() -> None:
+    arm = robot()
+    program = plan_two_step(arm, np.random.default_rng(1), points=3, candidates=40)
+    for purpose in ("gravity", "inertia"):
+        pairs = {(m.point, m.axis) for m in program.moves if m.purpose == purpose}
+        assert pairs == {(k, i + 1) for k in range(3) for i in range(6)}
+    commands = program.commands(arm.home, 0.012, arm)
+    assert np.all(commands >= arm.q_min)
+    assert np.all(commands <= arm.q_max)
+    assert np.all(np.abs(np.diff(commands, axis=0)) / 0.012 <= arm.v_max)
+    assert program.text().count("PTP") >= 3
