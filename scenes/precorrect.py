@@ -79,8 +79,8 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
     model = Model.load(model_file)
-    arm = _robot_of(model, robot, model_file)
-    t, q_d = _desired(Recording.read(path), arm, path, rest)
+    arm = robot_of(model, robot, model_file)
+    t, q_d = desired_path(Recording.read(path), arm, path, rest)
     loop = loop_model(model, arm, delay=int(delay))
     check_limits(q_d, arm, arm.t_ipo, file=path, start=-rest)
     q_c = _commands(method, loop, model, arm, q_d)
@@ -92,7 +92,8 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     return CorrectedPath(recording, method, arm.name, t, q_d, q_c, (errors[0], errors[1]))
 
 
-def _robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
+def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
+    """The robot asked for, else the shipped one that the model of ``file`` names."""
     name = wanted or model.robot_name
     if wanted is None and name not in SHIPPED:
         raise InputError(f"the model is of {name!r}, which is not shipped; give its URDF with --robot", file=file,
@@ -100,8 +101,12 @@ def _robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
     return Robot.load(name)
 
 
-def _desired(recording: Recording, arm: Robot, path: Path, rest: float) -> tuple[Array, Array]:
-    """The path at the interpolation cycle, with rest before and behind."""
+def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> tuple[Array, Array]:
+    """Times ``(N,)`` and path ``q_d (N, n)`` of a recording at the interpolation cycle, with rest before and behind.
+
+    Raises:
+        InputError: columns are missing or do not fit the arm, too few samples, values that are not finite.
+    """
     names = [[f"{prefix}_{i + 1}" for i in range(arm.n)] for prefix in ("q_d", "q")]
     found = next((columns for columns in names if all(name in recording.columns for name in columns)), None)
     if found is None:

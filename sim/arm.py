@@ -10,12 +10,13 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.interface import Array, RobotState
+from ideal_robot.limits import checked_command
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
 from sim import kernel
 from sim.body import load_links, start_physics
 from sim.bullet import pybullet
-from sim.checks import checked_command, checked_posture, require_integrable
+from sim.checks import checked_posture, require_integrable
 from sim.drive import drive_parameters, drive_start
 from sim.errors import SimError
 from sim.history import hermite_pose, recording_of

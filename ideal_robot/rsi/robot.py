@@ -1,0 +1,235 @@
+"""A real arm behind KUKA RSI, as one more implementation of ``RobotInterface``.
+
+The controller is the clock: it sends ``<Rob>`` every interpolation cycle and expects ``<Sen>`` with the same IPOC
+before the next. ``cycle`` answers the last packet with the command and waits for the next one.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array, RobotState
+from ideal_robot.limits import checked_command
+from ideal_robot.robot import Robot
+from ideal_robot.rsi.axes import Axes
+from ideal_robot.rsi.errors import PacketError, RsiError
+from ideal_robot.rsi.message import DECIMALS, MAX_PACKET, RobMessage, format_sen, parse_rob
+
+_IPOC_RANGE = 2**32
+"""Where a 32-bit time stamp starts anew."""
+
+
+@dataclass
+class LinkCounts:
+    """What happened on the link.
+
+    Attributes:
+        cycles: packets that were a cycle of their own.
+        lost: cycles of which no packet arrived.
+        repeated: packets that came again and got the same answer again.
+        outdated: packets of a cycle already past; not answered.
+        refused: packets that are no message of a controller; not answered.
+        foreign: packets from another sender; not answered.
+        late: answers the controller counted as late.
+        last_refused: why the last refused packet was refused.
+    """
+
+    cycles: int = 0
+    lost: int = 0
+    repeated: int = 0
+    outdated: int = 0
+    refused: int = 0
+    foreign: int = 0
+    late: int = 0
+    last_refused: str = ""
+
+
+class RsiRobot:
+    """A ``RobotInterface`` to an arm whose controller speaks RSI; listens as soon as it is made.
+
+    Absolute corrections are the whole difference from where the arm was commanded when RSI began; relative ones are
+    what is added in this cycle. What is sent is rounded, and the rest of the rounding is made good in the next cycle.
+
+    Args:
+        robot: number of joints, limits, cycle time, drive gains and ``[rsi]`` axes.
+        host: address of ours to listen on.
+        port: UDP port; 0 for any free one, see ``address``.
+        relative: whether the controller takes the corrections as relative.
+        timeout: silence of the controller after which the link counts as broken [s].
+        max_lost: cycles in a row of which the packet may be lost.
+
+    Raises:
+        InputError: an address that cannot be listened on, an arm with sliding joints.
+
+    Attributes:
+        t_ipo: interpolation cycle [s].
+        counts: what happened on the link.
+        commanded: joint angles the controller was commanded last ``(n,)`` [rad].
+        answer_times: from the arrival of each packet to its answer [s].
+    """
+
+    def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = 49152, relative: bool = False,
+                 timeout: float = 1.0, max_lost: int = 3) -> None:
+        self.robot, self.t_ipo, self.axes = robot, robot.t_ipo, Axes.of(robot)
+        self.relative, self.timeout, self.max_lost = relative, timeout, max_lost
+        self.counts = LinkCounts()
+        self.commanded = np.full(robot.n, np.nan)
+        self.answer_times: list[float] = []
+        self._step = round(1e3 * robot.t_ipo)
+        self._peer: tuple[str, int] | None = None
+        self._first: RobMessage | None = None
+        self._elapsed = 0
+        self._answer: bytes | None = None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise InputError(f"cannot listen there ({error})", field="host:port", value=f"{host}:{port}") from error
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens: host and port."""
+        host, port = self._socket.getsockname()
+        return str(host), int(port)
+
+    def connect(self, patience: float = 60.0) -> RobotState:
+        """Waits for the controller's first packet; who sends it is the controller from then on.
+
+        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+
+        Raises:
+            RsiError: no packet within ``patience`` [s].
+        """
+        first = self._next(time.perf_counter() + patience, patience)
+        self._first = self._last = first
+        self._late = first.late
+        held = first.actual if first.setpoint is None else first.setpoint
+        self._begin = held.copy()
+        self._sent = np.zeros(self.robot.n)
+        self.commanded = self.axes.joints(held)
+        return self._state(first)
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """Answers the last packet with the command ``q_c (n,)`` [rad] and waits for the next one.
+
+        Raises:
+            InputError: wrong size or not finite.
+            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
+            RsiError: see ``receive``.
+        """
+        self.send(q_c)
+        return self.receive()
+
+    def send(self, q_c: Array) -> None:
+        """The first half of ``cycle``: answers and returns, which leaves the cycle's time for computing.
+
+        Raises:
+            RsiError: before ``connect``.
+        """
+        if self._first is None:
+            raise RsiError("connect to the controller before a command is handed over")
+        q_c = checked_command(self.robot, q_c, self.commanded, self.t_ipo)
+        wanted = self.axes.angles(q_c) - self._begin
+        correction = np.round(wanted - self._sent if self.relative else wanted, DECIMALS)
+        self._sent = self._sent + correction if self.relative else correction
+        self.commanded = q_c
+        self._answer = format_sen(correction, self._last.ipoc)
+        self._send()
+        self.answer_times.append(time.perf_counter() - self._arrived)
+
+    def receive(self) -> RobotState:
+        """The second half of ``cycle``: waits for the next packet.
+
+        Raises:
+            RsiError: silence, too many packets lost in a row, another cycle time than the robot's, or with relative
+                corrections an answer that came late (where the arm is commanded is then not known any more).
+        """
+        if self._first is None:
+            raise RsiError("connect to the controller first")
+        end = time.perf_counter() + self.timeout
+        while True:
+            message = self._next(end, self.timeout)
+            passed = message.ipoc - self._last.ipoc
+            if passed < -_IPOC_RANGE // 2:
+                passed += _IPOC_RANGE
+            if passed == 0:
+                self.counts.repeated += 1
+                self._send()
+            elif passed < 0:
+                self.counts.outdated += 1
+            else:
+                return self._advance(message, passed)
+
+    def close(self) -> None:
+        """Stops listening; the controller holds the arm and reports that its sensor is gone."""
+        self._socket.close()
+
+    def __enter__(self) -> RsiRobot:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def _advance(self, message: RobMessage, passed: int) -> RobotState:
+        lost = passed // self._step - 1
+        # Nothing moves in the first cycle: a step other than expected is then a cycle other than expected.
+        if passed % self._step or (lost and self.counts.cycles == 1):
+            raise RsiError(f"the controller's time stamp rose by {passed} ms in a cycle; {self._step} ms are expected "
+                           f"for {self.robot.name} (t_ipo in the robot's data, or --cycle)")
+        if lost > self.max_lost:
+            raise RsiError(f"{lost} packets in a row were lost, more than {self.max_lost}; check network and load")
+        self.counts.lost += lost
+        self._elapsed += passed
+        late, self._late = message.late - self._late, message.late
+        self.counts.late += max(late, 0)
+        if self.relative and late > lost:
+            raise RsiError("an answer came late: with relative corrections it is not known whether it still counted; "
+                           "use absolute ones, or a faster or less loaded computer")
+        self._last, self._answer = message, None
+        return self._state(message)
+
+    def _next(self, end: float, patience: float) -> RobMessage:
+        """The next message of the controller before ``end``, which lies ``patience`` [s] behind the last good one."""
+        while (left := end - time.perf_counter()) > 0:
+            self._socket.settimeout(left)
+            try:
+                packet, sender = self._socket.recvfrom(MAX_PACKET + 1)
+            except TimeoutError:
+                break
+            except ConnectionError:
+                # Some systems report here that an earlier answer found no one; the silence will show it.
+                continue
+            arrived = time.perf_counter()
+            if self._peer is not None and sender != self._peer:
+                self.counts.foreign += 1
+                continue
+            try:
+                message = parse_rob(packet, self.robot.n)
+            except PacketError as error:
+                self.counts.refused += 1
+                self.counts.last_refused = str(error)
+                continue
+            self._peer, self._arrived = sender, arrived
+            return message
+        refused = f"; the last of {self.counts.refused} refused packets: {self.counts.last_refused}"
+        raise RsiError(f"no packet from the controller within {patience:.3g} s{refused if self.counts.refused else ''}")
+
+    def _send(self) -> None:
+        if self._answer is not None and self._peer is not None:
+            self._socket.sendto(self._answer, self._peer)
+
+    def _state(self, message: RobMessage) -> RobotState:
+        """Torque is the current in ampere times the drive gain, NaN where the controller sends no current."""
+        self.counts.cycles += 1
+        tau = np.full(self.robot.n, np.nan)
+        if message.current is not None:
+            tau = self.axes.sign * message.current * self.robot.drive_gain
+        return RobotState(1e-3 * self._elapsed, self.axes.joints(message.actual), tau)

@@ -1,0 +1,95 @@
+"""What is read from the network, and above all what is not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ideal_robot.rsi import PacketError
+from ideal_robot.rsi.message import MAX_PACKET, format_sen, parse_rob
+
+PACKET = (b'<Rob Type="KUKA"><RIst X="1.0" Y="2.0" Z="3.0" A="0.0" B="0.0" C="0.0"/>'
+          b'<AIPos A1="0.5" A2="-90.25" A3="90.0" A4="1e-3" A5="+45." A6="-.5"/>'
+          b'<ASPos A1="0.0" A2="-90.0" A3="90.0" A4="0.0" A5="45.0" A6="0.0"/>'
+          b'<MACur A1="1.5" A2="-2.5" A3="3.5" A4="0.1" A5="0.2" A6="0.3"/>'
+          b'<Delay D="3"/><Tech C11="0.0"/><IPOC>4208163634</IPOC></Rob>')
+
+
+def test_a_controllers_packet_is_read() -> None:
+    message = parse_rob(PACKET, 6)
+    assert message.ipoc == 4208163634
+    assert message.late == 3
+    np.testing.assert_array_equal(message.actual, [0.5, -90.25, 90.0, 1e-3, 45.0, -0.5])
+    np.testing.assert_array_equal(message.setpoint, [0.0, -90.0, 90.0, 0.0, 45.0, 0.0])
+    np.testing.assert_array_equal(message.current, [1.5, -2.5, 3.5, 0.1, 0.2, 0.3])
+
+
+def test_what_is_not_sent_is_none() -> None:
+    message = parse_rob(b'<Rob><AIPos A1="1" A2="2"/><IPOC>7</IPOC></Rob>', 2)
+    assert (message.setpoint, message.current, message.late) == (None, None, 0)
+
+
+def test_the_answer_is_what_a_controller_expects() -> None:
+    answer = format_sen(np.array([0.1, -2.0, 1e-9]), 4208163634)
+    assert answer == (b'<Sen Type="ImFree"><AK A1="0.100000" A2="-2.000000" A3="0.000000"/>'
+                      b"<IPOC>4208163634</IPOC></Sen>")
+
+
+@pytest.mark.parametrize(("old", "new", "says"), [
+    (b"<Rob", b"<Sen", "not XML"),
+    (b"Rob", b"Sen", "expected <Rob>"),
+    (b"</Rob>", b"", "not XML"),
+    (b"<Tech", b"\xff<Tech", "not XML"),
+    (b"<Tech", b"\0<Tech", "zero byte"),
+    (b"<Rob", b'<!DOCTYPE Rob [<!ENTITY a "b">]><Rob', "entity"),
+    (b"<Tech", b"&a;<Tech", "not XML"),
+    (b"<IPOC>4208163634</IPOC>", b"", "IPOC is missing"),
+    (b"4208163634", b"-4", "IPOC is no whole number"),
+    (b"4208163634", b"12.5", "IPOC is no whole number"),
+    (b"4208163634", b"9" * 40, "IPOC is no whole number"),
+    (b"<IPOC>", b"<IPOC>1</IPOC><IPOC>", "IPOC stands there 2 times"),
+    (b"AIPos", b"APos", "AIPos is missing"),
+    (b'A1="0.5"', b'A1="nan"', "AIPos A1 is no finite number"),
+    (b'A1="0.5"', b'A1="inf"', "AIPos A1"),
+    (b'A1="0.5"', b'A1="1e999"', "AIPos A1"),
+    (b'A1="0.5"', b'A1="1_0"', "AIPos A1"),
+    (b'A1="0.5"', b'A1=""', "AIPos A1"),
+    (b'A1="0.5" ', b"", "expected A1 to A6"),
+    (b'A1="0.5"', b'A1="0.5" A7="0"', "expected A1 to A6"),
+    (b'D="3"', b'D="x"', "Delay is no whole number"),
+    (b"<Tech", b" " * MAX_PACKET + b"<Tech", "more than"),
+])
+def test_what_is_wrong_is_refused_and_named(old: bytes, new: bytes, says: str) -> None:
+    assert old in PACKET
+    with pytest.raises(PacketError, match=says):
+        parse_rob(PACKET.replace(old, new, 1 if old == b"<Rob" else -1), 6)
+
+
+@given(st.binary(max_size=300))
+def test_no_bytes_raise_anything_else(packet: bytes) -> None:
+    with pytest.raises(PacketError):
+        parse_rob(packet, 6)
+
+
+@given(st.lists(st.tuples(st.integers(0, len(PACKET) - 1), st.binary(max_size=4)), min_size=1, max_size=4))
+def test_a_damaged_packet_is_refused_or_wholly_sound(damage: list[tuple[int, bytes]]) -> None:
+    packet = PACKET
+    for at, piece in damage:
+        packet = packet[:at] + piece + packet[at + len(piece):]
+    try:
+        message = parse_rob(packet, 6)
+    except PacketError:
+        return
+    assert message.ipoc >= 0
+    for values in (message.actual, message.setpoint, message.current):
+        assert values is None or (values.shape == (6,) and np.isfinite(values).all())
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=6, max_size=6), st.integers(0, 10**12))
+def test_numbers_survive_the_way_there(angles: list[float], ipoc: int) -> None:
+    axes = " ".join(f'A{i + 1}="{value!r}"' for i, value in enumerate(angles))
+    message = parse_rob(f'<Rob Type="KUKA"><AIPos {axes}/><IPOC>{ipoc}</IPOC></Rob>'.encode(), 6)
+    assert message.actual.tolist() == angles
+    assert message.ipoc == ipoc

@@ -1,0 +1,182 @@
+"""The link: what is lost, repeated, late, wrong or not from the controller."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
+from ideal_robot.robot import Robot
+from ideal_robot.rsi import RsiError, RsiRobot
+
+ROBOT = Robot.load("kr6")
+START = 2**32 - 24
+
+
+class Controller:
+    """Sends what a test wants and reads answers, nothing else."""
+
+    def __init__(self, link: RsiRobot) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(5.0)
+        self.address = link.address
+        self.home = link.axes.angles(ROBOT.home)
+
+    def send(self, cycle: float, *, late: int = 0, extra: str = "", offset: float = 0.0) -> None:
+        axes = " ".join(f'A{i + 1}="{value + offset:.6f}"' for i, value in enumerate(self.home))
+        stamp = round(START + 12 * cycle) % 2**32
+        self.socket.sendto(f'<Rob Type="KUKA"><AIPos {axes}/>{extra}<Delay D="{late}"/><IPOC>{stamp}</IPOC></Rob>'
+                           .encode(), self.address)
+
+    def answer(self) -> str:
+        return self.socket.recv(4096).decode()
+
+    def silent(self) -> bool:
+        self.socket.settimeout(0.05)
+        try:
+            self.socket.recv(4096)
+        except TimeoutError:
+            return True
+        return False
+
+
+@pytest.fixture(params=[False, True], ids=["absolute", "relative"])
+def pair(request: pytest.FixtureRequest) -> Iterator[tuple[RsiRobot, Controller]]:
+    with RsiRobot(ROBOT, port=0, relative=request.param, timeout=0.3) as link:
+        controller = Controller(link)
+        with controller.socket:
+            controller.send(0)
+            link.connect(5.0)
+            yield link, controller
+
+
+def moved(degrees: float) -> Array:
+    """Home with the first axis, which counts against the URDF, turned by so many of the controller's degrees."""
+    return ROBOT.home - np.radians(degrees) * np.eye(6)[0]
+
+
+def test_corrections_are_absolute_or_relative_as_agreed(pair) -> None:
+    link, controller = pair
+    for k, degrees in enumerate((0.1, 0.2, 0.2)):
+        controller.send(k + 1)
+        link.cycle(moved(degrees))
+        expected = (0.1, 0.1, 0.0)[k] if link.relative else degrees
+        answer = controller.answer()
+        assert f'A1="{expected:.6f}"' in answer
+        assert f"<IPOC>{(START + 12 * k) % 2**32}</IPOC>" in answer
+
+
+def test_time_goes_on_over_the_end_of_the_time_stamp(pair) -> None:
+    link, controller = pair
+    for k in range(1, 5):
+        controller.send(k)
+        assert link.cycle(ROBOT.home).t == pytest.approx(0.012 * k)
+
+
+def test_a_repeated_packet_gets_the_same_answer_again(pair) -> None:
+    link, controller = pair
+    link.send(moved(0.1))
+    first = controller.answer()
+    controller.send(0)
+    controller.send(1)
+    assert link.receive().t == pytest.approx(0.012)
+    assert controller.answer() == first
+    assert link.counts.repeated == 1
+
+
+def test_an_outdated_packet_gets_no_answer(pair) -> None:
+    link, controller = pair
+    controller.send(1)
+    link.cycle(ROBOT.home)
+    controller.answer()
+    controller.send(0)
+    controller.send(2)
+    link.cycle(ROBOT.home)
+    controller.answer()
+    assert controller.silent()
+    assert link.counts.outdated == 1
+
+
+def test_lost_packets_cost_time_and_are_counted(pair) -> None:
+    link, controller = pair
+    controller.send(1)
+    link.cycle(ROBOT.home)
+    controller.send(4)
+    assert link.cycle(ROBOT.home).t == pytest.approx(0.048)
+    assert link.counts.lost == 2
+    controller.send(9)
+    with pytest.raises(RsiError, match="4 packets in a row were lost"):
+        link.cycle(ROBOT.home)
+
+
+@pytest.mark.parametrize("step", [1 / 3, 2])
+def test_a_controller_with_another_cycle_is_refused_before_anything_moves(pair, step: float) -> None:
+    link, controller = pair
+    controller.send(step)
+    with pytest.raises(RsiError, match=f"rose by {round(12 * step)} ms.*12 ms are expected"):
+        link.cycle(ROBOT.home)
+
+
+def test_a_late_answer_ends_relative_corrections_only(pair) -> None:
+    link, controller = pair
+    controller.send(1, late=1)
+    if link.relative:
+        with pytest.raises(RsiError, match="came late"):
+            link.cycle(ROBOT.home)
+    else:
+        link.cycle(ROBOT.home)
+    assert link.counts.late == 1
+
+
+def test_others_and_rubbish_are_not_answered_and_do_not_keep_the_link_alive(pair) -> None:
+    link, controller = pair
+    other = Controller(link)
+    done = threading.Event()
+
+    def disturb() -> None:
+        while not done.wait(0.02):
+            other.send(1, offset=30.0)
+            controller.socket.sendto(b"<Rob>", link.address)
+
+    noise = threading.Thread(target=disturb)
+    noise.start()
+    try:
+        with pytest.raises(RsiError, match=r"no packet from the controller within 0.3 s.*refused.*not XML"):
+            link.cycle(ROBOT.home)
+    finally:
+        done.set()
+        noise.join()
+    assert link.counts.foreign > 0
+    assert link.counts.refused > 0
+    assert other.silent()
+    other.socket.close()
+
+
+def test_torque_is_current_times_gain_and_nan_without(pair) -> None:
+    link, controller = pair
+    controller.send(1)
+    assert np.isnan(link.cycle(ROBOT.home).tau).all()
+    controller.send(2, extra='<MACur A1="2" A2="2" A3="2" A4="2" A5="2" A6="2"/>')
+    np.testing.assert_allclose(link.cycle(ROBOT.home).tau, 2 * ROBOT.drive_gain * [-1, 1, 1, -1, 1, -1])
+
+
+def test_nobody_there_and_nowhere_to_listen() -> None:
+    with RsiRobot(ROBOT, port=0) as link:
+        with pytest.raises(RsiError, match=r"no packet from the controller within 0.05 s"):
+            link.connect(0.05)
+        with pytest.raises(RsiError, match="connect"):
+            link.cycle(ROBOT.home)
+        with pytest.raises(InputError, match="cannot listen"):
+            RsiRobot(ROBOT, port=link.address[1])
+
+
+@pytest.mark.parametrize("table", [{"axis_sign": [1, 1]}, {"axis_sign": [2] * 6}, {"axis_zero": ["a"] * 6}])
+def test_axes_that_cannot_be_are_refused(table) -> None:
+    with pytest.raises(InputError, match=r"rsi\.axis_"):
+        RsiRobot(replace(ROBOT, data={"rsi": table}), port=0)
