@@ -140,7 +140,7 @@ def _visible(s: Scene, column: Array, joint: int, noise: Array) -> float:
     data = s.arm.model.createData()
     base = []
     for q, qd, qdd in zip(s.q[rows], s.qd[rows], s.qdd[rows], strict=True):
-        full = pin.computeJointTorqueRegressor(s.arm.model, data, q, qd, qdd)[joint]
+        full = np.atleast_2d(pin.computeJointTorqueRegressor(s.arm.model, data, q, qd, qdd))[joint]
         base.append([*full, qdd[joint], qd[joint], np.tanh(qd[joint] / (2e-3 * s.arm.fast[joint])), 1.0])
     W = np.array(base)
     # Only what an arm's torque measurement resolves counts.

@@ -15,20 +15,24 @@ from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
 
 
-def arm_experiment(recording: Recording, robot: Robot, torque: Experiment) -> Experiment | None:
-    """Arm angle minus motor angle of each joint; only a constant difference is taken for granted.
+def arm_experiment(recording: Recording, robot: Robot, torque: Experiment,
+                   stiffness: Array | None) -> Experiment | None:
+    """Arm angle minus motor angle of each joint, and minus the gears' known deflection.
+
+    Only a constant difference is taken for granted.
 
     Args:
         recording: with ``qa_i``, else the result is None.
         robot: the arm.
         torque: the regression of its torques, for signals and filters.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
     """
     if not recording.has("qa"):
         return None
     grid = torque.filtered.t
     qa, q = (resampled(recording.t, recording.joints(key), grid) for key in ("qa", "q"))
     n = robot.n
-    y = torque.decimate(qa - q)
+    y = torque.decimate(qa - q - _deflection(torque, stiffness))
     W = np.zeros((len(y), n, n))
     W[:, np.arange(n), np.arange(n)] = 1.0
     names = tuple(f"qa_{j + 1}" for j in range(n))
@@ -37,8 +41,11 @@ def arm_experiment(recording: Recording, robot: Robot, torque: Experiment) -> Ex
                                W=W, use=np.ones(y.shape, dtype=bool), quiet=_noise(qa - q, torque), head="qa")
 
 
-def tcp_experiment(recording: Recording, robot: Robot, torque: Experiment) -> Experiment | None:
-    """Measured TCP minus that of the nominal kinematics at the motor angles.
+def tcp_experiment(recording: Recording, robot: Robot, torque: Experiment,
+                   stiffness: Array | None) -> Experiment | None:
+    """Measured TCP minus that of the nominal kinematics at the arm angles.
+
+    Where arm angles are not measured they are the motor angles with the gears' known deflection.
 
     Taken for granted: where the measuring device stands (a small rotation and a shift).
     """
@@ -49,14 +56,19 @@ def tcp_experiment(recording: Recording, robot: Robot, torque: Experiment) -> Ex
         return None
     grid = torque.filtered.t
     xyz = resampled(recording.t, measured, grid)
-    frames = frames_along(robot, torque.signals.q)
+    behind = recording.has("qa")
+    q = (resampled(recording.t, recording.joints("qa"), grid) if behind
+         else torque.signals.q + _deflection(torque, stiffness))
+    frames = frames_along(robot, q)
     y = torque.decimate(xyz - frames.tool)
     p = frames.tool - frames.tool.mean(axis=0)
     W = np.zeros((len(grid), 3, 6))
     W[:, :, :3] = np.eye(3)
     for i, axis in enumerate(np.eye(3)):
         W[:, :, 3 + i] = np.cross(axis, p)
-    signals = dataclasses.replace(torque.signals, frames=frames)
+    # With measured arm angles the gears have no part in what is left.
+    load = np.zeros_like(q) if behind else torque.signals.load
+    signals = dataclasses.replace(torque.signals, q=q, load=load, frames=frames)
     return dataclasses.replace(torque, channels=("x", "y", "z"), units=("m",) * 3, y=y,
                                measured=y - y.mean(axis=0), W=torque.decimate(W),
                                use=np.ones(y.shape, dtype=bool), quiet=_noise(xyz, torque), signals=signals, head="tcp")
@@ -81,6 +93,13 @@ def frames_along(robot: Robot, q: Array) -> Frames:
             x[k, j] = placement.rotation[:, 0] if abs(placement.rotation[:, 0] @ axis[k, j]) < 0.9 \
                 else placement.rotation[:, 1]
     return Frames(axis, x, position, tip, jacobian)
+
+
+def _deflection(torque: Experiment, stiffness: Array | None) -> Array:
+    """Arm minus motor angle by gears of known stiffness ``(N, n)``, [J] (2)."""
+    if stiffness is None:
+        return np.zeros_like(torque.signals.q)
+    return np.asarray(-torque.signals.load / stiffness)
 
 
 def _noise(values: Array, torque: Experiment) -> Array:

@@ -179,11 +179,12 @@ class TorqueDiagnosis:
         """Arm angles and TCP positions, where the recording has them."""
         parts = []
         for build, domain in ((arm_experiment, ARM_POSITION), (tcp_experiment, TCP_POSITION)):
-            made = build(self.recording, self.robot, raw)
+            stiffness = None if self.given is None else self.given.stiffness
+            made = build(self.recording, self.robot, raw, stiffness)
             if made is None:
                 continue
             self.report(0.85, domain.replace("_", " "))
-            other = None if seen is None or self.validate is None else build(self.validate, self.robot, seen)
+            other = None if seen is None or self.validate is None else build(self.validate, self.robot, seen, stiffness)
             blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
             data = Data(made.y, made.W, made.use, blocks)
             search = Search(made, data, tuple(e for e in library() if e.domain == domain), prior=None, in_base=True,
@@ -226,8 +227,8 @@ def prior_precision(model: Model, raw: Experiment, data: Data) -> Array:
     squares = np.einsum("bcii->ci", design.cross("W", "W")[selecting])
     torque = (raw.measured**2 * data.use).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moves = 0.002 * np.sqrt(torque[:, None] / np.maximum(squares, 1e-300))
-        visible = np.nanmin(np.where(squares > 0, moves, np.inf), axis=0)
+        moves = 0.002 * np.sqrt(torque[:, None] / squares)
+        visible = np.min(np.where(squares > 0, moves, np.inf), axis=0)
     values = np.abs(np.concatenate([model.base_values, *[law.coefficients[:, 0] for law in model.friction.laws],
                                     *[law.shape[:, 0] for law in model.friction.laws]]))
     size = len(values)
@@ -236,10 +237,7 @@ def prior_precision(model: Model, raw: Experiment, data: Data) -> Array:
     # Ratio of the parameters' actual scatter over blocks to that of white noise: the inflation by colour.
     plain = np.diag(fit._inverse[0])
     inflation = float(np.median(np.diag(fit.covariance()) / np.maximum(plain, 1e-300)))
-    # Nuisances have no prior: they stay free.
-    precision = np.zeros((data.W.m, data.W.m))
-    precision[:size, :size] = max(inflation, 1.0) * np.linalg.pinv(covariance)
-    return precision
+    return np.asarray(max(inflation, 1.0) * np.linalg.pinv(covariance))
 
 
 def _name(recording: Recording) -> str:

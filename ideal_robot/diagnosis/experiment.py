@@ -38,7 +38,7 @@ class Experiment:
         channels, units: names and units of the ``c`` channels.
         y: measured minus predicted ``(N, c)``.
         measured: what was measured ``(N, c)``.
-        W: derivative of the prediction by the model's parameters, and after these the nuisances ``(N, c, p)``.
+        W: derivative of the prediction by the model's parameters ``(N, c, p)``.
         use: samples that count ``(N, c)``.
         signals: undecimated signals for effects.
         filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
@@ -111,14 +111,14 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
                    if recording.has("temp") else None)
 
     noise_velocity = _small_velocity(recording, filtered)
-    extra = {name: values for name, values in filtered.columns.items() if not _is_joint_column(name)}
+    extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
     body = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, temperature, extra=extra, payload=body,
                       v_small=noise_velocity)
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
-    W = filtered.decimate(np.concatenate([W, np.zeros((*q.shape, 2 * n))], axis=2))
+    W = filtered.decimate(W)
     moving, undecided = _moving(t, q, qd, noise_velocity, robot)
     use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
     measured = filtered.decimate(filtered.tau)
@@ -134,7 +134,7 @@ def about(made: Experiment, model: Model) -> Experiment:
     s, n = made.signals, made.signals.n
     chain = chain_of(model._exact_model)
     load = inverse_dynamics(chain, s.q, s.qd, s.qdd)
-    friction = model.friction.torque(s.qd, load)
+    friction = model.friction.torque(s.qd, load, s.q)
     torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
     signals = replace(s, load=load, torque=torque, friction=friction,
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c))
@@ -148,14 +148,13 @@ def about(made: Experiment, model: Model) -> Experiment:
 def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
     """The same regression with dry friction that changes sign over other speeds ``(n,)`` [rad/s]."""
     signals = replace(made.signals, v_small=blur)
-    W, n = made.W.copy(), signals.n
+    W = made.W.copy()
     at = model.base.count
     for j, law in enumerate(model.friction.laws):
         for i, name in enumerate(law.coefficient_names):
-            if name in ("Fc", "a2"):
+            if name in ("Fc", "a2") and not law.presliding:
                 W[:, j, at + i] = made.filtered.decimate(signals.direction(signals.qd[:, j], j + 1))
         at += len(law.coefficients)
-    W[:, :, -2 * n :] = made.filtered.decimate(_reversal_columns(signals, made.filtered))
     return replace(made, signals=signals, W=W)
 
 
@@ -171,23 +170,6 @@ def _apart_from_reversals(qd: Array) -> np.ndarray:
     return mask
 
 
-def _reversal_columns(signals: Signals, filtered: Filtered) -> Array:
-    """Two nuisances a joint ``(N, n, 2 n)``: a reversal that comes a little sooner or later, or takes a little longer.
-
-    Filters and sampling shift and round the step of dry friction at a reversal by about a sample of the decimated
-    signal; nothing may be built on that.
-    """
-    n, h = signals.n, max(1, filtered.factor)
-    result = np.zeros((len(signals.t), n, 2 * n))
-    for j in range(n):
-        step = signals.direction(signals.qd[:, j], j + 1)
-        ahead, behind = np.roll(step, -h), np.roll(step, h)
-        ahead[-h:], behind[:h] = step[-1], step[0]
-        result[:, j, 2 * j] = 0.5 * (ahead - behind)
-        result[:, j, 2 * j + 1] = ahead - 2.0 * step + behind
-    return result
-
-
 def _own_copies(W: Array) -> Array:
     N, c, _ = W.shape
     blocks = []
@@ -199,9 +181,12 @@ def _own_copies(W: Array) -> Array:
     return np.concatenate(blocks, axis=2)
 
 
-def _is_joint_column(name: str) -> bool:
+def _is_known_column(name: str) -> bool:
+    """Whether a column is one whose meaning is known and that causes nothing by itself."""
     head, _, tail = name.rpartition("_")
-    return tail.isdigit() and head in {"q", "qd", "qdd", "tau", "current", "temp", "q_c", "q_d", "qa"}
+    known = {"q", "qd", "qdd", "tau", "current", "temp", "q_c", "q_d", "qa", "line_x", "line_y", "line_z"}
+    return (tail.isdigit() and head in known) or name in {"x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx",
+                                                          "my", "mz", "cam_t"}
 
 
 def _prismatic(robot: Robot, j: int) -> bool:

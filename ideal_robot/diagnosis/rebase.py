@@ -16,12 +16,9 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
 
     Args:
         model: where to start.
-        change: to be added to the parameter vector ``(P,)`` (``ideal_robot.parametrisation``); what follows after the
-            ``P`` parameters (nuisances of a fit) is ignored.
+        change: to be added to the parameter vector ``(P,)`` (``ideal_robot.parametrisation``).
         covariance: of the new vector ``(P, P)``; that of the model if None.
     """
-    size = len(model.covariance)
-    covariance = None if covariance is None else covariance[:size, :size]
     at = model.base.count
     base_values = model.base_values + change[:at]
     laws = []
@@ -31,10 +28,9 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
         at += count
     new = []
     for law, coefficients in laws:
-        low = np.array([bound[0] for bound in law.shape_bounds])[:, None]
-        high = np.array([bound[1] for bound in law.shape_bounds])[:, None]
-        shape = law.shape + change[at : at + len(law.shape), None]
-        new.append(type(law)(coefficients, np.clip(shape, low, high) if len(low) else shape))
+        # Shapes are positive; a linear step may go to a third or to three times of what they were.
+        shape = np.clip(law.shape + change[at : at + len(law.shape), None], law.shape / 3.0, 3.0 * law.shape)
+        new.append(type(law)(coefficients, shape, presliding=law.presliding, loaded=law.loaded))
         at += len(law.shape)
     return dataclasses.replace(
         model, base_values=base_values, friction=PerJointFriction(new),

@@ -189,7 +189,7 @@ class Fit:
         # A column that the others explain all but a hundred-thousandth of has nothing of its own.
         own = np.diag(S) > 1e-5 * np.diag(CC)
         if len(Cy) > 3:
-            S = S + _SMOOTH * np.diag(np.diag(CC))
+            S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
         m = len(Cy)
         gamma = np.zeros(m)
         right = Cy - CX @ self._beta[k]

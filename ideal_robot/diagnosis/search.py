@@ -44,7 +44,7 @@ class Options:
     smallest_learned: float = 0.06
     smallest_in_base: float = 0.10
     smallest_torque: float = 0.002
-    smallest_own: float = 0.002
+    smallest_own: float = 0.0005
     unknown_margin: float = 1.3
     most: int = 24
 
