@@ -13,6 +13,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
 from planning.deviation_model import PathDeviation
+from planning.errors import PlanningError
 from planning.fusion import DeviationFilter, Fused, Measurement
 from planning.kinematics import InverseKinematics
 from planning.pose_history import PoseHistory
@@ -23,6 +24,9 @@ from sensing.force_deviation import force_deviation
 
 STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is believed."""
+FORCE_ERRORS = (0.3, 0.002)
+"""Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant
+of damping or stamps [s]."""
 KNOWN_LATERAL = 0.001
 """Standard deviation of the lateral deviation below which the line counts as known [m]."""
 KNOWN_AFTER = 0.03
@@ -92,6 +96,7 @@ class SurfaceFollower:
         n_d: desired positions a call of ``horizon`` gives.
         settings: what is wanted.
         fusion: the filter over a model with two directions.
+        force_errors: standard deviations of the force sensor's own errors in the filter that is made if none is given.
         lateral: whether a sensor shows the lateral deviation, too; without one the path is the reference's there.
         start_height: of the tip over the reference when the approach begins [m].
     """
@@ -106,6 +111,7 @@ class SurfaceFollower:
         *,
         fusion: DeviationFilter | None = None,
         lateral: bool = False,
+        force_errors: tuple[float, float] = FORCE_ERRORS,
         start_height: float = 0.01,
     ) -> None:
         self.robot, self.reference, self.profile, self.n_d, self.settings = robot, reference, profile, n_d, settings
@@ -114,7 +120,7 @@ class SurfaceFollower:
         self._kinematics = InverseKinematics(robot)
         self._samples = n_d + 6
         ahead = self._samples * self._T * profile.top_speed + 0.03
-        self.fusion = fusion or DeviationFilter(surface_model(reference, ahead))
+        self.fusion = fusion or DeviationFilter(surface_model(reference, ahead), biases={"force": force_errors})
         if self.fusion.model.directions != 2:
             raise InputError(
                 "the filter's model needs two directions, across the path and out of the surface",
@@ -216,7 +222,19 @@ class SurfaceFollower:
         else:
             direction = np.tile([0.0, 1.0], (len(t), 1))
             value = height + value
-        return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force"))
+        # With E assumed r times too large a deviation Δ is felt as Δ/r: (1 - r) Δ is missing. A tip with damping, or
+        # a wrong time stamp, adds a share of the velocity.
+        rising = float(self._velocity(float(t[middle])) @ up)
+        wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
+        return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
+
+    def _velocity(self, t: float) -> Array:
+        """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""
+        t = max(t, self.history.first + 2e-3)
+        try:
+            return self.history.velocity(t)[0]
+        except PlanningError:
+            return np.zeros(3)
 
     def _lateral_sigma(self, s: Array) -> float:
         return float(np.sqrt(self.fusion.deviation(s)[1][0, 0]))

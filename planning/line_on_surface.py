@@ -33,7 +33,8 @@ class SightSettings:
     Attributes:
         noise: lateral error of a point beside what its detection states [m].
         common: lateral error common to all points of a field [m].
-        yaw, stamp: standard deviations of mounting angle [rad] and time stamps [s]; both are estimated on the way.
+        yaw, stamp, scale: standard deviations of mounting angle [rad], time stamps [s] and relative distance (or focal
+            length); all are estimated on the way.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives [s].
         max_blind: distance that may be travelled without seeing the line [m].
@@ -47,6 +48,7 @@ class SightSettings:
     common: float = 4e-5
     yaw: float = 0.003
     stamp: float = 0.0005
+    scale: float = 0.2
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
     max_blind: float = 0.2
@@ -141,7 +143,9 @@ class LineOnSurface:
         except PlanningError:
             velocity, rate = np.zeros(3), np.zeros(3)
         moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
-        return Measurement(t, s, value, covariance, g, "camera", np.column_stack([turned, moved]))
+        # A wrong distance scales what is beside the optical axis.
+        beside = dot(frames.normal, (offset - along) @ pose.rotation.T)
+        return Measurement(t, s, value, covariance, g, "camera", np.column_stack([turned, moved, beside]))
 
     def _implausible(self, measurement: Measurement) -> str:
         """Why a field cannot be of the line; empty if it can.

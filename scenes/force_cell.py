@@ -12,8 +12,9 @@ from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import InputError
 from ideal_robot.model import Model
 from ideal_robot.robot import Robot
+from planning.contour import ContourFollower, ContourSettings
 from planning.errors import OutOfReachError
-from planning.force_following import ContactSettings, SurfaceFollower
+from planning.force_following import FORCE_ERRORS, ContactSettings, SurfaceFollower
 from planning.fusion import DeviationFilter
 from planning.kinematics import InverseKinematics
 from planning.reference import ReferencePath
@@ -31,6 +32,8 @@ N_D = 20
 """Desired positions handed to the ideal robot [cycles]."""
 POSITION_NOISE = 3e-5
 """Standard deviation of the estimated tip position at 0.2 m/s [m]."""
+DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+"""Orientation of a tool that points down."""
 START_HEIGHT = 0.01
 """Of the tip above the reference when the approach begins [m]."""
 
@@ -57,7 +60,20 @@ class Cell:
         noise = POSITION_NOISE * (self.scene.speed / 0.2) ** 2
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=noise)
         return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
-                               lateral=fusion is not None, start_height=START_HEIGHT)
+                               lateral=fusion is not None, start_height=START_HEIGHT,
+                               force_errors=FORCE_ERRORS if self.scene.assumed.estimated else (1e-6, FORCE_ERRORS[1]))
+
+
+    def contour_follower(self, elasticity: float) -> ContourFollower:
+        """A fresh follower of a contour: of the reference it knows the starting point alone."""
+        scene, frames = self.scene, self.reference.frames(np.zeros(1))
+        out, up = frames.up[0], np.array([0.0, 0.0, 1.0])
+        start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + START_HEIGHT * out)
+        side = 1 if float(np.cross(up, -out) @ frames.tangent[0]) > 0 else -1
+        q_start = InverseKinematics(self.robot).search(start, self.robot.home)
+        settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
+                                   length=float(scene.line.length or 0.5))
+        return ContourFollower(self.robot, start, -out, up, side, q_start, N_D, settings)
 
 
 def set_up(scene: ForceScene) -> Cell:
@@ -71,7 +87,12 @@ def set_up(scene: ForceScene) -> Cell:
     place, noise, sensor_noise, camera_noise, calibration = (
         np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5))
     where = geometry(_as_line(scene), place)
-    reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
+    out = where.plane.rotation[:, 2]
+    if scene.task == "contour":
+        # Pressed sideways, the tool keeps its orientation: straight down.
+        reference = ReferencePath(where.reference, up=out, rotation=DOWN)
+    else:
+        reference = ReferencePath(where.reference, up=out, turning=1.0)
     try:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=40.0))
     except OutOfReachError as error:
@@ -114,7 +135,7 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
     up, start, rotation = frames.up[0], frames.position[0], cell.reference.rotation(0.0)
     T, q = cell.world.t_ipo, follower.q_start
     height, speed = START_HEIGHT, -0.03
-    positions, forces, times, heights = [], [], [], []
+    stamps, forces, times, places = [], [], [], []
     with SimulatedArm(cell.robot, cell.world, cell.noise, q) as arm:
         contact = TipContact(arm, cell.surface, cell.scene.tip.truth())
         state = None
@@ -124,19 +145,22 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
             state = arm.cycle(q)
             q_a = state.q - deflection.at(np.tile(q, (3, 1)))
             times.append(state.t)
-            heights.append(float((kinematics.fk(q_a).translation - start) @ up))
+            places.append(kinematics.fk(q_a).translation - start)
             for sample in cell.sensor.due(k * T, (k + 1) * T, arm.tcp_at, contact.force_at):
-                positions.append(sample.t)
-                forces.append(float((rotation @ tool.contact(sample.wrench, rotation)[:3]) @ up))
-            recent = float(np.mean(forces[-5:])) if forces else 0.0
+                stamps.append(sample.t)
+                forces.append(rotation @ tool.contact(sample.wrench, rotation)[:3])
+            recent = float(np.mean(forces[-5:], axis=0) @ up) if forces else 0.0
             if speed < 0 and recent > 3.0:
                 speed = -0.01
             if speed < 0 and recent > 1.6 * cell.scene.force:
                 speed = 0.01
             if speed > 0 and recent < 1.0:
                 break
-    at = np.interp(positions, times, heights)
-    return identify_elasticity(at, np.array(forces))
+    felt, way = np.array(forces), np.array(places)
+    # The surface need not be square to the nominal normal: its own is where the force points.
+    normal = felt[felt @ up > 0.5 * cell.scene.force].mean(axis=0)
+    normal = normal / np.linalg.norm(normal)
+    return identify_elasticity(np.interp(stamps, times, way @ normal), felt @ normal)
 
 
 @lru_cache(maxsize=64)

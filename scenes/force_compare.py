@@ -78,10 +78,14 @@ def compare_forces(scene: ForceScene, *, out: Path | None = None, progress: Prog
     from scenes.force_following import METHODS, play
 
     # Searched again even where the scene file has gains: the table has to be fair in this scene, speed and seed.
-    gains, trials = best_gains(scene, progress=lambda part, text: progress(0.7 * part, text))
+    gains: tuple[float, float] | None = None
+    trials: tuple[GainTrial, ...] = ()
+    methods = METHODS if scene.task == "surface" else METHODS[1:]
+    if "direct_feedback" in methods:
+        gains, trials = best_gains(scene, progress=lambda part, text: progress(0.7 * part, text))
     results = []
-    for i, method in enumerate(METHODS):
-        progress(0.7 + 0.3 * i / len(METHODS), method)
+    for i, method in enumerate(methods):
+        progress(0.7 + 0.3 * i / len(methods), method)
         results.append(play(scene, method, gains))
     comparison = ForceComparison(scene, tuple(results), trials)
     if out is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -58,8 +59,9 @@ def run(scene: ForceScene, *, method: str | None = None, out: Path | None = None
         InputError: the scene cannot be played.
     """
     method = method or scene.method
-    if method not in METHODS:
-        raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
+    allowed = METHODS if scene.task == "surface" else METHODS[1:]
+    if method not in allowed:
+        raise InputError(f"expected one of {', '.join(allowed)}", field="method", value=method)
     if method == "direct_feedback" and gains is None:
         from scenes.force_compare import best_gains
 
@@ -100,9 +102,12 @@ class ForceLoop:
                  elasticity: ContactElasticity) -> None:
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
         assumed = cell.scene.assumed.elasticity_ratio * elasticity.stiffness
-        glue = cell.scene.task == "glue"
-        self.follower = cell.follower(assumed, glue_fusion(cell) if glue else None)
-        self.vision = GlueCamera(cell, self.follower) if glue else None
+        self.follower: Any
+        if cell.scene.task == "contour":
+            self.follower = cell.contour_follower(assumed)
+        else:
+            self.follower = cell.follower(assumed, glue_fusion(cell) if cell.scene.task == "glue" else None)
+        self.vision = GlueCamera(cell, self.follower) if cell.scene.task == "glue" else None
         self.watch = Watch(cell.robot, cell.scene.emergency.limits())
         self.filter = WrenchFilter(WINDOW)
         self.direct = DirectForceFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
@@ -138,9 +143,7 @@ class ForceLoop:
                     last = self._desired(t, last)
                 except (PlanningError, LimitError) as error:
                     self.log.failure = str(error)
-                    moving = np.isfinite(follower.t_travel)
-                    speed = float(follower.profile.speed(t - follower.t_travel)) if moving else 0.0
-                    stopping = stopping_rows(last[1:], T, max(speed, 0.1), BRAKING)
+                    stopping = stopping_rows(last[1:], T, max(follower.speed_at(t), 0.1), BRAKING)
             if stopping is not None:
                 last = _padded(next(stopping))
             self._torque = follower.contact_torque(last)

@@ -47,8 +47,9 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
     """Writes the page of a comparison."""
     scene = comparison.scene
     by = {one.method: one.figures.rms for one in comparison.results}
-    page = Report(f"{scene.title}: methods compared", f"RMS force error {by['ideal']:.2f} N with the ideal robot, "
-                  f"{by['direct_feedback']:.2f} N with the best direct feedback.")
+    direct = f", {by['direct_feedback']:.2f} N with the best direct feedback" if "direct_feedback" in by else ""
+    page = Report(f"{scene.title}: methods compared", f"RMS force error {by['ideal']:.2f} N with the ideal robot"
+                  f"{direct}.")
     page.table(*comparison.table())
     figure = Figure(figsize=(9, 4), layout="constrained")
     axis = figure.subplots()
@@ -60,9 +61,10 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
     axis.set_ylabel("normal force [N]")
     axis.legend()
     page.figure(figure, "True normal force of all methods.")
-    page.heading("Search for the best direct feedback")
-    page.table(["K_p [µm/N]", "K_d [µm/N]", "RMS force error [N]"],
-               [[1e6 * one.k_p, 1e6 * one.k_d, one.rms] for one in comparison.trials])
+    if comparison.trials:
+        page.heading("Search for the best direct feedback")
+        page.table(["K_p [µm/N]", "K_d [µm/N]", "RMS force error [N]"],
+                   [[1e6 * one.k_p, 1e6 * one.k_d, one.rms] for one in comparison.trials])
     return replace(comparison, report=page.write(out / "report.html"))
 
 

@@ -80,6 +80,8 @@ class Assumed(_Table):
 
     elasticity_ratio: float = pydantic.Field(default=1.0, gt=0)
     distance_ratio: float = pydantic.Field(default=1.0, gt=0)
+    estimated: bool = True
+    """Whether both are corrected on the way, from how the sensor values go with the arm's motion."""
 
 
 class Emergency(_Table):
