@@ -32,11 +32,11 @@ class RsiRun:
     """A path played over RSI.
 
     Attributes:
-        recording: ``t`` [s] since the first packet, ``q_d_i``, ``q_c_i`` (handed over at ``t``), ``q_i`` and, where
-            the controller sends currents, ``current_i`` and ``tau_i``.
+        recording: ``t`` [s] since the first packet, which is answered by no correction, ``q_d_i``, ``q_c_i`` (handed
+            over at ``t``), ``q_i`` and, where the controller sends currents, ``current_i`` and ``tau_i``.
         failure: why it ended before the end of the path, or None.
         counts: what happened on the link.
-        answer_times_ms: median, 99th percentile and maximum from a packet to its answer; NaN without any.
+        answer_times_ms: median, 99th percentile and maximum from reading a packet to its answer; NaN without any.
         begun: rows of rest before the path.
         rows: rows of the path, rests included.
     """
@@ -106,12 +106,15 @@ class RsiServer:
         """
         # Compiled code is loaded before the first packet has to be answered.
         self.feedforward.step(self.feedforward.init(self.q_d[0]), self.q_d[: self.feedforward.n_d])
-        state = self.link.connect(patience)
+        self.link.connect(patience)
         q_d = self._from(self.link.commanded)
         commands = self._commands(q_d)
-        command = next(commands, None)
         rows: list[tuple[RobotState, Array, Array]] = []
         try:
+            # The first answer changes nothing and needs no computing.
+            self.link.send(self.link.commanded)
+            command = next(commands, None)
+            state = self.link.receive()
             while command is not None:
                 self.link.send(command[1])
                 rows.append((state, *command))

@@ -31,7 +31,7 @@ class LinkCounts:
 
     Attributes:
         cycles: packets that were a cycle of their own.
-        lost: cycles of which no packet arrived.
+        lost: cycles whose packet never came, or was found when a newer one was there already.
         repeated: packets that came again and got the same answer again.
         outdated: packets of a cycle already past; not answered.
         refused: packets that are no message of a controller; not answered.
@@ -71,7 +71,7 @@ class RsiRobot:
         t_ipo: interpolation cycle [s].
         counts: what happened on the link.
         commanded: joint angles the controller was commanded last ``(n,)`` [rad].
-        answer_times: from the arrival of each packet to its answer [s].
+        answer_times: from reading each packet to its answer [s].
     """
 
     def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = 49152, relative: bool = False,
@@ -112,7 +112,7 @@ class RsiRobot:
         self._late = first.late
         held = first.actual if first.setpoint is None else first.setpoint
         self._begin = held.copy()
-        self._sent = np.zeros(self.robot.n)
+        self._sent = self._correction = np.zeros(self.robot.n)
         self.commanded = self.axes.joints(held)
         return self._state(first)
 
@@ -138,7 +138,7 @@ class RsiRobot:
         q_c = checked_command(self.robot, q_c, self.commanded, self.t_ipo)
         wanted = self.axes.angles(q_c) - self._begin
         correction = np.round(wanted - self._sent if self.relative else wanted, DECIMALS)
-        self._sent = self._sent + correction if self.relative else correction
+        self._sent, self._correction = self._sent + correction if self.relative else correction, correction
         self.commanded = q_c
         self._answer = format_sen(correction, self._last.ipoc)
         self._send()
@@ -156,16 +156,14 @@ class RsiRobot:
         end = time.perf_counter() + self.timeout
         while True:
             message = self._next(end, self.timeout)
-            passed = message.ipoc - self._last.ipoc
-            if passed < -_IPOC_RANGE // 2:
-                passed += _IPOC_RANGE
+            passed = self._passed(message)
             if passed == 0:
                 self.counts.repeated += 1
                 self._send()
             elif passed < 0:
                 self.counts.outdated += 1
             else:
-                return self._advance(message, passed)
+                return self._advance(self._newest(message))
 
     def close(self) -> None:
         """Stops listening; the controller holds the arm and reports that its sensor is gone."""
@@ -178,7 +176,24 @@ class RsiRobot:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def _advance(self, message: RobMessage, passed: int) -> RobotState:
+    def _passed(self, message: RobMessage) -> int:
+        """Time from the last message to this one by the controller's time stamps [ms]."""
+        passed = message.ipoc - self._last.ipoc
+        return passed + _IPOC_RANGE if passed < -_IPOC_RANGE // 2 else passed
+
+    def _newest(self, message: RobMessage) -> RobMessage:
+        """The newest of the packets that are there: whoever answers the oldest of a queue is late for ever."""
+        self._socket.settimeout(0.0)
+        while True:
+            try:
+                other = self._read()
+            except BlockingIOError:
+                return message
+            if other is not None and self._passed(other) > self._passed(message):
+                message = other
+
+    def _advance(self, message: RobMessage) -> RobotState:
+        passed = self._passed(message)
         lost = passed // self._step - 1
         # Nothing moves in the first cycle: a step other than expected is then a cycle other than expected.
         if passed % self._step or (lost and self.counts.cycles == 1):
@@ -190,7 +205,7 @@ class RsiRobot:
         self._elapsed += passed
         late, self._late = message.late - self._late, message.late
         self.counts.late += max(late, 0)
-        if self.relative and late > lost:
+        if self.relative and late > lost and self._correction.any():
             raise RsiError("an answer came late: with relative corrections it is not known whether it still counted; "
                            "use absolute ones, or a faster or less loaded computer")
         self._last, self._answer = message, None
@@ -201,26 +216,37 @@ class RsiRobot:
         while (left := end - time.perf_counter()) > 0:
             self._socket.settimeout(left)
             try:
-                packet, sender = self._socket.recvfrom(MAX_PACKET + 1)
+                message = self._read()
             except TimeoutError:
                 break
-            except ConnectionError:
-                # Some systems report here that an earlier answer found no one; the silence will show it.
-                continue
-            arrived = time.perf_counter()
-            if self._peer is not None and sender != self._peer:
-                self.counts.foreign += 1
-                continue
-            try:
-                message = parse_rob(packet, self.robot.n)
-            except PacketError as error:
-                self.counts.refused += 1
-                self.counts.last_refused = str(error)
-                continue
-            self._peer, self._arrived = sender, arrived
-            return message
+            if message is not None:
+                return message
         refused = f"; the last of {self.counts.refused} refused packets: {self.counts.last_refused}"
         raise RsiError(f"no packet from the controller within {patience:.3g} s{refused if self.counts.refused else ''}")
+
+    def _read(self) -> RobMessage | None:
+        """The next packet, None where it counts for nothing.
+
+        Raises:
+            TimeoutError, BlockingIOError: no packet, as the socket's timeout has it.
+        """
+        try:
+            packet, sender = self._socket.recvfrom(MAX_PACKET + 1)
+        except ConnectionError:
+            # Some systems report here that an earlier answer found no one; the silence will show it.
+            return None
+        arrived = time.perf_counter()
+        if self._peer is not None and sender != self._peer:
+            self.counts.foreign += 1
+            return None
+        try:
+            message = parse_rob(packet, self.robot.n)
+        except PacketError as error:
+            self.counts.refused += 1
+            self.counts.last_refused = str(error)
+            return None
+        self._peer, self._arrived = sender, arrived
+        return message
 
     def _send(self) -> None:
         if self._answer is not None and self._peer is not None:

@@ -32,6 +32,7 @@ def command(
     Example: `ideal-robot rsi path.csv --robot kr6 --record moved.parquet`
     """
     import signal
+    import sys
 
     from scenes.commands.common import progress_bar, show_table
     from scenes.report import write_json
@@ -49,12 +50,15 @@ def command(
                 raise KeyboardInterrupt
             server.stop("stopped by the user")
 
-        before = signal.signal(signal.SIGINT, interrupt)
+        before, interval = signal.signal(signal.SIGINT, interrupt), sys.getswitchinterval()
+        # The progress bar's thread must not hold up an answer for longer than this [s].
+        sys.setswitchinterval(1e-4)
         try:
             with progress_bar("rsi") as progress:
                 run = server.play(patience=wait, progress=progress)
         finally:
             signal.signal(signal.SIGINT, before)
+            sys.setswitchinterval(interval)
     run.recording.write(record)
     if json is not None:
         write_json(json, {**run.json(), "recording": record})

@@ -126,12 +126,31 @@ def test_a_controller_with_another_cycle_is_refused_before_anything_moves(pair, 
 def test_a_late_answer_ends_relative_corrections_only(pair) -> None:
     link, controller = pair
     controller.send(1, late=1)
+    # Where nothing was to move, nothing is in doubt.
+    link.cycle(ROBOT.home)
+    controller.send(2, late=2)
     if link.relative:
         with pytest.raises(RsiError, match="came late"):
-            link.cycle(ROBOT.home)
+            link.cycle(moved(0.1))
     else:
-        link.cycle(ROBOT.home)
-    assert link.counts.late == 1
+        link.cycle(moved(0.1))
+    assert link.counts.late == 2
+
+
+def test_of_several_packets_the_newest_is_answered(pair) -> None:
+    link, controller = pair
+    controller.send(1)
+    link.cycle(ROBOT.home)
+    controller.answer()
+    for k in (2, 3, 3, 2):
+        controller.send(k)
+    # All four are there before the first is read: loopback delivers within the call.
+    assert link.cycle(ROBOT.home).t == pytest.approx(0.036)
+    assert link.counts.lost == 1
+    controller.answer()
+    controller.send(4)
+    link.cycle(ROBOT.home)
+    assert f"<IPOC>{(START + 36) % 2**32}</IPOC>" in controller.answer()
 
 
 def test_others_and_rubbish_are_not_answered_and_do_not_keep_the_link_alive(pair) -> None:
