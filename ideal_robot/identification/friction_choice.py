@@ -75,6 +75,7 @@ class FrictionChoice:
         self._signals, self._load = signals, load
         self._rigid, self._y, self._noise = rigid / noise[:, None], y / noise, noise
         self._folds = np.arange(len(y)) * _FOLDS // len(y)
+        self._filtered: dict[tuple[int, int], Array] = {}
         self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}
         self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
         self._rigid /= self._size
@@ -85,10 +86,20 @@ class FrictionChoice:
         key = (joint, candidate, shape)
         if key not in self._cache:
             law = candidate.make(shape)
-            parts = [s.decimate(law.regressor(s.qd[:, [joint]], load[:, [joint]], s.q[:, [joint]])[:, 0])
-                     for s, load in zip(self._signals, self._load, strict=True)]
+            parts = [self._decimated(i, law.regressor(s.qd[:, [joint]], load[:, [joint]], s.q[:, [joint]])[:, 0])
+                     for i, (s, load) in enumerate(zip(self._signals, self._load, strict=True))]
             self._cache[key] = np.concatenate(parts) / self._noise[joint]
         return self._cache[key]
+
+    def _decimated(self, recording: int, columns: Array) -> Array:
+        """Decimated columns; most laws share most of theirs, so each is filtered once."""
+        result = []
+        for column in columns.T:
+            key = recording, hash(column.tobytes())
+            if key not in self._filtered:
+                self._filtered[key] = self._signals[recording].decimate(column)
+            result.append(self._filtered[key])
+        return np.column_stack(result)
 
     def choose(self, options: Sequence[Candidate],
                sweeps: int = 2) -> tuple[list[FrictionModel], list[dict[str, float]]]:
