@@ -23,6 +23,8 @@ from ideal_robot.rsi.message import DECIMALS, MAX_PACKET, RobMessage, format_sen
 
 _IPOC_RANGE = 2**32
 """Where a 32-bit time stamp starts anew."""
+_TRIALS = 3
+"""Cycles within which the expected cycle time has to show."""
 
 
 @dataclass
@@ -62,7 +64,7 @@ class RsiRobot:
         port: UDP port; 0 for any free one, see ``address``.
         relative: whether the controller takes the corrections as relative.
         timeout: silence of the controller after which the link counts as broken [s].
-        max_lost: cycles in a row of which the packet may be lost.
+        max_lost: cycles in a row of which the packet may be lost; not counted until the first two in a row have come.
 
     Raises:
         InputError: an address that cannot be listened on, an arm with sliding joints.
@@ -107,9 +109,10 @@ class RsiRobot:
         Raises:
             RsiError: no packet within ``patience`` [s].
         """
-        first = self._next(time.perf_counter() + patience, patience)
+        # Packets may have queued up since the port was opened.
+        first = self._newest(self._next(time.perf_counter() + patience, patience))
         self._first = self._last = first
-        self._late = first.late
+        self._late, self._in_step = first.late, False
         held = first.actual if first.setpoint is None else first.setpoint
         self._begin = held.copy()
         self._sent = self._correction = np.zeros(self.robot.n)
@@ -156,7 +159,7 @@ class RsiRobot:
         end = time.perf_counter() + self.timeout
         while True:
             message = self._next(end, self.timeout)
-            passed = self._passed(message)
+            passed = _passed(self._last, message)
             if passed == 0:
                 self.counts.repeated += 1
                 self._send()
@@ -176,11 +179,6 @@ class RsiRobot:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def _passed(self, message: RobMessage) -> int:
-        """Time from the last message to this one by the controller's time stamps [ms]."""
-        passed = message.ipoc - self._last.ipoc
-        return passed + _IPOC_RANGE if passed < -_IPOC_RANGE // 2 else passed
-
     def _newest(self, message: RobMessage) -> RobMessage:
         """The newest of the packets that are there: whoever answers the oldest of a queue is late for ever."""
         self._socket.settimeout(0.0)
@@ -189,17 +187,18 @@ class RsiRobot:
                 other = self._read()
             except BlockingIOError:
                 return message
-            if other is not None and self._passed(other) > self._passed(message):
+            if other is not None and _passed(message, other) > 0:
                 message = other
 
     def _advance(self, message: RobMessage) -> RobotState:
-        passed = self._passed(message)
+        passed = _passed(self._last, message)
         lost = passed // self._step - 1
-        # Nothing moves in the first cycle: a step other than expected is then a cycle other than expected.
-        if passed % self._step or (lost and self.counts.cycles == 1):
+        self._in_step = self._in_step or lost == 0
+        # One large step is a loss, three from the start are another cycle time.
+        if passed % self._step or not (self._in_step or self.counts.cycles < _TRIALS):
             raise RsiError(f"the controller's time stamp rose by {passed} ms in a cycle; {self._step} ms are expected "
                            f"for {self.robot.name} (t_ipo in the robot's data, or --cycle)")
-        if lost > self.max_lost:
+        if self._in_step and lost > self.max_lost:
             raise RsiError(f"{lost} packets in a row were lost, more than {self.max_lost}; check network and load")
         self.counts.lost += lost
         self._elapsed += passed
@@ -259,3 +258,9 @@ class RsiRobot:
         if message.current is not None:
             tau = self.axes.sign * message.current * self.robot.drive_gain
         return RobotState(1e-3 * self._elapsed, self.axes.joints(message.actual), tau)
+
+
+def _passed(before: RobMessage, after: RobMessage) -> int:
+    """Time from one message to another by the controller's time stamps [ms]."""
+    passed = after.ipoc - before.ipoc
+    return passed + _IPOC_RANGE if passed < -_IPOC_RANGE // 2 else passed

@@ -115,12 +115,40 @@ def test_lost_packets_cost_time_and_are_counted(pair) -> None:
         link.cycle(ROBOT.home)
 
 
-@pytest.mark.parametrize("step", [1 / 3, 2])
-def test_a_controller_with_another_cycle_is_refused_before_anything_moves(pair, step: float) -> None:
+def test_a_controller_with_a_shorter_cycle_is_refused_at_once(pair) -> None:
     link, controller = pair
-    controller.send(step)
-    with pytest.raises(RsiError, match=f"rose by {round(12 * step)} ms.*12 ms are expected"):
+    controller.send(1 / 3)
+    with pytest.raises(RsiError, match=r"rose by 4 ms.*12 ms are expected"):
         link.cycle(ROBOT.home)
+
+
+def test_a_controller_with_a_longer_cycle_is_told_from_a_slow_start(pair) -> None:
+    link, controller = pair
+    for k in (2, 4):
+        controller.send(k)
+        link.cycle(ROBOT.home)
+    controller.send(6)
+    with pytest.raises(RsiError, match=r"rose by 24 ms.*12 ms are expected"):
+        link.cycle(ROBOT.home)
+
+
+def test_a_slow_start_is_no_loss_of_the_link(pair) -> None:
+    link, controller = pair
+    for k in (9, 10, 11):
+        controller.send(k)
+        state = link.cycle(ROBOT.home)
+    assert state.t == pytest.approx(11 * ROBOT.t_ipo)
+
+
+def test_of_packets_from_before_the_newest_is_the_first() -> None:
+    with RsiRobot(ROBOT, port=0) as link:
+        controller = Controller(link)
+        with controller.socket:
+            for k in range(3):
+                controller.send(k)
+            assert link.connect(5.0).t == 0.0
+            link.send(ROBOT.home)
+            assert f"<IPOC>{(START + 24) % 2**32}</IPOC>" in controller.answer()
 
 
 def test_a_late_answer_ends_relative_corrections_only(pair) -> None:
