@@ -14,7 +14,7 @@ import numpy as np
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.interface import Array
-from ideal_robot.loop_model import Drives, LoopModel
+from ideal_robot.loop_model import Drives, LoopModel, ripple_torque
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, tau0:
                     if wanted == tau[i]:
                         integral[i] += k_i[i] * u * dt
                     load[i] = stiffness[i] * (q_m[i] - q_a[i]) + damping[i] * (v_m[i] - v_a[i])
-                    net = tau[i] - drives.offset[i] - load[i]
+                    net = tau[i] - drives.offset[i] - load[i] - ripple_torque(drives.ripple, i, q_m[i])
                     side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
                     friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i],
                                          drives.friction_torque[side, :, i])

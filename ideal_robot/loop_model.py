@@ -6,9 +6,10 @@ identified model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
+import numba
 import numpy as np
 
 from ideal_robot.dynamics.newton_euler import Chain
@@ -39,6 +40,7 @@ class Drives(NamedTuple):
     k_i: Array
     t_filter: Array
     tau_max: Array
+    ripple: Array
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class LoopModel:
         t_ipo, t_position, t_velocity: cycle times [s].
         tau_max: torque limit ``(n,)`` [N m].
         q_min, q_max, v_max: limits ``(n,)``.
+        ripple: torque the motor needs for its ripple, ``a cos(k q) + b sin(k q)``: ``(m, 3, n)`` of k [1/rad], a and b
+            [N m]; ``m = 0`` for none.
     """
 
     chain: Chain
@@ -93,6 +97,7 @@ class LoopModel:
     q_min: Array
     q_max: Array
     v_max: Array
+    ripple: Array = field(default_factory=lambda: np.zeros((0, 3, 1)))
 
     def __post_init__(self) -> None:
         for name in ("k_v", "k_p", "rotor_inertia", "stiffness"):
@@ -132,6 +137,16 @@ class LoopModel:
     def replace(self, **changes: Any) -> LoopModel:
         """A copy with some fields changed."""
         return replace(self, **changes)
+
+
+@numba.njit(cache=True)
+def ripple_torque(ripple: Array, i: int, q: float) -> float:
+    """Ripple of joint ``i`` (from 0) at motor angle ``q`` [N m]."""
+    torque = 0.0
+    for m in range(ripple.shape[0]):
+        phase = ripple[m, 0, i] * q
+        torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
+    return torque
 
 
 def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n: int, *,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from ideal_robot.identification.ripple_fit import fit_ripple
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
@@ -20,7 +21,8 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0) ->
     robot = Robot.load(robot_name)
     recordings = [play_plan(plan(robot, "joint", seed=seed + run, period=period), robot, seed + run)
                   for run in range(2)]
-    return analyse(recordings, robot).model, recordings
+    model = analyse(recordings, robot).model
+    return model.with_effects(fit_ripple(recordings, model, robot)), recordings
 
 
 def write_models(names: Sequence[str], folder: Path) -> list[Path]:

@@ -5,7 +5,7 @@ the rest, from the gear torque back to the command. Step by step, along [G] (8),
 
     τ_g = M(q_d) q̈_d + c + g - τ_ext            gear torque, [G] (5)
     q_m = q_d + τ_g / k                          motor angle behind the elastic gear
-    τ_d = τ_g + J q̈_m + τ_f(q̇_m)                motor torque, [G] (8)
+    τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), and ripple where it is known
     τ̇_d = k_p u̇ + k_i u                         velocity loop inverted, [G] (17), (18)
     k_v r + k_ff ṙ = u + q̇_m + k_v q_m           position loop inverted, [G] (16), (19)
     r = low-pass(interpolation(q_c(k - delay)))  command path inverted by least squares over the horizon
@@ -26,7 +26,7 @@ from ideal_robot.feedforward.command_inverse import command_inverse
 from ideal_robot.feedforward.from_model import loop_model
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.interface import Array
-from ideal_robot.loop_model import Drives, LoopModel
+from ideal_robot.loop_model import Drives, LoopModel, ripple_torque
 from ideal_robot.model import Model
 from ideal_robot.robot import Robot
 
@@ -187,7 +187,7 @@ def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, sm
             else:
                 # The jump at rest is passed within ±1e-3 rad/s, else rounding at standstill would switch it.
                 z = min(max(v / still, -1.0), 1.0)
-            wanted = smooth[j, i] + friction * z
+            wanted = smooth[j, i] + friction * z + ripple_torque(drives.ripple, i, q_m[j, i])
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
             u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
             tau = wanted
