@@ -18,6 +18,14 @@ DIFFERENTIAL = (0.25, 0.5, 1.0)
 """K_d tried with the best K_p and its neighbours, as shares of 1/E."""
 
 
+TROUBLES: dict[str, dict[str, Any]] = {
+    "10 Hz": {"camera": {"rate": 10.0}},
+    "100 ms of loss": {"trouble": {"loss": (1.5, 1.6)}},
+    "0.5 s of garbage": {"trouble": {"garbage": (1.5, 2.0)}},
+}
+"""What a ``glue`` scene is tried with besides: changes of the scene."""
+
+
 @dataclass(frozen=True)
 class GainTrial:
     """One pair of gains [m/N] and the RMS force error it yields [N]; infinite where the run failed."""
@@ -34,6 +42,8 @@ class ForceComparison:
     scene: ForceScene
     results: tuple[ForceResult, ...]
     trials: tuple[GainTrial, ...]
+    troubles: tuple[tuple[str, ForceResult], ...] = ()
+    """For ``glue``: the ideal robot with a camera in trouble."""
     report: Path | None = None
 
     def json(self) -> dict[str, Any]:
@@ -41,7 +51,7 @@ class ForceComparison:
         return {"scene": self.scene.name, "speed_m_s": self.scene.speed, "seed": self.scene.seed,
                 "methods": {result.method: result.json() for result in self.results},
                 "direct_feedback_search": [{"k_p": one.k_p, "k_d": one.k_d, "rms_N": one.rms} for one in self.trials],
-                "report": self.report}
+                "camera_troubles": {name: one.json() for name, one in self.troubles}, "report": self.report}
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method."""
@@ -87,7 +97,11 @@ def compare_forces(scene: ForceScene, *, out: Path | None = None, progress: Prog
     for i, method in enumerate(methods):
         progress(0.7 + 0.3 * i / len(methods), method)
         results.append(play(scene, method, gains))
-    comparison = ForceComparison(scene, tuple(results), trials)
+    troubles = []
+    for name, changes in TROUBLES.items() if scene.task == "glue" else ():
+        progress(0.9, f"camera: {name}")
+        troubles.append((name, play(scene.changed(**changes), "ideal")))
+    comparison = ForceComparison(scene, tuple(results), trials, tuple(troubles))
     if out is None:
         return comparison
     from scenes.force_report import write_comparison

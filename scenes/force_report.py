@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,8 +21,10 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
     """Writes recording and page of one run and returns the result with their paths."""
     recording = result.recording.write(out / "recording.parquet")
     f, scene = result.figures, result.scene
+    line = result.lateral.get("control_error_mm")
+    beside = f", mean distance from the line {line['mean']:.3f} mm" if line else ""
     page = Report(scene.title, f"{result.method} at {scene.speed:g} m/s: RMS force error {f.rms:.2f} N of "
-                  f"{scene.force:g} N, largest force {f.largest:.1f} N.")
+                  f"{scene.force:g} N, largest force {f.largest:.1f} N{beside}.")
     if result.failure is not None:
         page.warning(result.failure)
     page.figures(result.summary())
@@ -34,6 +37,7 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
         page.heading("Line")
         page.figure(_line_figure(result), "Distance of the tip from the drawn line, and how many points "
                     "of each field were used.")
+        page.text(_camera_story(result))
     page.heading("What was calibrated by moving")
     assumed, std, true = result.elasticity
     page.table(["", "found", "true"], [["elasticity E [N/m]", f"{assumed:.0f} ± {std:.0f}", f"{true:.0f}"],
@@ -61,11 +65,33 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
     axis.set_ylabel("normal force [N]")
     axis.legend()
     page.figure(figure, "True normal force of all methods.")
+    if comparison.troubles:
+        page.heading("The camera in trouble")
+        page.text("The same scene with the ideal robot: the map carries the tool on, and what contradicts it or itself "
+                  "is left out.")
+        page.table(["camera", "mean distance from the line [mm]", "largest [mm]", "RMS force error [N]", "fields used",
+                    "fields left out"],
+                   [[name, one.lateral["control_error_mm"]["mean"], one.lateral["control_error_mm"]["max"],
+                     one.figures.rms, one.lateral["fields"]["used"], one.lateral["fields"]["left_out"]]
+                    for name, one in comparison.troubles])
     if comparison.trials:
         page.heading("Search for the best direct feedback")
         page.table(["K_p [µm/N]", "K_d [µm/N]", "RMS force error [N]"],
                    [[1e6 * one.k_p, 1e6 * one.k_d, one.rms] for one in comparison.trials])
     return replace(comparison, report=page.write(out / "report.html"))
+
+
+def _camera_story(result: ForceResult) -> str:
+    """What the camera went through, and what was made of it."""
+    scene, fields = result.scene, result.log.fields
+    told = [f"The camera took {scene.camera.rate:g} fields a second."]
+    for span, what in ((scene.trouble.loss, "showed nothing"), (scene.trouble.garbage, "reported garbage")):
+        if len(span) == 2:
+            told.append(f"It {what} from {span[0]:g} s to {span[1]:g} s after the beginning of the travel.")
+    reasons = Counter(reason.split(",")[0] for _, used, reason in fields if used == 0 and reason)
+    if reasons:
+        told.append("Left out: " + "; ".join(f"{count} × {reason}" for reason, count in reasons.most_common(5)) + ".")
+    return " ".join(told)
 
 
 def _run_figure(result: ForceResult) -> Figure:
