@@ -6,50 +6,21 @@ before the next. ``cycle`` answers the last packet with the command and waits fo
 
 from __future__ import annotations
 
-import socket
 import time
-from dataclasses import dataclass
 from types import TracebackType
 
 import numpy as np
 
-from ideal_robot.errors import InputError
 from ideal_robot.interface import Array, RobotState
 from ideal_robot.limits import checked_command
 from ideal_robot.robot import Robot
 from ideal_robot.rsi.axes import Axes
-from ideal_robot.rsi.errors import PacketError, RsiError
-from ideal_robot.rsi.message import DECIMALS, MAX_PACKET, RobMessage, format_sen, parse_rob
+from ideal_robot.rsi.errors import RsiError
+from ideal_robot.rsi.link import PacketLink, passed
+from ideal_robot.rsi.message import DECIMALS, RobMessage, format_sen
 
-_IPOC_RANGE = 2**32
-"""Where a 32-bit time stamp starts anew."""
 _TRIALS = 3
 """Cycles within which the expected cycle time has to show."""
-
-
-@dataclass
-class LinkCounts:
-    """What happened on the link.
-
-    Attributes:
-        cycles: packets that were a cycle of their own.
-        lost: cycles whose packet never came, or was found when a newer one was there already.
-        repeated: packets that came again and got the same answer again.
-        outdated: packets of a cycle already past; not answered.
-        refused: packets that are no message of a controller; not answered.
-        foreign: packets from another sender; not answered.
-        late: answers the controller counted as late.
-        last_refused: why the last refused packet was refused.
-    """
-
-    cycles: int = 0
-    lost: int = 0
-    repeated: int = 0
-    outdated: int = 0
-    refused: int = 0
-    foreign: int = 0
-    late: int = 0
-    last_refused: str = ""
 
 
 class RsiRobot:
@@ -80,26 +51,19 @@ class RsiRobot:
                  timeout: float = 1.0, max_lost: int = 3) -> None:
         self.robot, self.t_ipo, self.axes = robot, robot.t_ipo, Axes.of(robot)
         self.relative, self.timeout, self.max_lost = relative, timeout, max_lost
-        self.counts = LinkCounts()
+        self._link = PacketLink(host, port, robot.n)
+        self.counts = self._link.counts
         self.commanded = np.full(robot.n, np.nan)
         self.answer_times: list[float] = []
         self._step = round(1e3 * robot.t_ipo)
-        self._peer: tuple[str, int] | None = None
         self._first: RobMessage | None = None
         self._elapsed = 0
         self._answer: bytes | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        try:
-            self._socket.bind((host, port))
-        except (OSError, OverflowError) as error:
-            self._socket.close()
-            raise InputError(f"cannot listen there ({error})", field="host:port", value=f"{host}:{port}") from error
 
     @property
     def address(self) -> tuple[str, int]:
         """Where it listens: host and port."""
-        host, port = self._socket.getsockname()
-        return str(host), int(port)
+        return self._link.address
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller's first packet; who sends it is the controller from then on.
@@ -110,7 +74,7 @@ class RsiRobot:
             RsiError: no packet within ``patience`` [s].
         """
         # Packets may have queued up since the port was opened.
-        first = self._newest(self._next(time.perf_counter() + patience, patience))
+        first = self._link.newest(self._link.next(time.perf_counter() + patience, patience))
         self._first = self._last = first
         self._late, self._in_step = first.late, False
         held = first.actual if first.setpoint is None else first.setpoint
@@ -144,8 +108,8 @@ class RsiRobot:
         self._sent, self._correction = self._sent + correction if self.relative else correction, correction
         self.commanded = q_c
         self._answer = format_sen(correction, self._last.ipoc)
-        self._send()
-        self.answer_times.append(time.perf_counter() - self._arrived)
+        self._link.send(self._answer)
+        self.answer_times.append(time.perf_counter() - self._link.arrived)
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next packet.
@@ -158,19 +122,20 @@ class RsiRobot:
             raise RsiError("connect to the controller first")
         end = time.perf_counter() + self.timeout
         while True:
-            message = self._next(end, self.timeout)
-            passed = _passed(self._last, message)
-            if passed == 0:
+            message = self._link.next(end, self.timeout)
+            since = passed(self._last, message)
+            if since == 0:
                 self.counts.repeated += 1
-                self._send()
-            elif passed < 0:
+                if self._answer is not None:
+                    self._link.send(self._answer)
+            elif since < 0:
                 self.counts.outdated += 1
             else:
-                return self._advance(self._newest(message))
+                return self._advance(self._link.newest(message))
 
     def close(self) -> None:
         """Stops listening; the controller holds the arm and reports that its sensor is gone."""
-        self._socket.close()
+        self._link.close()
 
     def __enter__(self) -> RsiRobot:
         return self
@@ -179,29 +144,18 @@ class RsiRobot:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def _newest(self, message: RobMessage) -> RobMessage:
-        """The newest of the packets that are there: whoever answers the oldest of a queue is late for ever."""
-        self._socket.settimeout(0.0)
-        while True:
-            try:
-                other = self._read()
-            except BlockingIOError:
-                return message
-            if other is not None and _passed(message, other) > 0:
-                message = other
-
     def _advance(self, message: RobMessage) -> RobotState:
-        passed = _passed(self._last, message)
-        lost = passed // self._step - 1
+        since = passed(self._last, message)
+        lost = since // self._step - 1
         self._in_step = self._in_step or lost == 0
         # One large step is a loss, three from the start are another cycle time.
-        if passed % self._step or not (self._in_step or self.counts.cycles < _TRIALS):
-            raise RsiError(f"the controller's time stamp rose by {passed} ms in a cycle; {self._step} ms are expected "
+        if since % self._step or not (self._in_step or self.counts.cycles < _TRIALS):
+            raise RsiError(f"the controller's time stamp rose by {since} ms in a cycle; {self._step} ms are expected "
                            f"for {self.robot.name} (t_ipo in the robot's data, or --cycle)")
         if self._in_step and lost > self.max_lost:
             raise RsiError(f"{lost} packets in a row were lost, more than {self.max_lost}; check network and load")
         self.counts.lost += lost
-        self._elapsed += passed
+        self._elapsed += since
         late, self._late = message.late - self._late, message.late
         self.counts.late += max(late, 0)
         if self.relative and late > lost and self._correction.any():
@@ -210,47 +164,6 @@ class RsiRobot:
         self._last, self._answer = message, None
         return self._state(message)
 
-    def _next(self, end: float, patience: float) -> RobMessage:
-        """The next message of the controller before ``end``, which lies ``patience`` [s] behind the last good one."""
-        while (left := end - time.perf_counter()) > 0:
-            self._socket.settimeout(left)
-            try:
-                message = self._read()
-            except TimeoutError:
-                break
-            if message is not None:
-                return message
-        refused = f"; the last of {self.counts.refused} refused packets: {self.counts.last_refused}"
-        raise RsiError(f"no packet from the controller within {patience:.3g} s{refused if self.counts.refused else ''}")
-
-    def _read(self) -> RobMessage | None:
-        """The next packet, None where it counts for nothing.
-
-        Raises:
-            TimeoutError, BlockingIOError: no packet, as the socket's timeout has it.
-        """
-        try:
-            packet, sender = self._socket.recvfrom(MAX_PACKET + 1)
-        except ConnectionError:
-            # Some systems report here that an earlier answer found no one; the silence will show it.
-            return None
-        arrived = time.perf_counter()
-        if self._peer is not None and sender != self._peer:
-            self.counts.foreign += 1
-            return None
-        try:
-            message = parse_rob(packet, self.robot.n)
-        except PacketError as error:
-            self.counts.refused += 1
-            self.counts.last_refused = str(error)
-            return None
-        self._peer, self._arrived = sender, arrived
-        return message
-
-    def _send(self) -> None:
-        if self._answer is not None and self._peer is not None:
-            self._socket.sendto(self._answer, self._peer)
-
     def _state(self, message: RobMessage) -> RobotState:
         """Torque is the current in ampere times the drive gain, NaN where the controller sends no current."""
         self.counts.cycles += 1
@@ -258,9 +171,3 @@ class RsiRobot:
         if message.current is not None:
             tau = self.axes.sign * message.current * self.robot.drive_gain
         return RobotState(1e-3 * self._elapsed, self.axes.joints(message.actual), tau)
-
-
-def _passed(before: RobMessage, after: RobMessage) -> int:
-    """Time from one message to another by the controller's time stamps [ms]."""
-    passed = after.ipoc - before.ipoc
-    return passed + _IPOC_RANGE if passed < -_IPOC_RANGE // 2 else passed
