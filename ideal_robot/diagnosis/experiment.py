@@ -25,6 +25,8 @@ HIGHEST_RATE = 100.0
 """Rate after decimation [Hz]: far above what a robot arm's torque follows, low enough for whole recordings at once."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
+WIDTH = 1
+"""Samples left out to either side of a reversal."""
 _REST = 0.15
 """A joint that stands still longer than this [s] is held by friction that no law knows; those samples do not count."""
 
@@ -158,15 +160,16 @@ def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
     return replace(made, signals=signals, W=W)
 
 
-def _apart_from_reversals(qd: Array) -> np.ndarray:
-    """Mask ``(N, n)`` without the two samples next to each change of direction.
+def _apart_from_reversals(qd: Array, width: int = WIDTH) -> np.ndarray:
+    """Mask ``(N, n)`` without the samples next to each change of direction, ``width`` to either side.
 
     When exactly friction changes sign between two samples nobody knows; each reversal would leave a spike of its own.
     """
     change = np.diff(np.sign(qd), axis=0) != 0
     mask = np.ones(qd.shape, dtype=bool)
-    mask[:-1][change] = False
-    mask[1:][change] = False
+    for shift in range(width):
+        mask[: len(mask) - 1 - shift][change[shift:]] = False
+        mask[1 + shift :][change[: len(change) - shift]] = False
     return mask
 
 

@@ -1,7 +1,7 @@
 """How sharply dry friction changes sign at a reversal: a nuisance that no effect may be built on.
 
 Filters, sampling and bearings round the step of the sign; where the model has a hard one, each reversal leaves a
-spike that looks like Stribeck or presliding. The width is fitted for each joint, up to a few percent of its top speed.
+spike that looks like Stribeck or presliding. The width is fitted for each joint, up to a hundredth of its top speed.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ideal_robot.diagnosis.gram import Data
 from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
 from ideal_robot.interface import Array
 
-_WIDTHS = (0.0003, 0.001, 0.002, 0.004, 0.008, 0.015, 0.025)
+_WIDTHS = (0.0003, 0.001, 0.002, 0.004, 0.008)
 """Shares of the top speed that are tried."""
 
 

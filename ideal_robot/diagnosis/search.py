@@ -220,9 +220,9 @@ class Search:
         refined = [self._refined(fit, s) for s in passed[:6] if s.trial.total > 0.4 * top]
         refined.sort(key=lambda s: -s.trial.total)
         winner = refined[0]
-        # Of two that win the same, the one with fewer parameters.
+        # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
-            if other.candidate.cost < winner.candidate.cost and other.trial.total > 0.985 * refined[0].trial.total:
+            if other.candidate.cost < winner.candidate.cost and self._equal(refined[0], other, 0.95):
                 winner = other
         return Choice(winner.candidate, winner.p_value, self._rivals(winner, refined), winner.share)
 
@@ -300,15 +300,19 @@ class Search:
         for s in others:
             if s is winner:
                 continue
-            difference = winner.trial.won - s.trial.won
-            difference = difference[np.isfinite(difference)]
-            error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
-            ratio = s.trial.total / max(winner.trial.total, 1e-300)
-            if not self._overlap(winner.candidate, s.candidate):
-                continue
-            if float(difference.sum()) < 2.0 * error and ratio > 0.8:
+            if self._overlap(winner.candidate, s.candidate) and self._equal(winner, s, 0.8):
+                ratio = s.trial.total / max(winner.trial.total, 1e-300)
                 rivals.append((s.candidate.effect.name, s.candidate.joint, ratio))
         return tuple(rivals)
+
+    def _equal(self, winner: Scored, other: Scored, share: float) -> bool:
+        """Whether another candidate wins as much on the same channel, but for what scatters from block to block."""
+        if not self._overlap(winner.candidate, other.candidate) or other.trial.total < share * winner.trial.total:
+            return False
+        difference = winner.trial.won - other.trial.won
+        difference = difference[np.isfinite(difference)]
+        error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
+        return bool(float(difference.sum()) < 2.0 * error)
 
     def _overlap(self, a: Candidate, b: Candidate) -> bool:
         """Whether two candidates act on a common channel, so that one can stand for the other."""
@@ -338,8 +342,8 @@ class Search:
                 tests.append(self.sieve.test(residual[:, j], use, j, period))
             tests.sort(key=lambda d: -(d.share - d.expected))
             # Only a sieve: what is promising is tried on held-out blocks below, paid for all curves looked at.
-            promising = [d for d in tests if d.p_value < 0.02 and 3.0 * d.share * squares > to_beat]
-            for d in promising[:4]:
+            promising = [d for d in tests if d.p_value < 0.3 and 3.0 * d.share * squares > to_beat]
+            for d in promising[:6]:
                 candidate = Candidate(d.term, j + 1, (), len(tests) * self.data.c)
                 key = candidate.key
                 self.design.add(key, prepared(self.experiment, self.data,
