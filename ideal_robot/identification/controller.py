@@ -68,7 +68,7 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
     series = [part for recording in recordings for part in _series(recording, t_cycle, delay)]
     pd_series = [part for recording in without_integrator for part in _series(recording, t_cycle, delay)]
     gains, std, k_i, k_i_std = np.empty((4, n)), np.empty((4, n)), np.empty(n), np.empty(n)
-    direct, error = np.empty(n), np.empty(n)
+    error = np.empty(n)
     for j in range(n):
         joint = _Joint(series, j)
         fixed = None
@@ -79,13 +79,14 @@ def identify_controller(recordings: Sequence[Recording], t_cycle: float,
         gains[:, j], error[j] = fit.gains, fit.error_percent
         if fixed is None:
             std[:, j] = fit.std
-        direct[j] = _direct_integral_gain(joint, gains[:, j])
     spread = {name: std[i].tolist() for i, name in enumerate(("k_p", "k_d", "k_1", "k_2"))}
     model = ControllerModel(t_cycle, k_p=gains[0], k_d=gains[1], k_1=gains[2], k_2=gains[3], k_i=k_i,
                             filter_time=np.zeros(n), delay=delay, std={**spread, "k_i": k_i_std.tolist()})
     first = series[0]
-    return ControllerIdentification(model, error, direct, first.t, first.tau, _simulated(first, gains, k_i),
-                                    _simulated(first, gains, direct))
+    direct, drifting = _direct(recordings[0], t_cycle, gains)
+    count = min(len(first.t), len(drifting))
+    return ControllerIdentification(model, error, direct, first.t[:count], first.tau[:count],
+                                    _simulated(first, gains, k_i)[:count], drifting[:count])
 
 
 def _command_delay(recordings: Sequence[Recording], t_cycle: float) -> float:
@@ -217,8 +218,21 @@ def _pd_gains(joint: _Joint) -> tuple[Array, Array]:
     return fit.gains, fit.std
 
 
-def _direct_integral_gain(joint: _Joint, gains: Array) -> float:
-    """k_I by least squares from one step to the next: ``τ(k) - τ(k-1) - u(k) + u(k-1) = k_I ∫u``."""
-    x = np.concatenate([np.diff(S @ gains) for S in joint.integrals])
-    y = np.concatenate([np.diff(t) - np.diff(C @ gains) for t, C in zip(joint.tau, joint.columns, strict=True)])
-    return float(x @ y / (x @ x))
+def _direct(recording: Recording, t_cycle: float, gains: Array) -> tuple[Array, Array]:
+    """k_I by least squares from one step of (17) to the next, and the torque it leads to: what [G] warns of.
+
+    Signals are sampled once a cycle and differentiated backwards, as the interpolation cycle sees them:
+    ``τ(k) - τ(k-1) - u(k) + u(k-1) = k_I u(k)``. Returns ``k_I (n,)`` and the torque ``(N, n)`` at the cycles' ends.
+    """
+    every = round(t_cycle / float(np.median(np.diff(recording.t))))
+    q_d, q, tau = (recording.joints(key)[every::every]
+                   for key in ("q_c" if recording.has("q_c") else "q_d", "q", "tau"))
+
+    def rate(x: Array) -> Array:
+        return np.concatenate([np.zeros_like(x[:1]), np.diff(x, axis=0)]) / t_cycle
+
+    u = (q_d - q) * gains[0] + rate(q_d - q) * gains[1] + rate(q) * gains[2] + rate(rate(q)) * gains[3]
+    step = np.diff(tau, axis=0) - np.diff(u, axis=0)
+    k_i = np.sum(step * u[1:], axis=0) / np.sum(u[1:] ** 2, axis=0)
+    increments = (1.0 + k_i) * u[1:] - u[:-1]
+    return k_i, np.concatenate([tau[:1], tau[0] + np.cumsum(increments, axis=0)])
