@@ -93,6 +93,11 @@ class FrictionAdaptation:
             return state
         return self._learned(state)
 
+    def _ripple(self, q: Array) -> Array:
+        """Known torque ripple at positions ``(m, n)`` [N m]."""
+        k, a, b = (self.loop.ripple[:, row, None] for row in range(3))
+        return np.asarray(np.sum(a * np.cos(k * q) + b * np.sin(k * q), axis=0) if len(k) else np.zeros_like(q))
+
     def _learned(self, state: FrictionFactors) -> FrictionFactors:
         loop, middle = self.loop, _WINDOW // 2
         coefficients = self._fit @ state.q
@@ -100,7 +105,7 @@ class FrictionAdaptation:
         if np.any(np.abs(speed) > 1.5 * loop.v_max) or np.any(np.abs(state.q[middle] - position) > 1e-2):
             return state
         # Torque through the same filter as the positions, so that both are smoothed alike.
-        tau = self._fit[0] @ state.tau
+        tau = self._fit[0] @ (state.tau - self._ripple(state.q))
         rigid = inverse_dynamics(loop.chain, position[None], speed[None], acceleration[None])[0]
         left = tau - rigid - loop.rotor_inertia * acceleration - loop.offset
         theta, covariance = state.theta.copy(), state.covariance.copy()
