@@ -39,8 +39,8 @@ class Options:
     """
 
     false_discovery: float = 0.01
-    smallest: float = 0.03
-    smallest_next: float = 0.06
+    smallest: float = 0.04
+    smallest_next: float = 0.10
     smallest_learned: float = 0.06
     smallest_in_base: float = 0.10
     smallest_torque: float = 0.002
