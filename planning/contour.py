@@ -18,7 +18,7 @@ import pinocchio as pin
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from ideal_robot.robot import Robot
-from planning.force_following import Phase
+from planning.contact import Phase
 from planning.kinematics import InverseKinematics
 from planning.pose_history import PoseHistory
 from planning.smoothing import Smoother

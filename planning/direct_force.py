@@ -7,7 +7,8 @@ import pinocchio as pin
 
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
-from planning.force_following import Phase, SurfaceFollower
+from planning.contact import Phase
+from planning.force_following import SurfaceFollower
 from planning.kinematics import InverseKinematics
 
 

@@ -12,9 +12,10 @@ from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import InputError
 from ideal_robot.model import Model
 from ideal_robot.robot import Robot
+from planning.contact import FORCE_ERRORS, ContactSettings
 from planning.contour import ContourFollower, ContourSettings
 from planning.errors import OutOfReachError
-from planning.force_following import FORCE_ERRORS, ContactSettings, SurfaceFollower
+from planning.force_following import SurfaceFollower
 from planning.fusion import DeviationFilter
 from planning.kinematics import InverseKinematics
 from planning.reference import ReferencePath
@@ -59,9 +60,10 @@ class Cell:
         # What the observer does not see of the arm's vibration grows with acceleration, so with the square of speed.
         noise = POSITION_NOISE * (self.scene.speed / 0.2) ** 2
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=noise)
+        estimated = self.scene.assumed.elasticity_estimated
         return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
                                lateral=fusion is not None, start_height=START_HEIGHT,
-                               force_errors=FORCE_ERRORS if self.scene.assumed.estimated else (1e-6, FORCE_ERRORS[1]))
+                               force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
 
 
     def contour_follower(self, elasticity: float) -> ContourFollower:

@@ -56,8 +56,14 @@ class ForceComparison:
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method."""
         columns = ["method", "RMS force error [N]", "largest [N]", "least [N]", "contact lost [ms]", "stopped because"]
-        return columns, [[one.method, one.figures.rms, one.figures.largest, one.figures.least, 1e3 * one.figures.lost,
-                          "" if one.failure is None else one.failure] for one in self.results]
+        rows: list[list[Any]] = [
+            [one.method, one.figures.rms, one.figures.largest, one.figures.least, 1e3 * one.figures.lost,
+             "" if one.failure is None else one.failure] for one in self.results]
+        if self.scene.task == "glue":
+            columns.insert(1, "mean distance from the line [mm]")
+            for row, one in zip(rows, self.results, strict=True):
+                row.insert(1, one.lateral.get("control_error_mm", {}).get("mean", float("nan")))
+        return columns, rows
 
 
 def best_gains(scene: ForceScene, *, progress: Progress = silent) -> tuple[tuple[float, float], tuple[GainTrial, ...]]:

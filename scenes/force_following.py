@@ -15,9 +15,9 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.interface import Array
+from planning.contact import Phase
 from planning.direct_force import DirectForceFeedback
 from planning.errors import PlanningError
-from planning.force_following import Phase
 from planning.stopping import stopping_rows
 from planning.watch import Watch
 from scenes.force_cell import N_D, Cell, calibrations, set_up

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from planning.force_following import Phase
+from planning.contact import Phase
 from scenes.force_compare import ForceComparison
 from scenes.force_result import ForceResult
 from scenes.report import Report

@@ -10,7 +10,8 @@ import numpy as np
 
 from ideal_robot.interface import Array
 from ideal_robot.recording import Recording
-from planning.force_following import Phase, SurfaceFollower
+from planning.contact import Phase
+from planning.force_following import SurfaceFollower
 from scenes.force_scene import ForceScene
 from sim.arm import SimulatedArm
 from sim.contact import TipContact

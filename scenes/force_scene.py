@@ -80,8 +80,9 @@ class Assumed(_Table):
 
     elasticity_ratio: float = pydantic.Field(default=1.0, gt=0)
     distance_ratio: float = pydantic.Field(default=1.0, gt=0)
-    estimated: bool = True
-    """Whether both are corrected on the way, from how the sensor values go with the arm's motion."""
+    elasticity_estimated: bool = True
+    distance_estimated: bool = True
+    """Whether they are corrected on the way, from how the sensor values go with the arm's motion."""
 
 
 class Emergency(_Table):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.interface import Array
+from planning.contact import FORCE_ERRORS
 from planning.deviation_model import PathDeviation
-from planning.force_following import FORCE_ERRORS
 from planning.fusion import DeviationFilter
 from planning.line_on_surface import LineOnSurface, SightSettings
 from scenes.force_cell import N_D, Cell
@@ -32,9 +32,9 @@ CONFIRM = 0
 def glue_fusion(cell: Cell) -> DeviationFilter:
     """One filter for both sensors: a map in two directions, and the camera's own errors."""
     sight = SightSettings()
-    estimated = cell.scene.assumed.estimated
-    camera = (sight.yaw, sight.stamp, sight.scale if estimated else KNOWN)
-    force = FORCE_ERRORS if estimated else (KNOWN, FORCE_ERRORS[1])
+    assumed = cell.scene.assumed
+    camera = (sight.yaw, sight.stamp, sight.scale if assumed.distance_estimated else KNOWN)
+    force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
     ahead = (N_D + 6) * cell.world.t_ipo * cell.profile.top_speed + 0.2
     model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
                           rotation=0.05, shape=0.005, length=0.08)

@@ -88,7 +88,7 @@ def stability_map(*, elasticity: tuple[float, ...] = ELASTICITY, distance: tuple
             runs: list[tuple[float, float, str]] = []
             for ratio in ratios:
                 progress((len(points) + len(runs)) / total, f"{quantity} × {ratio:g}")
-                assumed = {f"{quantity}_ratio": ratio, "estimated": estimated}
+                assumed = {f"{quantity}_ratio": ratio, f"{quantity}_estimated": estimated}
                 result = play(scene.changed(assumed=assumed), "ideal")  # type: ignore[arg-type]
                 error = result.figures.rms
                 if quantity == "distance":
@@ -103,10 +103,22 @@ def stability_map(*, elasticity: tuple[float, ...] = ELASTICITY, distance: tuple
 
 def stability_page(found: StabilityMap) -> Report:
     """The figure and the table."""
+    page = Report("Stability against wrong assumptions", _summary(found))
+    page.figure(stability_figure(found), "Circles: stable; crosses: oscillating, or stopped by the watch (at the upper "
+                "edge).")
+    page.table(["assumed wrongly", "estimated", "ratio", "error [N or mm]", "stable", "stopped because"],
+               [[one.quantity, one.estimated, one.ratio, one.error, one.stable, one.reason] for one in found.points])
+    return page
+
+
+def _summary(found: StabilityMap) -> str:
     e, d = found.bounds("elasticity", True), found.bounds("distance", True)
-    page = Report("Stability against wrong assumptions",
-                  f"Estimated on the way, stable for an assumed elasticity of {e[0]:g} to {e[1]:g} times the true one "
-                  f"and an assumed distance of {d[0]:g} to {d[1]:g} times the true one.")
+    return (f"Estimated on the way, stable for an assumed elasticity of {e[0]:g} to {e[1]:g} times the true one and an "
+            f"assumed distance of {d[0]:g} to {d[1]:g} times the true one.")
+
+
+def stability_figure(found: StabilityMap) -> Figure:
+    """Error over the ratio of assumed to true, both quantities."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     units = {"elasticity": "RMS force error [N]", "distance": "mean lateral error [mm]"}
     for axis, quantity in zip(figure.subplots(1, 2), units, strict=True):
@@ -120,14 +132,13 @@ def stability_page(found: StabilityMap) -> Report:
             for one, value in zip(points, shown, strict=True):
                 axis.plot(one.ratio, value, "o" if one.stable else "x", color=colour)
         axis.set_xscale("log")
+        axis.set_xticks([0.25, 0.5, 1.0, 2.0, 4.0], ["1/4", "1/2", "1", "2", "4"])
+        axis.minorticks_off()
         axis.set_xlabel(f"assumed / true {quantity}")
         axis.set_ylabel(units[quantity])
-        axis.grid(alpha=0.3, which="both")
+        axis.grid(alpha=0.3)
         axis.legend()
-    page.figure(figure, "Circles: stable; crosses: oscillating, or stopped by the watch (at the upper edge).")
-    page.table(["assumed wrongly", "estimated", "ratio", "error [N or mm]", "stable", "stopped because"],
-               [[one.quantity, one.estimated, one.ratio, one.error, one.stable, one.reason] for one in found.points])
-    return page
+    return figure
 
 
 def main(out: str = "out/stability") -> None:
@@ -138,6 +149,7 @@ def main(out: str = "out/stability") -> None:
     with progress_bar("stability") as progress:
         found = stability_map(progress=progress)
     write_json(Path(out) / "stability.json", found.json())
+    stability_figure(found).savefig(Path(out) / "stability.png", dpi=90)
     print(f"stable: {found.json()['stable']}\nreport: {stability_page(found).write(Path(out) / 'report.html')}")
 
 
