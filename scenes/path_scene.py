@@ -89,8 +89,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
     """Plans the scene's path in joint space.
 
     Raises:
-        InputError: out of reach.
-        LimitError: faster than a joint can.
+        InputError: out of reach, or faster than a joint can.
     """
     kinematics = InverseKinematics(robot)
     home = kinematics.fk(robot.home)
@@ -125,7 +124,8 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
 def _check_speed(q: Array, robot: Robot, t_ipo: float) -> None:
     speed = np.max(np.abs(np.diff(q, axis=0)), axis=0) / t_ipo
     for i in np.flatnonzero(speed > robot.v_max):
-        raise LimitError(int(i) + 1, "velocity [rad/s]", float(speed[i]), float(robot.v_max[i]), "lower the path speed")
+        limit = LimitError(int(i) + 1, "velocity [rad/s]", float(speed[i]), float(robot.v_max[i]), "lower the path speed")
+        raise InputError(str(limit), field="speed")
 
 
 def _about(axis: list[float], degrees: float) -> Array:

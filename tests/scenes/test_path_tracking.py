@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from ideal_robot.errors import InputError, LimitError
+from ideal_robot.errors import InputError
 from scenes.path_player import measured_errors
 from scenes.path_tracking import compare, run, workshop
 from scenes.report import write_json
@@ -88,7 +88,7 @@ def test_bad_scenes_are_refused():
     scene = load_scene("iso9283_3")
     with pytest.raises(InputError, match="out of reach"):
         run(scene.changed(path={"centre": [3.0, 0.0, 0.9]}))
-    with pytest.raises(LimitError, match="velocity"):
+    with pytest.raises(InputError, match="velocity"):
         run(scene.changed(speed=6.0, path={"acceleration": 100.0}))
     with pytest.raises(InputError, match="expected one of"):
         run(scene, method="magic")
