@@ -124,8 +124,8 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
 def _check_speed(q: Array, robot: Robot, t_ipo: float) -> None:
     speed = np.max(np.abs(np.diff(q, axis=0)), axis=0) / t_ipo
     for i in np.flatnonzero(speed > robot.v_max):
-        limit = LimitError(int(i) + 1, "velocity [rad/s]", float(speed[i]), float(robot.v_max[i]), "lower the path speed")
-        raise InputError(str(limit), field="speed")
+        error = LimitError(int(i) + 1, "velocity [rad/s]", float(speed[i]), float(robot.v_max[i]), "move slower")
+        raise InputError(str(error), field="speed")
 
 
 def _about(axis: list[float], degrees: float) -> Array:

@@ -147,9 +147,17 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
         rotation: tool orientation ``(3, 3)`` in the base frame; by default the tool's z axis points into the plane.
         turn: axis in the base frame and angle [rad] by which the orientation turns over the length of each stop-to-stop
             part, in proportion to the way; None for a constant orientation.
+
+    Raises:
+        InputError: speed or acceleration not positive, or a speed that no part of the path is long enough for.
     """
     if not (speed > 0 and acceleration > 0):
         raise InputError("speed and acceleration must be positive", field="speed", value=(speed, acceleration))
+    longest = max(sum(length for _, length, _ in run) for run in shape.runs())
+    reachable = float(np.sqrt(longest * acceleration / 2))
+    if speed > reachable * (1 + 1e-9):
+        raise InputError(f"the path is too short for this speed: with {acceleration:g} m/s² it reaches "
+                         f"{reachable:.3g} m/s; move slower, or allow more acceleration", field="speed", value=speed)
     fixed = plane.rotation @ np.diag([1.0, -1.0, -1.0]) if rotation is None else np.asarray(rotation, dtype=float)
     points, speeds, shares = [], [], []
     carried = 0.0

@@ -63,3 +63,8 @@ def test_orientation_turns_by_the_angle():
 def test_pieces_without_length_are_refused():
     with pytest.raises(InputError, match="no length"):
         tool_path(Shape((0.0, 0.0), (Line((0.0, 0.0)),)), pin.SE3.Identity(), 0.1, 1.0, T)
+
+
+def test_a_speed_that_is_never_reached_is_refused():
+    with pytest.raises(InputError, match="too short for this speed"):
+        tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 5.0, 3.0, T)
