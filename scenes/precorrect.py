@@ -12,7 +12,6 @@ from scipy.interpolate import make_interp_spline
 
 from ideal_robot.closed_loop import simulate
 from ideal_robot.errors import InputError, LimitError
-from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.from_model import loop_model
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import learn_on_model
@@ -134,18 +133,10 @@ def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> t
 def _commands(method: str, loop: LoopModel, model: Model, arm: Robot, q_d: Array) -> Array:
     ideal = IdealRobot(loop)
     if method == "model_learned":
-        return learn_on_model(loop, q_d, _stepped(ideal, q_d)).q_c
+        return learn_on_model(loop, q_d, ideal.along(q_d)).q_c
     if method == "precorrected":
-        return _stepped(Precorrection.complete(model, arm, delay=loop.delay), q_d)
-    return _stepped(ideal, q_d)
-
-
-def _stepped(feedforward: Feedforward, q_d: Array) -> Array:
-    state, commands = feedforward.init(q_d[0]), np.empty_like(q_d)
-    ahead = np.concatenate([q_d, np.tile(q_d[-1], (feedforward.n_d, 1))])
-    for k in range(len(q_d)):
-        commands[k], state = feedforward.step(state, ahead[k : k + feedforward.n_d])
-    return commands
+        return Precorrection.complete(model, arm, delay=loop.delay).along(q_d)
+    return ideal.along(q_d)
 
 
 def check_limits(q: Array, arm: Robot, t_ipo: float, *, file: Path | None = None, start: float = 0.0) -> None:

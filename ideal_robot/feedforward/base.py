@@ -5,6 +5,8 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any
 
+import numpy as np
+
 from ideal_robot.interface import Array
 
 
@@ -39,3 +41,11 @@ class Feedforward(ABC):
         Returns:
             ``q_c (n,)`` [rad] and the next state.
         """
+
+    def along(self, q_d: Array) -> Array:
+        """Commands ``(N, n)`` [rad] of a whole path ``q_d (N, n)`` [rad] that is known beforehand and ends at rest."""
+        state, q_c = self.init(q_d[0]), np.empty_like(q_d)
+        ahead = np.concatenate([q_d, np.tile(q_d[-1], (self.n_d, 1))])
+        for k in range(len(q_d)):
+            q_c[k], state = self.step(state, ahead[k : k + self.n_d])
+        return q_c

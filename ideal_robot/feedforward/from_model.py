@@ -45,7 +45,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
     whole = round(controller.delay / robot.t_ipo) if delay is None else delay
     # What the delay has beyond whole cycles, and the low-pass, make the command filter.
     rest = max(0.0, controller.delay - round(controller.delay / robot.t_ipo) * robot.t_ipo)
-    return LoopModel(
+    loop = LoopModel(
         chain=chain_of(model.dynamics),
         rotor_inertia=np.maximum(model.rotor_inertia, 1e-6),
         friction_velocity=grid,

@@ -132,7 +132,7 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
         columns = np.concatenate(_regressors(windows, lags, t_ipo, chain), axis=1)
         if chain is not None:
             torque_scale = np.maximum(torque_scale, np.abs(columns[:, -torque_count:]).max(axis=(0, 1)))
-        left = q_c - (_played(base, q_d) if base is not None else q_d)
+        left = q_c - (base.along(q_d) if base is not None else q_d)
         for i in range(n):
             filters[i].update(columns[:, :, i], left[:, i], noise)
     weights = np.empty((size, n))
@@ -173,11 +173,3 @@ def _torques(windows: Array, lags: Lags, t_ipo: float, chain: Chain | None) -> A
     qdd = (around[:, 4:] - 2 * q + around[:, :-4]) / (2 * t_ipo) ** 2
     flat = [np.ascontiguousarray(values.reshape(-1, n)) for values in (q, qd, qdd)]
     return inverse_dynamics(chain, *flat).reshape(q.shape)
-
-
-def _played(base: Feedforward, q_d: Array) -> Array:
-    state, commands = base.init(q_d[0]), np.empty_like(q_d)
-    padded = np.concatenate([q_d, np.tile(q_d[-1], (base.n_d, 1))])
-    for k in range(len(q_d)):
-        commands[k], state = base.step(state, padded[k : k + base.n_d])
-    return commands

@@ -46,8 +46,9 @@ def motion(amplitude: float = 0.2, duration: float = 1.6, lead: int = 45, tail: 
 
 
 def commands(feedforward: Feedforward, q_d: Array, n_d: int | None = None) -> Array:
-    """What a feedforward commands along a path."""
-    n_d = n_d or feedforward.n_d
+    """What a feedforward commands along a path, with a horizon of ``n_d`` rows if not its own."""
+    if n_d is None:
+        return feedforward.along(q_d)
     state, q_c = feedforward.init(q_d[0]), np.empty_like(q_d)
     ahead = np.concatenate([q_d, np.tile(q_d[-1], (n_d, 1))])
     for k in range(len(q_d)):
