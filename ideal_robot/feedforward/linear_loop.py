@@ -56,7 +56,7 @@ class LinearLoop:
 
     @classmethod
     def of(cls, loop: LoopModel, q: Array, length: int = 40, step: float = 2e-3) -> LinearLoop:
-        """Linearises the identified loop at ``q (n,)``: answer of the arm to a small step, without friction.
+        """Linearises the identified loop at ``q (n,)``: answer of the arm to a small step.
 
         Args:
             loop: the identified loop.
@@ -64,7 +64,9 @@ class LinearLoop:
             length: cycles until the response counts as over.
             step: size of the step [rad].
         """
-        smooth = loop.replace(friction_torque=np.zeros_like(loop.friction_torque), friction_load=np.zeros(loop.n))
+        # Friction and ripple are left out: about a point they would count as springs that a motion does not meet.
+        smooth = loop.replace(friction_torque=np.zeros_like(loop.friction_torque), friction_load=np.zeros(loop.n),
+                              ripple=np.zeros((0, 3, loop.n)))
         rest = np.tile(np.asarray(q, dtype=float), (length + 2, 1))
         still = simulate(smooth, rest).q_a
         g = np.empty((length + 1, loop.n))
