@@ -64,6 +64,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
         v_max=np.array(robot.v_max), ripple=_ripple(model),
     )
+    return with_effects(loop, model.effects) if model.effects else loop
 
 
 def _elastic(model: Model) -> Array:

@@ -1,0 +1,69 @@
+"""An oracle: told the names and joints of effects, it estimates their size and nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ideal_robot.diagnosis.arm_side import arm_experiment
+from ideal_robot.diagnosis.candidates import Candidate
+from ideal_robot.diagnosis.diagnose import prior_precision
+from ideal_robot.diagnosis.estimate import estimate, fitted_effect
+from ideal_robot.diagnosis.experiment import Experiment, experiment
+from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, FittedEffect, library
+from ideal_robot.errors import InputError
+from ideal_robot.identification.checks import checked
+from ideal_robot.model import Model
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+
+
+def told(recording: Recording, robot: Robot, model: Model, effects: tuple[tuple[str, int], ...]) -> Model:
+    """The model with the named effects, estimated jointly with its parameters.
+
+    An effect that shows in measured arm angles is estimated there, else in the torque.
+
+    Args:
+        recording, robot, model: as for ``diagnose``.
+        effects: name and joint (from 1) of each.
+
+    Raises:
+        InputError: no such effect.
+    """
+    (recording,), _ = checked([recording], robot)
+    torque = experiment(recording, robot, model, payload=True)
+    arm = arm_experiment(recording, robot, torque, model.stiffness)
+    found = []
+    for name, joint in effects:
+        behind = _named(name, ARM_POSITION) if arm is not None else []
+        raw, kinds = (arm, behind) if arm is not None and behind else (torque, _named(name, MOTOR_TORQUE))
+        if not kinds:
+            raise InputError("no such effect", field="effect", value=name)
+        found.append(_estimated(raw, kinds, joint, model if raw is torque else None))
+    return dataclasses.replace(model, effects=model.effects + tuple(found))
+
+
+def _named(name: str, domain: str) -> list[Effect]:
+    return [effect for effect in library() if effect.name == name and effect.domain == domain]
+
+
+def _estimated(raw: Experiment, kinds: list[Effect], joint: int, model: Model | None) -> FittedEffect:
+    blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=False)
+    data = Data(raw.y, raw.W, raw.use, Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0))
+    prior = prior_precision(model, raw, data) if model is not None and np.any(model.covariance) else None
+    best: tuple[float, Candidate] | None = None
+    for effect in kinds:
+        for theta in effect.starts(raw.signals, joint):
+            candidate = Candidate(effect, joint, theta)
+            fit = estimate(raw, data, [candidate], prior, spread=False)
+            left = raw.y - raw.W @ fit.change - raw.decimate(
+                effect.columns(raw.signals, joint, theta) @ fit.coefficients[0])
+            loss = float(np.sum(np.log(np.mean(np.where(raw.use, left, 0.0) ** 2, axis=0) + 1e-300)))
+            if best is None or loss < best[0]:
+                best = loss, candidate
+    if best is None:
+        raise InputError("the effect has nothing to start from in this recording", field="effect", value=kinds[0].name)
+    final = estimate(raw, data, [best[1]], prior)
+    return fitted_effect(best[1], final.coefficients[0], final.std[0], final.theta_std[0], False, {})
