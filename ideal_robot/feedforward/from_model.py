@@ -6,6 +6,7 @@ import numpy as np
 
 from ideal_robot.controller_model import ControllerModel
 from ideal_robot.dynamics.newton_euler import chain_of
+from ideal_robot.effects.in_loop import with_effects
 from ideal_robot.errors import InputError
 from ideal_robot.interface import Array
 from ideal_robot.loop_model import LoopModel, low_pass_taps, velocity_grid
