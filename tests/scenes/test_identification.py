@@ -50,7 +50,8 @@ def deviations(robot: Robot, world: World, commands: np.ndarray, seed: int) -> t
     start = replace(robot, model=with_link_parameters(robot.model, link_parameters(robot.model) * wrong))
     result = identify([played(robot, world, commands, seed)], start)
     std = np.sqrt(np.diag(result.model.covariance))[: base.count]
-    good = (std > 0) & (std < 0.3 * np.abs(result.model.base_values))
+    # Well below one third: otherwise a parameter that is zero would count exactly when it is three σ off.
+    good = (std > 0) & (std < 0.2 * np.abs(result.model.base_values))
     return (result.model.base_values - truth) / np.where(std > 0, std, np.inf), good
 
 

@@ -22,7 +22,8 @@ def deviations(seed: int) -> tuple[np.ndarray, np.ndarray]:
     what = truth()
     result = identify([record(what, rng)], wrong_by_half(rng), friction="viscous_coulomb")
     std = np.sqrt(np.diag(result.model.covariance))[: base().count]
-    good = std < 0.3 * np.abs(result.model.base_values)
+    # Well below one third: otherwise a parameter that is zero would count exactly when it is three σ off.
+    good = std < 0.2 * np.abs(result.model.base_values)
     return (result.model.base_values - what.base) / std, good
 
 
