@@ -5,9 +5,10 @@ a field measures the deviation :math:`\Delta x_r` not along the path's lateral n
 
 .. math:: g = (1,\; -r_n / r_u)
 
-with the components :math:`r_n, r_u` of the ray across the path and out of the surface. Together with the force, which
-measures along the surface's normal, that gives two sensors whose directions are neither the same nor orthogonal, and
-one filter for both.
+with the components :math:`r_n, r_u` of the ray across the path and out of the surface. The force measures along the
+surface's normal: two sensors whose directions are neither the same nor orthogonal, and one filter for both. A camera
+that looks nearly straight down (``OBLIQUE``) says too little of the height to be believed about it: there the height is
+taken from the map, with its variance.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from planning.force_following import SurfaceFollower
 from planning.fusion import Fused, Measurement
 from planning.line_view import LineAhead, SeenLine
 from planning.vectors import cross, dot, unit
+
+OBLIQUE = 0.1
+"""Slope of the rays across the path from which a field says something of the height, too."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +140,15 @@ class LineOnSurface:
         ray = points - eye
         g = np.column_stack([np.ones(len(s)), -dot(ray, frames.normal) / dot(ray, frames.up)])
         value = g[:, 0] * lateral + g[:, 1] * (height - self._sunk)
-        covariance = np.diag(sigma**2 + settings.noise**2) + settings.common**2
+        extra = np.zeros(len(s))
+        if np.max(np.abs(g[:, 1])) < OBLIQUE:
+            # Seen from nearly above the height hardly shows: it is taken from the map, with its variance. Otherwise
+            # every small lateral contradiction would become a large error of the height, which the force knows better.
+            d, variance = follower.fusion.deviation(s)
+            value = value - g[:, 1] * d[:, 1]
+            extra = g[:, 1] ** 2 * variance[:, 1]
+            g = np.column_stack([g[:, 0], np.zeros(len(s))])
+        covariance = np.diag(sigma**2 + settings.noise**2 + extra) + settings.common**2
         turned = dot(frames.normal, cross(frames.up, lever))
         try:
             velocity, rate = follower.history.velocity(t)

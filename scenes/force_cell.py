@@ -31,8 +31,8 @@ from sim.world import World
 
 N_D = 20
 """Desired positions handed to the ideal robot [cycles]."""
-POSITION_NOISE = 3e-5
-"""Standard deviation of the estimated tip position at 0.2 m/s [m]."""
+POSITION_NOISE = 2e-5
+"""Standard deviation of the estimated tip position [m]."""
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 """Orientation of a tool that points down."""
 START_HEIGHT = 0.01
@@ -57,9 +57,7 @@ class Cell:
 
     def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
-        # What the observer does not see of the arm's vibration grows with acceleration, so with the square of speed.
-        noise = POSITION_NOISE * (self.scene.speed / 0.2) ** 2
-        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=noise)
+        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
         estimated = self.scene.assumed.elasticity_estimated
         return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
                                lateral=fusion is not None, start_height=START_HEIGHT,

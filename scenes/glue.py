@@ -37,7 +37,7 @@ def glue_fusion(cell: Cell) -> DeviationFilter:
     force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
     ahead = (N_D + 6) * cell.world.t_ipo * cell.profile.top_speed + 0.2
     model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
-                          rotation=0.05, shape=0.005, length=0.08)
+                          rotation=0.05, shape=0.01, length=0.1)
     return DeviationFilter(model, biases={"camera": camera, "force": force}, confirm=CONFIRM)
 
 
