@@ -5,7 +5,8 @@ Before a contact slides it bends. Dahl's model of that, solved for one step of p
     z(k) = s + (z(k-1) - s) exp(-|q(k) - q(k-1)| / x_s) ,   s = sign(q(k) - q(k-1))
 
 with the presliding distance x_s: ±1 in gross sliding, in between after a reversal, unchanged at rest. It needs no
-time and no velocity, so position noise far below x_s does not make it chatter.
+time and no velocity. Position noise would still wear it down at rest, step by step; so only what leaves a band of a
+twentieth of x_s about the last position counts as motion.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from ideal_robot.interface import Array
 
 _BEFORE = 0.1
 """How long a motion is taken to have lasted before its first sample [s]."""
+
+_BAND = 0.05
+"""Half width of the band within which the position may be noisy, in presliding distances."""
 
 
 def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
@@ -42,8 +46,12 @@ def _follow(q: Array, start: Array, distance: Array) -> Array:
     z = np.empty((count, n))
     for j in range(n):
         z[0, j] = start[j]
+        band = _BAND * distance[j]
+        last = q[0, j]
         for k in range(1, count):
-            step = q[k, j] - q[k - 1, j]
+            away = q[k, j] - last
+            step = max(away - band, 0.0) + min(away + band, 0.0)
+            last += step
             s = np.sign(step)
             z[k, j] = s + (z[k - 1, j] - s) * np.exp(-abs(step) / distance[j])
     return z

@@ -71,8 +71,16 @@ def test_presliding_turns_over_along_a_distance_and_remembers_at_rest() -> None:
     assert np.all(np.abs(z) <= 1.0)
     np.testing.assert_allclose(z[100:151], 1.0, atol=1e-4)
     one_distance_back = 151 + 10
-    np.testing.assert_allclose(z[one_distance_back], -1.0 + 2.0 * np.exp(-1.0), atol=1e-3)
+    # A twentieth of the distance to leave the noise band in each direction.
+    np.testing.assert_allclose(z[one_distance_back], -1.0 + 2.0 * np.exp(-0.9), atol=1e-3)
     np.testing.assert_allclose(z[-1], -1.0, atol=1e-3)
+
+
+def test_noise_at_rest_does_not_wear_the_memory_down() -> None:
+    rng = np.random.default_rng(0)
+    q = np.concatenate([np.linspace(0, 0.1, 100), 0.1 + 1e-4 * rng.normal(size=5000)])[:, None]
+    z = sliding_direction(q, np.ones_like(q), np.array([0.01]))
+    assert z[-1] > 0.9
 
 
 def test_presliding_does_not_depend_on_speed() -> None:
