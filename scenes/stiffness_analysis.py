@@ -76,7 +76,7 @@ class StiffnessAnalysis:
 
 
 def analyse(recordings: Sequence[Recording], robot: Robot, method: str = "both", *, clamp: bool | None = None,
-            tolerances: Tolerances | None = None) -> StiffnessAnalysis:
+            drive_gain: float = 0.03) -> StiffnessAnalysis:
     """Identifies stiffness by every method asked for.
 
     Args:
@@ -85,7 +85,7 @@ def analyse(recordings: Sequence[Recording], robot: Robot, method: str = "both",
         method: ``motor``, ``wrench`` or ``both``.
         clamp: estimate the give of clamp and links, too; None: where the recordings allow it (two or more clamped
             configurations with all six wrench components).
-        tolerances: of what no residual shows.
+        drive_gain: relative standard deviation of the data sheet's drive gains.
 
     Raises:
         InputError: unknown method, or a recording that does not have what it takes.
@@ -105,10 +105,12 @@ def analyse(recordings: Sequence[Recording], robot: Robot, method: str = "both",
         raise InputError("the recordings share no method: some lack currents, others the wrench", field="recordings")
     clamp = clamp and bool(signals)
     standing = without_clamp_give(signals, robot) if clamp else signals
+    # Told apart, the give of clamp and links leaves a third of the uncertainty.
+    tolerances = Tolerances(drive_gain=drive_gain, model=0.01 if clamp else Tolerances.model)
     for one in wanted if signals else []:
         joints.extend(identify_stiffness(standing, robot, one, tolerances))
     if hung:
-        joints.extend(identify_from_payloads(hung, robot, tolerances))
+        joints.extend(identify_from_payloads(hung, robot))
     return StiffnessAnalysis(robot, tuple(joints), standing, bool(clamp), _warnings(signals, robot, joints))
 
 

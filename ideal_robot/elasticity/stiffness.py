@@ -36,12 +36,12 @@ class Tolerances:
     Attributes:
         drive_gain: data-sheet drive gains, [J] (9): "a few per cent".
         wrench: calibration of the wrench sensor.
-        model: geometry, and elasticity that is not the gear's.
+        model: geometry, and elasticity of clamp and links that was not told apart from the gear's.
     """
 
     drive_gain: float = 0.03
     wrench: float = 0.003
-    model: float = 0.01
+    model: float = 0.03
 
     def of(self, method: Method) -> float:
         return float(np.hypot(self.drive_gain if method == "motor" else self.wrench, self.model))

@@ -24,7 +24,6 @@ def command(
 
     Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --urdf kr500 --method both`
     """
-    from ideal_robot.elasticity.stiffness import Tolerances
     from ideal_robot.recording import Recording
     from ideal_robot.robot import Robot
     from scenes.commands.common import progress_bar, show_table
@@ -36,7 +35,7 @@ def command(
         robot = Robot.load(urdf)
         loaded = [Recording.read(path) for path in recordings]
         progress(0.1, "synchronising and fitting")
-        analysis = analyse(loaded, robot, method, clamp=clamp, tolerances=Tolerances(drive_gain=drive_gain_tolerance))
+        analysis = analyse(loaded, robot, method, clamp=clamp, drive_gain=drive_gain_tolerance)
         progress(0.7, "drawing")
         page = stiffness_page(analysis, title=f"Joint stiffness of {robot.name}").write(out / "report.html")
     if json is not None:

@@ -11,7 +11,7 @@ from scenes.scene import load_scene
 
 
 def test_the_whole_contour_is_followed_in_contact() -> None:
-    """Slopes up to 33° that nobody told the arm; force within 10 %, the way is the one asked for."""
+    """Slopes up to 30° that nobody told the arm; force within 10 %, the way is the one asked for."""
     result = play(load_scene("contour"), "ideal")
     assert result.failure is None
     assert result.figures.lost == 0.0
