@@ -11,16 +11,24 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
+from ideal_robot.friction import CubeRoot
+from ideal_robot.friction.warm_up import WarmUp, fit_warm_up
 from ideal_robot.identification.closed_loop_fit import fit_controller
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
 from ideal_robot.identification.idim import Identification, identify, relative_error
+from ideal_robot.identification.linear_loop import LinearLoopFit, identify_linear_loop
+from ideal_robot.identification.preprocess import preprocess
 from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
+from ideal_robot.interface import Array
 from ideal_robot.model import Model, Prediction
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
 
 METHODS = ("joint", "two-step")
+
+_WARMTH = 3.0
+"""A gear has to warm up by this before its warm-up can be fitted [K]."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +42,8 @@ class Analysis:
         two_step: the measured operating points, for the two-step method.
         estimation, validation: the recordings.
         warnings: all named warnings.
+        linear_loop: impulse responses of the closed loop, [G] (7), where there are commands; or None.
+        warm_up: per joint how friction falls with gear temperature, where that was logged and rose; or None.
     """
 
     model: Model
@@ -43,6 +53,8 @@ class Analysis:
     estimation: tuple[Recording, ...]
     validation: tuple[Recording, ...]
     warnings: tuple[str, ...]
+    linear_loop: LinearLoopFit | None = None
+    warm_up: tuple[WarmUp | None, ...] = ()
 
     def json(self) -> dict[str, Any]:
         """The figures for machines."""
@@ -75,6 +87,11 @@ class Analysis:
             "friction": [law.label for law in model.friction.laws],
             "controller": None if self.controller is None else {
                 **self.controller.model.to_dict(), "error_percent": self.controller.error_percent},
+            "linear_loop": None if self.linear_loop is None else {
+                "relative_degree": self.linear_loop.relative_degree, "g": self.linear_loop.loop.g.T,
+                "std": self.linear_loop.std.T, "error_percent": self.linear_loop.error_percent},
+            "warm_up": [None if w is None else {"surplus_per_10_K": w.surplus, "std": w.surplus_std,
+                                                "reference_degC": w.reference} for w in self.warm_up],
             "stiffness": model.stiffness,
             "consistent": {"was": self.result.consistency.was_consistent,
                            "largest_deviation_in_std": float(np.max(np.abs(self.result.consistency.deviation)))},
@@ -119,15 +136,58 @@ def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequen
         result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
     warnings = list(result.warnings)
     progress(0.6, "controller")
-    controller, model = None, result.model
+    controller, loop, model = None, None, result.model
     with_command = [r for r in result.recordings if r.has("q_c")]
     if with_command:
         controller, model = _with_controller(with_command, without_integrator, robot, model, warnings, cascade)
+        loop = _linear_loop(with_command, robot, warnings)
     with_arm = [r for r in result.recordings if r.has("qa")]
     if with_arm:
         stiffness, damping = stiffness_from_arm(with_arm, model)
         model = dataclasses.replace(model, stiffness=stiffness, damping=damping)
-    return Analysis(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings))
+    return Analysis(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings), loop,
+                    _warm_up(model, result))
+
+
+def friction_points(model: Model, result: Identification) -> tuple[Array, Array, Array | None]:
+    """Speeds, friction torques and gear temperatures as measured on the estimation data, ``(M, n)`` each.
+
+    The friction torque is what is left of the measured torque when everything else is subtracted; temperatures are None
+    where a recording has none.
+    """
+    filters = model.provenance["filters"]
+    speeds, torques, warmth = [], [], []
+    for recording, prediction in zip(result.recordings, result.estimation, strict=True):
+        s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
+        friction = s.decimate(model.friction.torque(s.qd, model.rigid_body(s.q, s.qd, s.qdd), s.q))
+        speeds.append(s.decimate(s.qd))
+        torques.append(prediction.measured - prediction.tau + friction)
+        if recording.has("temp"):
+            warmth.append(s.decimate(np.column_stack([s.columns[f"temp_{j + 1}"] for j in range(model.n)])))
+    temperature = np.concatenate(warmth) if len(warmth) == len(speeds) else None
+    return np.concatenate(speeds), np.concatenate(torques), temperature
+
+
+def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
+    """How friction falls with temperature, for joints that warmed up by at least ``_WARMTH``."""
+    speed, torque, temperature = friction_points(model, result)
+    if temperature is None:
+        return ()
+    found: list[WarmUp | None] = []
+    for j in range(model.n):
+        sliding = np.abs(speed[:, j]) > 0.05 * np.max(np.abs(speed[:, j]))
+        warmed = np.ptp(temperature[sliding, j]) >= _WARMTH if sliding.sum() > 50 else False
+        found.append(fit_warm_up(CubeRoot, speed[sliding, j], torque[sliding, j],
+                                 temperature=temperature[sliding, j]) if warmed else None)
+    return tuple(found)
+
+
+def _linear_loop(recordings: Sequence[Recording], robot: Robot, warnings: list[str]) -> LinearLoopFit | None:
+    try:
+        return identify_linear_loop(recordings, robot.t_ipo)
+    except InputError as error:
+        warnings.append(f"no-linear-loop: {error}")
+        return None
 
 
 def _with_controller(recordings: Sequence[Recording], without_integrator: Sequence[Recording], robot: Robot,

@@ -8,9 +8,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ideal_robot.identification.controller import ControllerIdentification
-from ideal_robot.interface import Array
+from ideal_robot.identification.linear_loop import LinearLoopFit
+from ideal_robot.identification.preprocess import preprocess
+from ideal_robot.identification.segments import segments
+from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.model import Model, Prediction
-from scenes.identification_analysis import Analysis, residual_std
+from scenes.identification_analysis import Analysis, friction_points, residual_std
 from scenes.report import Report
 
 MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
@@ -38,11 +41,17 @@ def identification_page(analysis: Analysis) -> Report:
     page.figure(friction_figure(analysis), "Friction over speed as identified (line) and what is left of the measured "
                 "torque when everything else is subtracted (points, estimation data).")
     _friction_choice(page, analysis)
+    _warm_up(page, analysis)
+    if analysis.two_step is not None:
+        _measurements(page, analysis.two_step, model)
     _parameters(page, model)
     _consistency(page, analysis)
     if analysis.controller is not None:
         _controller(page, analysis.controller)
+    if analysis.linear_loop is not None:
+        _linear_loop(page, analysis.linear_loop)
     page.heading("Data and filters")
+    _segments(page, analysis)
     filters = model.provenance["filters"]
     page.text(f"Position filter {filters['cutoff']:.4g} Hz (Butterworth of order 4, forwards and backwards), "
               f"decimation filter {filters['cutoff_decimation']:.4g} Hz (half power), the same for torque and every "
@@ -86,6 +95,47 @@ def _friction_choice(page: Report, analysis: Analysis) -> None:
                "Held-out residual of each law (blocks of the estimation data that the fit did not see), in units of "
                "the residual that [G] (1) leaves. Chosen: "
                + "; ".join(f"{j + 1} {law.label}" for j, law in enumerate(analysis.model.friction.laws)) + ".")
+
+
+def _warm_up(page: Report, analysis: Analysis) -> None:
+    rows = [[j + 1, 100.0 * w.surplus, 100.0 * w.surplus_std, w.reference, w.rms_constant, w.rms]
+            for j, w in enumerate(analysis.warm_up) if w is not None]
+    if rows:
+        page.table(["joint", "more friction 10 K colder [%]", "σ [%]", "law holds at [°C]", "residual, constant [N m]",
+                    "residual, by temperature [N m]"], rows, "Friction and gear temperature (cube root law scaled).")
+
+
+def _measurements(page: Report, two_step: TwoStep, model: Model) -> None:
+    page.heading("Operating points")
+    rows = [[m.joint + 1, m.quantity, m.value, m.std, float(m.row @ model.base_values),
+             ", ".join(f"{a:.0f}" for a in np.degrees(m.q))] for m in two_step.measurements]
+    page.table(["joint", "quantity", "measured", "σ", "model", "posture [deg]"], rows,
+               f"Step 1: gravitational torques [N m] and moments of inertia [kg m²], measured one axis at a time in "
+               f"{two_step.duration:.0f} s of motion; step 2 is the model through them.")
+
+
+def _linear_loop(page: Report, fit: LinearLoopFit) -> None:
+    page.heading("Linear closed loop")
+    lags = range(min(9, len(fit.loop.g)))
+    rows = [[j + 1, m_d, *[float(fit.loop.g[lag, j]) for lag in lags], float(fit.error_percent[j])]
+            for j, m_d in enumerate(fit.relative_degree)]
+    page.table(["joint", "relative degree", *[f"g({lag})" for lag in lags], "error [%]"], rows,
+               f"Impulse response of each joint's closed loop at {1e3 * fit.loop.t_ipo:g} ms, [G] (7), from logged "
+               "command to motor position.")
+
+
+def _segments(page: Report, analysis: Analysis) -> None:
+    filters = analysis.model.provenance["filters"]
+    kinds = ("rest", "constant", "reversal", "other")
+    rows = []
+    for recording in analysis.estimation:
+        s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
+        found = segments(s)
+        for j in range(analysis.model.n):
+            share = {kind: sum(x.stop - x.start for x in found if x.joint == j and x.kind == kind) for kind in kinds}
+            rows.append([Path(recording.source).name, j + 1, *[100.0 * share[kind] / len(s.t) for kind in kinds]])
+    page.table(["recording", "joint", "at rest [%]", "constant velocity [%]", "near a reversal [%]", "other [%]"], rows,
+               "What the joints do in the estimation recordings.")
 
 
 def _consistency(page: Report, analysis: Analysis) -> None:
@@ -142,9 +192,10 @@ def friction_figure(analysis: Analysis) -> Figure:
     columns = min(3, n)
     figure = Figure(figsize=(3.7 * columns, 2.9 * int(np.ceil(n / columns))), layout="constrained")
     axes = figure.subplots(int(np.ceil(n / columns)), columns, squeeze=False).ravel()
-    points = friction_points(analysis)
+    speeds, torques, _ = friction_points(model, analysis.result)
+    thin = max(1, len(speeds) // 4000)
     for j, axis in enumerate(axes[:n]):
-        speed, torque = points[0][:, j], points[1][:, j]
+        speed, torque = speeds[::thin, j], torques[::thin, j]
         axis.plot(speed, torque, ".", color=MEASURED, markersize=2, alpha=0.35)
         v = np.linspace(-np.max(np.abs(speed)), np.max(np.abs(speed)), 401)
         axis.plot(v, model.friction.laws[j].torque(v[:, None])[:, 0], color=PREDICTED, linewidth=1.6)
@@ -157,23 +208,6 @@ def friction_figure(analysis: Analysis) -> Figure:
     figure.supxlabel("speed [rad/s or m/s]", fontsize=9)
     figure.supylabel("torque [N m or N]", fontsize=9)
     return figure
-
-
-def friction_points(analysis: Analysis) -> tuple[Array, Array]:
-    """Speeds and friction torques as measured on the estimation data ``(M, n)`` each, at most 4000 samples."""
-    from ideal_robot.identification.preprocess import preprocess
-
-    model, speeds, torques = analysis.model, [], []
-    filters = model.provenance["filters"]
-    for recording, prediction in zip(analysis.estimation, analysis.result.estimation, strict=True):
-        s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
-        load = model.rigid_body(s.q, s.qd, s.qdd)
-        friction = s.decimate(model.friction.torque(s.qd, load, s.q))
-        speeds.append(s.decimate(s.qd))
-        torques.append(prediction.measured - prediction.tau + friction)
-    speed, torque = np.concatenate(speeds), np.concatenate(torques)
-    step = max(1, len(speed) // 4000)
-    return speed[::step], torque[::step]
 
 
 def drift_figure(found: ControllerIdentification) -> Figure:
