@@ -31,7 +31,7 @@ from sim.world import World
 
 N_D = 20
 """Desired positions handed to the ideal robot [cycles]."""
-POSITION_NOISE = 2e-5
+POSITION_NOISE = 3e-5
 """Standard deviation of the estimated tip position [m]."""
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 """Orientation of a tool that points down."""
