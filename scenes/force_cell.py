@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import InputError
+from ideal_robot.interface import Array
 from ideal_robot.model import Model
 from ideal_robot.robot import Robot
 from planning.contact import FORCE_ERRORS, ContactSettings
@@ -76,6 +77,19 @@ class Cell:
         return ContourFollower(self.robot, start, -out, up, side, q_start, N_D, settings)
 
 
+def scene_curves(scene: ForceScene) -> dict[str, Array]:
+    """Reference path and the true surface above the line ``(N, 3)`` [m], for the viewer."""
+    where = geometry(_as_line(scene), _streams(scene)[0])
+    surface = scene.surface.truth()
+    on_plane = (where.drawn - where.plane.translation) @ where.plane.rotation
+    return {"line": surface.points(on_plane[:, :2]), "reference": where.reference}
+
+
+def _streams(scene: ForceScene) -> list[np.random.Generator]:
+    """Independent random streams: place, arm, force sensor, camera, calibration."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5)]
+
+
 def set_up(scene: ForceScene) -> Cell:
     """Builds a scene.
 
@@ -84,8 +98,7 @@ def set_up(scene: ForceScene) -> Cell:
     """
     robot = Robot.load(scene.robot)
     world = World.from_table(scene.robot, scene.world)
-    place, noise, sensor_noise, camera_noise, calibration = (
-        np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5))
+    place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
     where = geometry(_as_line(scene), place)
     out = where.plane.rotation[:, 2]
     if scene.task == "contour":

@@ -20,7 +20,7 @@ from planning.direct_force import DirectForceFeedback
 from planning.errors import PlanningError
 from planning.stopping import stopping_rows
 from planning.watch import Watch
-from scenes.force_cell import N_D, Cell, calibrations, set_up
+from scenes.force_cell import N_D, Cell, calibrations, scene_curves, set_up
 from scenes.force_compare import ForceComparison, compare_forces
 from scenes.force_result import ForceLog, ForceResult, force_result
 from scenes.force_scene import ForceScene
@@ -42,6 +42,11 @@ REST = 12
 """Cycles for which the recording goes on after a stop."""
 LONGEST = 60.0
 """A run that has not ended by then is stuck [s]."""
+
+
+def curves(scene: ForceScene) -> dict[str, Array]:
+    """Reference path and the true surface along it ``(N, 3)`` [m], for the viewer."""
+    return scene_curves(scene)
 
 
 def run(scene: ForceScene, *, method: str | None = None, out: Path | None = None, progress: Progress = silent,
