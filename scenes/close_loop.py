@@ -25,6 +25,7 @@ from scenes.path_methods import Workshop, training_motion
 from scenes.path_scene import JointPath, PathScene
 from scenes.path_tracking import workshop
 from scenes.result import Progress, silent
+from scenes.scene import Scene
 from sim.world import World
 
 _EFFECT_OF_KEY = {"stribeck": "stribeck", "presliding": "presliding_hysteresis", "stiffness": "joint_elasticity",
@@ -74,7 +75,7 @@ class CloseLoopResult:
                 for name, e in (("before", self.before), ("after", self.after), ("oracle", self.oracle))]
 
 
-def close_loop(scene: PathScene, *, out: Path | None = None, progress: Progress = silent) -> CloseLoopResult:
+def close_loop(scene: Scene, *, out: Path | None = None, progress: Progress = silent) -> CloseLoopResult:
     """Plays a path scene, finds what its model misses, and plays it again.
 
     Raises:

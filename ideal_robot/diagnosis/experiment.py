@@ -25,7 +25,7 @@ HIGHEST_RATE = 100.0
 """Rate after decimation [Hz]: far above what a robot arm's torque follows, low enough for whole recordings at once."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
-WIDTH = 1
+WIDTH = 2
 """Samples left out to either side of a reversal."""
 _REST = 0.15
 """A joint that stands still longer than this [s] is held by friction that no law knows; those samples do not count."""

@@ -39,13 +39,13 @@ class Options:
     """
 
     false_discovery: float = 0.01
-    smallest: float = 0.06
+    smallest: float = 0.08
     smallest_next: float = 0.10
-    smallest_learned: float = 0.06
+    smallest_learned: float = 0.10
     smallest_in_base: float = 0.10
     smallest_torque: float = 0.002
     smallest_own: float = 0.0005
-    unknown_margin: float = 1.3
+    unknown_margin: float = 1.6
     most: int = 24
 
 
@@ -272,7 +272,7 @@ class Search:
             candidate = replace(s.candidate, theta=tuple(float(v) for v in theta))
             self._ensure(candidate)
             gain = self._plausible_gain(fit, candidate)
-            if candidate.key != s.candidate.key:
+            if candidate.key != s.candidate.key and candidate.key not in self.keys():
                 self.design.drop(candidate.key)
             return -gain if gain is not None else 0.0
 
@@ -362,9 +362,11 @@ class Search:
     # -- second thoughts ----------------------------------------------------------------------------------------------
 
     def _prune(self) -> None:
-        """Takes out what the others have made superfluous."""
+        """Takes out what the others have made superfluous; a learned curve never pushes out a physical cause."""
+        if self.choices[-1].candidate.effect.name == "unknown":
+            return
         for choice in list(self.choices[:-1]):
-            trial = self._tried(self.fit(without=choice), choice.candidate)
+            trial = self._tried(self._rivalling(choice), choice.candidate)
             if trial.p_value > self.options.false_discovery or trial.share < 0.5 * self.options.smallest:
                 self.choices.remove(choice)
                 self.weights = self._weights(self.keys())
@@ -374,10 +376,12 @@ class Search:
         if len(self.choices) < 2:
             return
         newest = self.choices[-1].candidate
+        if newest.effect.name == "unknown":
+            return
         for position, choice in enumerate(list(self.choices[:-1])):
             if not self._overlap(choice.candidate, newest):
                 continue
-            fit = self.fit(without=choice)
+            fit = self._rivalling(choice)
             present = self._tried(fit, choice.candidate)
             pool = [starts for starts in self.pool if starts[0].joint in (choice.candidate.joint, 0)
                     and (starts[0].place != choice.candidate.place or len(starts) > 1)]
@@ -390,6 +394,13 @@ class Search:
                 self._ensure(s.candidate)
                 self.choices[position] = Choice(s.candidate, s.p_value, self._rivals(s, refined), s.share)
                 self.weights = self._weights(self.keys())
+
+    def _rivalling(self, choice: Choice) -> Fit:
+        """The fit against which a choice has to hold its place: without it, and for a physical cause without curves."""
+        if choice.candidate.effect.name == "unknown":
+            return self.fit(without=choice)
+        keys = [key for key in self.keys(without=choice) if not key.startswith("unknown:")]
+        return Fit(self.design, keys, self.weights, self.prior)
 
     def residual(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``."""

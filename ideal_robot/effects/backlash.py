@@ -117,6 +117,10 @@ class ArmBacklash(Effect):
     coefficient_units = ("1",)
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002"
 
+    def acts_on(self, channel: str) -> bool:
+        """Not the gap that the load crosses."""
+        return super().acts_on(channel) and not channel.startswith("qa_load")
+
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """Small fractions of the range that was driven."""
         span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12

@@ -1,0 +1,37 @@
+"""``ideal-robot close-loop``: run, diagnose, extend the model, run again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    scene: Annotated[str, typer.Argument(help="Scene of kind path whose world holds an effect that its model was not "
+                                              "told of, e.g. close_elastic, close_stribeck.")],
+    seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
+    speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of recording, model and report; default out/SCENE.")] = None,
+) -> None:
+    """Plays a scene, finds what its model misses from a diagnostic motion, extends the model and plays it again.
+
+    Example: `ideal-robot close-loop close_elastic --json circle.json`
+    """
+    from scenes.close_loop import close_loop
+    from scenes.commands.common import chosen, progress_bar, show_table
+    from scenes.diagnosis_report import summary
+    from scenes.report import write_json
+    from scenes.scene import load_scene
+
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed)
+    with progress_bar(f"{loaded.name}") as progress:
+        result = close_loop(loaded, out=out or Path("out") / loaded.name, progress=progress)
+    if json is not None:
+        write_json(json, result.json())
+    show_table("path error of the true TCP [mm]", ["model", "E_car timed", "aligned", "geometric", "E_max aligned"],
+               result.table())
+    typer.echo(summary(result.diagnosis))
+    typer.echo(f"report: {result.report}")

@@ -1,0 +1,117 @@
+"""The diagnosis on recordings whose truth is known, on real ones, and on such that say too little."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.errors import InputError
+from ideal_robot.model import Model
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+from sim.blind_score import score
+from sim.blind_trials import draw_trial
+
+DATA = Path(__file__).resolve().parents[3].parent / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data (../shared/data) are not beside the checkout")
+
+
+def robot_of(urdf: str, folder: Path) -> Robot:
+    (folder / "arm.urdf").write_text(urdf, encoding="utf-8")
+    return Robot.load(folder / "arm.urdf")
+
+
+# A seeded subset of ``benchmarks/blind_trials.py``: few joints, so that all of them fit into the time of `make test`.
+@pytest.mark.parametrize(("seed", "kind"), [(215, "none"), (222, "none"), (210, "inside"), (256, "inside"),
+                                            (205, "outside"), (102, "arm"), (104, "model"), (230, "two")])
+def test_blind_trial(seed, kind, tmp_path):
+    trial = draw_trial(seed, kind)
+    robot = robot_of(trial.urdf, tmp_path)
+    model = None
+    if trial.reference is not None:
+        known = diagnose(trial.reference, robot).model
+        model = dataclasses.replace(known, effects=())
+    found = diagnose(trial.recording, robot, model=model)
+    result = score(seed, kind, trial.truth, trial.outside, found, 0.0)
+    assert result.right, (trial.truth, result.found)
+    for channel in found.channels:
+        assert channel.rms_after <= 1.2 * channel.rms_before
+
+
+def test_the_extended_model_predicts_what_was_found(tmp_path):
+    trial = draw_trial(210, "inside")
+    robot = robot_of(trial.urdf, tmp_path)
+    found = diagnose(trial.recording, robot)
+    again = Model.load(found.model.save(tmp_path / "model.json"))
+    assert [e.name for e in again.effects] == [e.fitted.name for e in found.effects]
+    bare = dataclasses.replace(again, effects=())
+    joint = trial.truth[0][1] - 1
+    with_effect, without = (m.predict(trial.recording).relative_error_percent[joint] for m in (again, bare))
+    assert with_effect < 0.8 * without
+
+
+def arm(tmp_path: Path) -> Robot:
+    urdf = tmp_path / "one.urdf"
+    urdf.write_text('<robot name="one"><link name="a"/><link name="b"><inertial><origin xyz="0.3 0 0"/>'
+                    '<mass value="5"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/>'
+                    '</inertial></link>'
+                    '<joint name="j" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>'
+                    '<limit lower="-3" upper="3" effort="100" velocity="5"/></joint></robot>', encoding="utf-8")
+    return Robot.load(urdf)
+
+
+def test_too_little_motion_is_said_instead_of_a_verdict(tmp_path):
+    t = np.arange(0.0, 20.0, 0.004)
+    rng = np.random.default_rng(0)
+    still = Recording.from_arrays(t, q=0.3 + 1e-6 * rng.normal(size=(len(t), 1)),
+                                  tau=rng.normal(size=(len(t), 1)) + 4.0)
+    found = diagnose(still, arm(tmp_path))
+    assert found.verdict == "undecided"
+    assert 1 in found.undecided
+    assert found.to_dict()["undecided"][0]["joint"] == 1
+
+
+@pytest.mark.parametrize("spoil", ["missing", "joints", "degrees", "backwards"])
+def test_wrong_input_is_refused_with_the_field(spoil, tmp_path):
+    t = np.arange(0.0, 10.0, 0.004)
+    q = np.sin(t)[:, None]
+    columns = {"q": q, "tau": 3.0 * np.cos(t)[:, None]}
+    if spoil == "missing":
+        del columns["tau"]
+    if spoil == "joints":
+        columns = {key: np.tile(values, (1, 2)) for key, values in columns.items()}
+    if spoil == "degrees":
+        columns["q"] = np.degrees(q)
+    if spoil == "backwards":
+        t = t[::-1].copy()
+    with pytest.raises(InputError) as error:
+        diagnose(Recording.from_arrays(t, **columns), arm(tmp_path))
+    assert error.value.field
+
+
+@needs_data
+def test_emps_asymmetry_and_delay_are_found_without_being_told():
+    robot = Robot.load(DATA / "emps" / "emps.urdf")
+    found = diagnose(Recording.read(DATA / "emps" / "emps_estimation.parquet"), robot,
+                     validate=Recording.read(DATA / "emps" / "emps_validation.parquet"))
+    names = [e.fitted.name for e in found.effects]
+    assert names[0] == "asymmetric_friction"
+    assert "dead_time" in names
+    channel = found.channels[0]
+    before, after = (100.0 * value / channel.rms_signal for value in (channel.rms_before, channel.rms_after))
+    assert before == pytest.approx(5.95, abs=0.15)
+    assert after <= 3.7
+
+
+@needs_data
+@pytest.mark.slow
+def test_ur10e_load_dependent_friction_is_found():
+    robot = Robot.load(DATA / "ur10e" / "ur10e.urdf")
+    found = diagnose(Recording.read(DATA / "ur10e" / "free_12harm_50s.parquet"), robot,
+                     validate=Recording.read(DATA / "ur10e" / "free_8harm_20s.parquet"))
+    said = {(e.fitted.name, e.fitted.joint) for e in found.effects}
+    assert ("load_dependent_friction", 2) in said
+    assert ("load_dependent_friction", 3) in said
+    assert all(c.rms_after < c.rms_before for c in found.channels)

@@ -1,0 +1,83 @@
+"""The statistics: null distributions, folds, held-out gains."""
+
+import numpy as np
+
+from ideal_robot.diagnosis.dependence import Sieve, terms
+from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.regression import Design, Fit
+from tests.ideal_robot.effects.test_laws import motion
+
+
+def coloured(rng: np.random.Generator, count: int, memory: float = 0.9) -> np.ndarray:
+    e = rng.normal(size=count)
+    for k in range(1, count):
+        e[k] += memory * e[k - 1]
+    return e
+
+
+def test_p_values_of_coloured_noise_are_honest():
+    rng = np.random.default_rng(1)
+    count, p_values = 1600, []
+    for _ in range(120):
+        x, extra = coloured(rng, count, 0.98), coloured(rng, count, 0.98)
+        W = np.stack([np.ones(count), x], axis=1)[:, None, :]
+        y = coloured(rng, count)[:, None]
+        data = Data(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
+        design = Design(data)
+        design.add("c", data.masked(extra[:, None, None]))
+        p_values.append(Fit(design, ["W"], np.ones(1)).trial("c").p_value)
+    assert np.mean(np.array(p_values) < 0.05) < 0.12
+    assert np.mean(np.array(p_values) < 0.001) < 0.02
+
+
+def test_the_trial_is_what_refitting_without_each_fold_gives():
+    rng = np.random.default_rng(2)
+    count = 800
+    W, C = rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 1))
+    y = rng.normal(size=(count, 2)) + 0.3 * C[:, :, 0] + W[:, :, 0]
+    blocks = time_blocks(count, 0.02, held_out=True)
+    data = Data(y, W, np.ones((count, 2), bool), blocks)
+    design, weights = Design(data), np.array([1.0, 2.0])
+    design.add("c", data.masked(C))
+    trial = Fit(design, ["W"], weights).trial("c")
+    of_sample = blocks.fold[blocks.of_samples()]
+    scale = np.sqrt(weights)[None, :, None]
+    won = 0.0
+    for k in range(blocks.folds):
+        train, test = (of_sample >= 0) & (of_sample != k), of_sample == k
+        losses = []
+        for X in (W, np.concatenate([W, C], axis=2)):
+            A, b = (X * scale)[train].reshape(-1, X.shape[2]), (y * scale[:, :, 0])[train].ravel()
+            beta = np.linalg.lstsq(A, b, rcond=None)[0]
+            losses.append(np.sum(((y - X @ beta) * scale[:, :, 0])[test] ** 2))
+        won += losses[0] - losses[1]
+    np.testing.assert_allclose(trial.total, won, rtol=2e-3)
+    assert np.isnan(trial.won[blocks.fold < 0]).all()
+
+
+def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
+    signals = motion()
+    blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=len(signals.t))
+    use = np.ones(len(noise), bool)
+    sieve = Sieve(signals, blocks.edges, rng)
+    term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
+    nothing = sieve.test(noise, use, 0, term)
+    something = sieve.test(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), use, 0, term)
+    assert nothing.p_value > 0.01
+    assert something.p_value < 1e-3
+    assert something.share > 0.3
+
+
+def test_held_out_blocks_take_no_part():
+    rng = np.random.default_rng(4)
+    count = 600
+    W, y = rng.normal(size=(count, 1, 2)), rng.normal(size=(count, 1))
+    blocks = time_blocks(count, 0.05, held_out=True)
+    spoiled = y.copy()
+    spoiled[blocks.fold[blocks.of_samples()] < 0] += 100.0
+    betas = [Fit(Design(Data(values, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1)).beta
+             for values in (y, spoiled)]
+    np.testing.assert_allclose(betas[0], betas[1])
+    assert isinstance(blocks, Blocks)
