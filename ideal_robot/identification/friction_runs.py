@@ -19,15 +19,20 @@ class FrictionFit:
 
     Attributes:
         law: the law with its parameters.
-        std: standard deviations of coefficients, then shape ``(m + s,)``.
+        covariance: of coefficients, then shape ``(m + s, m + s)``.
         rms: of the residual [N m].
         held_out_rms: of the residual at speeds the fit had not seen [N m].
     """
 
     law: FrictionModel
-    std: Array
+    covariance: Array
     rms: float
     held_out_rms: float
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations of coefficients, then shape ``(m + s,)``."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
 
 def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
@@ -50,8 +55,8 @@ def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
     residual = tau - fitted.torque(qd[:, None])[:, 0]
     J = np.column_stack([fitted.regressor(qd[:, None])[:, 0], _shape_derivative(fitted, qd)])
     sigma2 = float(residual @ residual) / (len(qd) - count)
-    std = np.sqrt(np.maximum(np.diag(np.linalg.pinv(J.T @ J)) * sigma2, 0.0))
-    return FrictionFit(fitted, std, float(np.sqrt(np.mean(residual**2))), _held_out(law, qd, tau))
+    covariance = np.asarray(np.linalg.pinv(J.T @ J) * sigma2)
+    return FrictionFit(fitted, covariance, float(np.sqrt(np.mean(residual**2))), _held_out(law, qd, tau))
 
 
 def choose_law(qd: Array, tau: Array, laws: Sequence[type[FrictionModel]] = (CubeRoot, Arctan)) -> FrictionFit:

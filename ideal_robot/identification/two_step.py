@@ -13,16 +13,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor, link_parameters
+from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameters
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.checks import checked, excitation_warnings
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
 from ideal_robot.identification.idim import Identification, relative_error
+from ideal_robot.identification.operating_points import (
+    Measurement,
+    constant_stretches,
+    gravity_measurements,
+    inertia_measurements,
+    rows_of,
+)
 from ideal_robot.identification.preprocess import Signals, lowpass, preprocess
 from ideal_robot.identification.regression import Solution
-from ideal_robot.identification.segments import alone, runs
+from ideal_robot.identification.segments import alone
 from ideal_robot.interface import Array
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
@@ -34,26 +41,6 @@ _CUTOFF = 15.0
 
 _DISTANCES = np.geomspace(2e-5, 5e-3, 12)
 """Presliding distances tried [rad or m]."""
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """One number measured at one operating point.
-
-    Attributes:
-        joint: from 0.
-        quantity: ``gravity`` [N m] or ``inertia`` [kg m²].
-        q: posture ``(n,)``.
-        row: the quantity as a linear form of the base parameters ``(b,)``.
-        value, std: measured value and its standard deviation.
-    """
-
-    joint: int
-    quantity: str
-    q: Array
-    row: Array
-    value: float
-    std: float
 
 
 @dataclass(frozen=True)
@@ -84,24 +71,19 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     signals = [preprocess(r, cutoff=_CUTOFF) for r in usable]
     base = base_parameters(robot.model)
     nominal = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(robot.n)])
-    gravity = [m for s in signals for m in _gravity(s, robot, base)]
+    gravity = [m for s in signals for m in gravity_measurements(s, robot, base)]
     if not gravity:
         raise InputError("no joint moves alone, forwards and backwards at constant velocity; play the program of "
                          "plan-identification", file=usable[0].source, field="q_i")
     prior = _prior(base, nominal, robot)
     p_g = _weighted(gravity, base.of(nominal), prior)[0]
-    inertia = [m for s in signals for m in _inertia(s, robot, base, p_g)]
+    inertia = [m for s in signals for m in inertia_measurements(s, robot, base, p_g)]
     measurements = [*gravity, *inertia]
     values, covariance, residual, unexcited = _weighted(measurements, base.of(nominal), prior)
     points = tuple(_friction_points(signals, robot, base, values, j) for j in range(robot.n))
     fits = tuple(choose_law(*p) if friction == "auto" else fit_law(law_of(friction), *p) for p in points)
     laws = [_with_presliding(fit.law, signals, robot, base, values, j) for j, fit in enumerate(fits)]
-    spread = np.concatenate([*[f.std[: len(f.law.coefficients)] for f in fits],
-                             *[np.append(f.std[len(f.law.coefficients):], 0.5 * law.shape[-1, 0])
-                               for f, law in zip(fits, laws, strict=True)]])
-    joint_covariance = np.zeros((base.count + len(spread),) * 2)
-    joint_covariance[: base.count, : base.count] = covariance
-    joint_covariance[base.count:, base.count:] = np.diag(spread**2)
+    joint_covariance = _joined(covariance, fits, laws)
     consistency = consistent_parameters(base, values, covariance, nominal)
     model = Model(
         robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, values, PerJointFriction(laws),
@@ -111,13 +93,15 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     estimation = tuple(model.predict(r) for r in usable)
     noise = np.sqrt(np.mean(np.concatenate([p.measured - p.tau for p in estimation]) ** 2, axis=0))
     model = replace(model, noise_std=noise)
-    W = np.array([m.row / m.std for m in measurements])
+    # Of what the measurements can show; the rest is named as not excited.
+    W = np.array([m.row / m.std for m in measurements])[:, ~unexcited]
     s = np.linalg.svd(W, compute_uv=False)
     scaled = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-12), compute_uv=False)
-    solution = Solution(np.concatenate([values, np.zeros(len(spread))]), joint_covariance,
+    solution = Solution(np.concatenate([values, np.zeros(len(joint_covariance) - base.count)]), joint_covariance,
                         np.sqrt(np.diag(joint_covariance)), noise, float(s[0] / max(s[-1], 1e-300)),
                         float(scaled[0] / max(scaled[-1], 1e-300)),
-                        np.concatenate([unexcited, np.zeros(len(spread), dtype=bool)]), residual[:, None])
+                        np.concatenate([unexcited, np.zeros(len(joint_covariance) - base.count, dtype=bool)]),
+                        residual[:, None])
     warnings += [f"{text} (validation)" for text in more]
     warnings += excitation_warnings(model, solution, [r.source for r in usable])
     held_out = tuple(model.predict(r) for r in unseen)
@@ -131,87 +115,20 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
             TwoStep(tuple(measurements), points, fits, duration))
 
 
-def constant_stretches(s: Signals, joint: int, start: int, stop: int) -> list[tuple[int, int]]:
-    """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off."""
-    qd, qdd = s.qd[start:stop, joint], s.qdd[start:stop, joint]
-    margin = int(np.ceil(0.5 / s.cutoff / s.dt))
-    found = []
-    for a, b in runs((np.abs(qdd) < 0.1 * np.abs(qd) / 0.1).astype(int)):
-        steady = np.abs(qdd[a]) < np.abs(qd[a])
-        if steady and b - a > 2 * margin + 5 and np.ptp(qd[a + margin: b - margin]) < 0.1 * abs(np.mean(qd[a:b])):
-            found.append((start + a + margin, start + b - margin))
-    return found
-
-
-def _rows(s: Signals, robot: Robot, base: BaseParameters, index: np.ndarray, with_acceleration: bool) -> Array:
-    qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
-    return full_regressor(robot.model, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
-
-
-def _gravity(s: Signals, robot: Robot, base: BaseParameters) -> list[Measurement]:
-    """Mean of the averaged torques of forward and backward motion, for each pair of stretches of the same speed."""
-    found = []
-    for j in range(robot.n):
-        for start, stop in alone(s, j):
-            stretches = constant_stretches(s, j, start, stop)
-            speeds = [float(np.mean(s.qd[a:b, j])) for a, b in stretches]
-            used: set[int] = set()
-            for i, v in enumerate(speeds):
-                if i in used:
-                    continue
-                match = [k for k in range(i + 1, len(speeds)) if k not in used and abs(speeds[k] + v) < 0.05 * abs(v)]
-                if not match:
-                    continue
-                used |= {i, match[0]}
-                found.append(_both_directions(s, robot, base, j, stretches[i], stretches[match[0]]))
-    return found
-
-
-def _both_directions(s: Signals, robot: Robot, base: BaseParameters, joint: int, first: tuple[int, int],
-                     second: tuple[int, int]) -> Measurement:
-    rows, values, errors, postures = [], [], [], []
-    for a, b in (first, second):
-        index = np.linspace(a, b - 1, min(b - a, 40)).astype(int)
-        rows.append(_rows(s, robot, base, index, with_acceleration=False)[:, joint].mean(axis=0))
-        tau = s.tau[a:b, joint]
-        values.append(float(np.mean(tau)))
-        # Neighbouring samples of a torque with ripple are not news; blocks of 50 ms are.
-        block = max(1, round(0.05 / s.dt))
-        means = [np.mean(tau[i: i + block]) for i in range(0, max(1, len(tau) - block + 1), block)]
-        errors.append(np.std(means) / np.sqrt(len(means)) if len(means) > 1 else np.std(tau))
-        postures.append(s.q[a:b].mean(axis=0))
-    std = 0.5 * float(np.hypot(errors[0], errors[1]))
-    # Friction of both directions is never quite alike: it sets the floor.
-    std = float(np.hypot(std, 0.005 * abs(values[0] - values[1])))
-    return Measurement(joint, "gravity", np.mean(postures, axis=0), np.mean(rows, axis=0), float(np.mean(values)),
-                       max(std, 1e-9))
-
-
-def _inertia(s: Signals, robot: Robot, base: BaseParameters, p_g: Array) -> list[Measurement]:
-    """Moment of inertia of one axis from its motion with high acceleration, gravity compensated."""
-    found = []
-    smooth = lowpass(s.tau, s.dt, s.cutoff)
-    for j in range(robot.n):
-        strongest = float(np.max(np.abs(s.qdd[:, j])))
-        for start, stop in alone(s, j):
-            if (stop - start) * s.dt < 0.5 or np.max(np.abs(s.qdd[start:stop, j])) < 0.3 * strongest:
-                continue
-            index = np.arange(start, stop, max(1, int(0.25 / s.cutoff / s.dt)))
-            qd, qdd = s.qd[index, j], s.qdd[index, j]
-            still = np.zeros((len(index), robot.n))
-            gravity = full_regressor(robot.model, s.q[index], still, still)[:, j][:, list(base.independent)]
-            unit = still.copy()
-            unit[:, j] = 1.0
-            moment = full_regressor(robot.model, s.q[index], still, unit)[:, j][:, list(base.independent)] - gravity
-            y = smooth[index, j] - gravity @ p_g
-            W = np.column_stack([qdd, qd, np.tanh(qd / 0.02), np.ones_like(qd)])
-            p, *_ = np.linalg.lstsq(W, y, rcond=None)
-            sigma2 = float(np.sum((y - W @ p) ** 2)) / max(1, len(y) - 4)
-            std = float(np.sqrt(np.linalg.pinv(W.T @ W)[0, 0] * sigma2))
-            weight = qdd**2 / np.sum(qdd**2)
-            found.append(Measurement(j, "inertia", s.q[index].mean(axis=0), weight @ moment, float(p[0]),
-                                     max(std, 1e-3 * abs(float(p[0])), 1e-9)))
-    return found
+def _joined(covariance: Array, fits: Sequence[FrictionFit], laws: Sequence[FrictionModel]) -> Array:
+    """Covariance in the order of the parameter vector: base parameters, all coefficients, all shapes."""
+    b, c = len(covariance), sum(len(law.coefficients) for law in laws)
+    joined = np.zeros((b + c + sum(len(law.shape) for law in laws),) * 2)
+    joined[:b, :b] = covariance
+    at, at_shape = b, b + c
+    for fit, law in zip(fits, laws, strict=True):
+        m, s = len(law.coefficients), len(law.shape)
+        rows = [*range(at, at + m), *range(at_shape, at_shape + s - 1)]
+        joined[np.ix_(rows, rows)] = fit.covariance
+        # The presliding distance comes last, off a grid whose steps are wider than what it is known to.
+        joined[at_shape + s - 1, at_shape + s - 1] = (0.5 * law.shape[-1, 0]) ** 2
+        at, at_shape = at + m, at_shape + s
+    return joined
 
 
 def _prior(base: BaseParameters, nominal: Array, robot: Robot) -> Array:
@@ -265,7 +182,7 @@ def _with_presliding(law: FrictionModel, signals: Sequence[Signals], robot: Robo
         for start, stop in alone(s, joint):
             if (stop - start) * s.dt > 0.5:
                 index = np.arange(start, stop, max(1, int(0.1 / s.cutoff / s.dt)))
-                rigid = _rows(s, robot, base, index, with_acceleration=True)[:, joint] @ p
+                rigid = rows_of(s, robot, base, index, with_acceleration=True)[:, joint] @ p
                 pieces.append((s.q[index][:, [joint]], s.qd[index][:, [joint]], smooth[index] - rigid))
 
     def refined(distance: float) -> FrictionModel:
@@ -285,7 +202,7 @@ def _friction_points(signals: Sequence[Signals], robot: Robot, base: BaseParamet
         for start, stop in alone(s, joint):
             for a, b in constant_stretches(s, joint, start, stop):
                 index = np.linspace(a, b - 1, min(b - a, 40)).astype(int)
-                rows = _rows(s, robot, base, index, with_acceleration=False)[:, joint]
+                rows = rows_of(s, robot, base, index, with_acceleration=False)[:, joint]
                 speeds.append(float(np.mean(s.qd[a:b, joint])))
                 torques.append(float(np.mean(s.tau[a:b, joint]) - np.mean(rows @ p)))
     return np.array(speeds), np.array(torques)

@@ -18,6 +18,7 @@ from ideal_robot.identification.two_step import identify_two_step
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
+from scenes.identification_analysis import analyse
 from scenes.identification_plan import fourier_commands
 from sim.arm import SimulatedArm
 from sim.individual import draw_individual
@@ -146,3 +147,12 @@ def test_two_step_program_is_written_for_people_and_machines(tmp_path: Path) -> 
     assert len(program["operating_points_rad"]) == 2
     assert {move["purpose"] for move in program["moves"]} == {"gravity", "inertia", "friction"}
     assert "PTP" in (tmp_path / "program.txt").read_text()
+
+
+def test_warming_gears_are_seen() -> None:
+    robot = Robot.load("kr15")
+    world = World.default("kr15").replace(start_temperature=22.0, time_compression=120.0)
+    analysis = analyse([played(robot, world, commands_of(robot, 8.0), 1)], robot, cascade=False)
+    base_axes = analysis.warm_up[:3]
+    assert all(w is not None and w.surplus > 3.0 * w.surplus_std and w.rms < w.rms_constant for w in base_axes)
+    assert analysis.json()["linear_loop"]["relative_degree"]
