@@ -1,3 +1,4 @@
+# ruff: noqa: E402 (thread counts must be set before NumPy loads)
 """Blind trials of the diagnosis: draws, diagnoses, scores, and writes the confusion matrix.
 
 Run: ``python benchmarks/blind_trials.py --count 240`` (``--write`` puts the tables into docs/diagnosis.md).
@@ -13,18 +14,14 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import argparse
 import dataclasses
-import sys
 import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.robot import Robot
-from sim.blind_score import Score, confusion, rates, score
 from sim.blind_score import Score, confusion, rates, score
 from sim.blind_trials import KINDS, draw_trial
 
@@ -54,7 +51,7 @@ def main() -> None:
     parser.add_argument("--kind", choices=KINDS)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--quiet", action="store_true")
-    parser.add_argument("--minutes", type=float, default=1e9, help="stop after so many minutes and report what there is")
+    parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
     parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
     options = parser.parse_args()
     jobs = [(seed, options.kind) for seed in range(options.first, options.first + options.count)]
