@@ -23,7 +23,7 @@ from planning.watch import Watch
 from scenes.force_cell import N_D, Cell, calibrations, scene_curves, set_up
 from scenes.force_compare import ForceComparison, compare_forces
 from scenes.force_result import ForceLog, ForceResult, force_result
-from scenes.force_scene import ForceScene
+from scenes.force_scene import Assumed, CameraTrouble, Emergency, ForceScene
 from scenes.glue import GlueCamera, glue_fusion
 from scenes.result import Progress, silent
 from sensing.force_calibration import ContactElasticity, ToolLoad
@@ -87,7 +87,10 @@ def compare(scene: ForceScene, *, out: Path | None = None, progress: Progress = 
 def play(scene: ForceScene, method: str, gains: tuple[float, float] | None = None,
          progress: Progress = silent) -> ForceResult:
     """One run without files."""
-    tool, elasticity = calibrations(scene.model_copy(update={"method": "ideal"}).model_dump_json())
+    # What calibration does not see must not make it run again.
+    alike = scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
+                                     "trouble": CameraTrouble()})
+    tool, elasticity = calibrations(alike.model_dump_json())
     loop = ForceLoop(set_up(scene), method, gains, tool, elasticity)
     with SimulatedArm(loop.cell.robot, loop.cell.world, loop.cell.noise, loop.follower.q_start) as arm:
         contact = TipContact(arm, loop.cell.surface, scene.tip.truth())
