@@ -25,6 +25,8 @@ _FOLDS = 6
 _WORTH = 0.02
 """A law with more parameters must lower the held-out error by this share."""
 _PRESLIDING = (1e-5, 0.1)
+_CLEARLY = 0.9
+"""Once presliding lowers the held-out error to this share, laws without it are not tried any more."""
 _RIDGE = 1e-9
 
 
@@ -116,11 +118,16 @@ class FrictionChoice:
             projection = self._projection(chosen, j)
             known: dict[str, float] = {}
             best: tuple[float, Candidate] | None = None
+            rigid = np.inf
             # A second look at a joint, now that the others fit better, needs to consider the leaders only.
             for option in options if sweep == 0 else _leaders(options, scores[j]):
+                if best is not None and best[1].presliding and not option.presliding and best[0] < _CLEARLY * rigid:
+                    continue
                 shape = self._shape(projection, j, option, known, polish=False)
                 score = projection.held_out(self.columns(j, option, shape))
                 scores[j][option.make(shape).label] = score
+                if not option.presliding:
+                    rigid = min(rigid, score)
                 if best is None or score < best[0] * (1.0 - _WORTH * (option.size > best[1].size)):
                     best = (score, option)
             assert best is not None
