@@ -11,8 +11,8 @@ from ideal_robot.interface import Array
 class TorqueRipple(Effect):
     """``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre) from the data.
 
-    The order is found by scanning the residual over position (``scan``); a ripple has at least three periods within
-    the range that was driven, else a spring or a gravity term explains it as well.
+    The order is found by scanning the residual over position (``scan``); a ripple has more than four periods within
+    the range that was driven, else a spring, gravity or an odd shape explains it as well.
     """
 
     name = "torque_ripple"
@@ -31,12 +31,12 @@ class TorqueRipple(Effect):
         return [(float(order),) for order in np.linspace(low, high, count)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """From three periods in the range to what the sampling still resolves at the median speed."""
+        """From four and a half periods in the range to what the sampling still resolves at the median speed."""
         span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
         speed = np.abs(signals.qd[:, joint - 1])
         moving = speed[speed > 0.05 * speed.max()] if speed.max() > 0 else speed
         typical = float(np.median(moving)) + 1e-12 if len(moving) else 1e-12
-        low = 2.0 * np.pi * 2.5 / span
+        low = 2.0 * np.pi * 4.5 / span
         high = max(0.35 * 2.0 * np.pi / signals.dt / typical, 2.0 * low)
         return [(low, min(high, low + 3000.0 * 2.0 / span))]
 

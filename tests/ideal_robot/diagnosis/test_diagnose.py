@@ -24,8 +24,8 @@ def robot_of(urdf: str, folder: Path) -> Robot:
 
 
 # A seeded subset of ``benchmarks/blind_trials.py``: few joints, so that all of them fit into the time of `make test`.
-@pytest.mark.parametrize(("seed", "kind"), [(215, "none"), (222, "none"), (210, "inside"), (256, "inside"),
-                                            (205, "outside"), (102, "arm"), (104, "model"), (230, "two")])
+@pytest.mark.parametrize(("seed", "kind"), [(203, "none"), (204, "inside"), (201, "outside"), (102, "arm"),
+                                            (221, "two"), (104, "model")])
 def test_blind_trial(seed, kind, tmp_path):
     trial = draw_trial(seed, kind)
     robot = robot_of(trial.urdf, tmp_path)
@@ -41,11 +41,11 @@ def test_blind_trial(seed, kind, tmp_path):
 
 
 def test_the_extended_model_predicts_what_was_found(tmp_path):
-    trial = draw_trial(210, "inside")
+    trial = draw_trial(221, "two")
     robot = robot_of(trial.urdf, tmp_path)
     found = diagnose(trial.recording, robot)
     again = Model.load(found.model.save(tmp_path / "model.json"))
-    assert [e.name for e in again.effects] == [e.fitted.name for e in found.effects]
+    assert [e.name for e in again.effects] == [e.fitted.name for e in (*found.effects, *found.unknown)]
     bare = dataclasses.replace(again, effects=())
     joint = trial.truth[0][1] - 1
     with_effect, without = (m.predict(trial.recording).relative_error_percent[joint] for m in (again, bare))
