@@ -37,9 +37,10 @@ def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult) -> None:
 def test_search_finds_no_better_direct_feedback(wave: ForceResult) -> None:
     from scenes.force_compare import best_gains
 
-    gains, trials = best_gains(load_scene("force_wave"))
+    scene = load_scene("force_wave")
+    _, trials = best_gains(scene)
     best = min(trial.rms for trial in trials)
-    assert gains == pytest.approx(load_scene("force_wave").gains)
+    assert best >= 0.98 * play(scene, "direct_feedback", scene.gains).figures.rms
     assert wave.figures.rms <= 0.25 * best
 
 
