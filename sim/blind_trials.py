@@ -112,8 +112,8 @@ def _with_effects(rng: np.random.Generator, seed: int, kind: str, s: Scene) -> T
         tau, added = tau + change, change
         truth.append((name, 0 if name == "payload" else joint + 1))
         again = scene(s.arm, s.t, *draw_motion(rng, s.arm, s.t))
-        reference = _measured(rng, s.arm, again.t, again.q, again.torque, noise, None)
-    recording = _measured(rng, s.arm, s.t, q, tau, noise, qa)
+        reference = measured(rng, s.arm, again.t, again.q, again.torque, noise, None)
+    recording = measured(rng, s.arm, s.t, q, tau, noise, qa)
     return Trial(seed, kind, recording, s.arm.urdf, tuple(truth), kind == "outside", added, reference)
 
 
@@ -237,7 +237,7 @@ def _parameter_effect(rng: np.random.Generator, s: Scene, name: str, joint: int)
     return change
 
 
-def _measured(rng: np.random.Generator, arm: Arm, t: Array, q: Array, tau: Array, noise: Array,
+def measured(rng: np.random.Generator, arm: Arm, t: Array, q: Array, tau: Array, noise: Array,
               qa: Array | None) -> Recording:
     """Noise, white and coloured, quantisation, at times a jittering clock or CSV-like rounding."""
     colour = signal.lfilter([0.1], [1.0, -0.9], rng.normal(size=tau.shape), axis=0)

@@ -295,13 +295,14 @@ class Search:
         return tried if tried.trial.total > s.trial.total else s
 
     def _rivals(self, winner: Scored, others: list[Scored]) -> tuple[tuple[str, int, float], ...]:
-        """Candidates whose held-out win does not differ from the winner's by more than twice its deviation."""
+        """Candidates that win nine tenths of it, or not significantly less: with other data they might be ahead."""
         rivals = []
         for s in others:
             if s is winner:
                 continue
-            if self._overlap(winner.candidate, s.candidate) and self._equal(winner, s, 0.8):
-                ratio = s.trial.total / max(winner.trial.total, 1e-300)
+            ratio = s.trial.total / max(winner.trial.total, 1e-300)
+            nearly = ratio > 0.9 and self._overlap(winner.candidate, s.candidate)
+            if nearly or self._equal(winner, s, 0.8):
                 rivals.append((s.candidate.effect.name, s.candidate.joint, ratio))
         return tuple(rivals)
 

@@ -41,7 +41,7 @@ def test_blind_trial(seed, kind, tmp_path):
 
 
 def test_the_extended_model_predicts_what_was_found(tmp_path):
-    trial = draw_trial(221, "two")
+    trial = draw_trial(204, "inside")
     robot = robot_of(trial.urdf, tmp_path)
     found = diagnose(trial.recording, robot)
     again = Model.load(found.model.save(tmp_path / "model.json"))
@@ -49,7 +49,7 @@ def test_the_extended_model_predicts_what_was_found(tmp_path):
     bare = dataclasses.replace(again, effects=())
     joint = trial.truth[0][1] - 1
     with_effect, without = (m.predict(trial.recording).relative_error_percent[joint] for m in (again, bare))
-    assert with_effect < 0.8 * without
+    assert with_effect < 0.5 * without
 
 
 def arm(tmp_path: Path) -> Robot:
