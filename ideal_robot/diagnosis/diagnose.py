@@ -25,7 +25,8 @@ from ideal_robot.robot import Robot
 
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
-             options: Options | None = None, seed: int = 0, progress: Progress | None = None) -> Diagnosis:
+             options: Options | None = None, seed: int = 0, progress: Progress | None = None,
+             only: tuple[tuple[str, int], ...] | None = None) -> Diagnosis:
     """Says which physical effect a model misses in a recording, in which joint, and what it is worth.
 
     Args:
@@ -38,6 +39,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         options: thresholds.
         seed: of the null distributions.
         progress: called with the share done and a word.
+        only: names and joints of the effects that may be looked for, for an oracle; then nothing is learned either.
 
     Raises:
         InputError: a recording that cannot be used, or a model of another arm.
@@ -53,7 +55,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         (validate,), more = checked([validate], robot)
         warnings += more
     shared = model is not None or not amperes
-    return TorqueDiagnosis(recording, robot, model, validate, options, rng, report, warnings, shared).run()
+    return TorqueDiagnosis(recording, robot, model, validate, options, rng, report, warnings, shared, only).run()
 
 
 class TorqueDiagnosis:
@@ -61,9 +63,9 @@ class TorqueDiagnosis:
 
     def __init__(self, recording: Recording, robot: Robot, model: Model | None, validate: Recording | None,
                  options: Options, rng: np.random.Generator, report: Progress, warnings: list[str],
-                 shared: bool) -> None:
+                 shared: bool, only: tuple[tuple[str, int], ...] | None) -> None:
         self.robot, self.options, self.rng, self.report, self.warnings = robot, options, rng, report, warnings
-        self.recording, self.validate = recording, validate
+        self.recording, self.validate, self.only = recording, validate, only
         self.given = model
         self.blur: Array | None = None
         self.shared = shared
@@ -107,7 +109,7 @@ class TorqueDiagnosis:
 
         def search(prior: Array | None, in_base: bool) -> Search:
             return Search(raw, data, effects, prior=prior, in_base=in_base, options=self.options, rng=self.rng,
-                          progress=self.report)
+                          progress=self.report, only=self.only)
 
         if self.given is None or not np.any(self.start.covariance):
             return search(None, False).run(), None
@@ -188,7 +190,7 @@ class TorqueDiagnosis:
             blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
             data = Data(made.y, made.W, made.use, blocks)
             search = Search(made, data, tuple(e for e in library() if e.domain == domain), prior=None, in_base=True,
-                            options=self.options, rng=self.rng, progress=lambda share, word: None)
+                            options=self.options, rng=self.rng, progress=lambda share, word: None, only=self.only)
             choices = search.run()
             every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
             final = estimate(made, Data(made.y, made.W, made.use, every), [c.candidate for c in choices], None)

@@ -91,16 +91,20 @@ class Search:
         options: thresholds.
         rng: for null distributions.
         progress: called with a share done and a word.
+        only: names and joints of the effects that may be looked for; then nothing is learned either.
     """
 
     def __init__(self, experiment: Experiment, data: Data, library: tuple[Effect, ...], *, prior: Array | None,
-                 in_base: bool, options: Options, rng: np.random.Generator, progress: Progress) -> None:
+                 in_base: bool, options: Options, rng: np.random.Generator, progress: Progress,
+                 only: tuple[tuple[str, int], ...] | None = None) -> None:
         self.experiment, self.data, self.prior = experiment, data, prior
         self.options, self.progress = options, progress
         self.design = Design(data)
         self.at_rows = experiment.decimated_signals()
         self.sieve = Sieve(self.at_rows, data.blocks.edges, rng)
-        self.pool = list(candidates(library, experiment.signals, experiment.undecided, in_base))
+        self.pool = [starts for starts in candidates(library, experiment.signals, experiment.undecided, in_base)
+                     if only is None or (starts[0].effect.name, starts[0].joint) in only]
+        self.learns = only is None
         self.weights = self._weights(["W"])
         self.choices: list[Choice] = []
         self.rounds: list[list[Scored]] = []
@@ -147,7 +151,7 @@ class Search:
         scored = self._score(fit, residual, self.pool)
         self.rounds.append(scored)
         best = self._best(fit, scored)
-        learned = self._learned(fit, residual, best)
+        learned = self._learned(fit, residual, best) if self.learns else None
         return learned if learned is not None else best
 
     def settle(self, prior: Array) -> None:
