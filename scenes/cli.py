@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import sys
 
@@ -42,8 +41,6 @@ app = typer.Typer(
 
 def _register() -> None:
     for verb, module in VERBS.items():
-        if importlib.util.find_spec(f"scenes.commands.{module}") is None:
-            continue
         app.command(verb)(importlib.import_module(f"scenes.commands.{module}").command)
 
 
