@@ -91,14 +91,14 @@ def close_loop(scene: Scene, *, out: Path | None = None, progress: Progress = si
     progress(0.15, "diagnostic motion")
     recording = place.play(PassThrough(place.world.t_ipo), path=diagnostic_motion(place)).recording
     progress(0.3, "diagnose")
-    found = diagnose(recording, place.robot, model=place.model,
+    found = diagnose(recording, place.robot, model=place.model, validate=before.recording,
                      progress=lambda share, word: progress(0.3 + 0.4 * share, word))
-    extended = found.model if found.model is not None else place.model
+    extended = with_what_transfers(place.model, found)
     progress(0.7, "after")
-    after = _played(place, _as_simulated(extended, place.model))
+    after = _played(place, extended)
     progress(0.85, "oracle")
     oracle_model = told(recording, place.robot, place.model, undeclared)
-    oracle = _played(place, _as_simulated(oracle_model, place.model))
+    oracle = _played(place, oracle_model)
     result = CloseLoopResult(scene, undeclared, before.errors, after, oracle, found, recording)
     if out is None:
         return result
@@ -142,9 +142,13 @@ def _joined(end: np.ndarray, part: np.ndarray, steps: int = 80) -> np.ndarray:
     return np.concatenate([end + (part[0] - end) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), part])
 
 
-def _as_simulated(found: Model, known: Model) -> Model:
-    """The known model with the effects that were found: the loop's rigid body stays the physically consistent one."""
-    return dataclasses.replace(known, effects=tuple(found.effects))
+def with_what_transfers(known: Model, found: Diagnosis) -> Model:
+    """The known model with the effects that also lower the error of the scene's own run.
+
+    They were found in the diagnostic motion; what does not help to predict the path is a habit of that motion.
+    """
+    kept = tuple(f.fitted for f in (*found.effects, *found.unknown) if f.rms_after < 0.97 * f.rms_before)
+    return dataclasses.replace(known, effects=known.effects + kept)
 
 
 def _played(place: Workshop, model: Model) -> PathErrors:
