@@ -93,7 +93,7 @@ def close_loop(scene: Scene, *, out: Path | None = None, progress: Progress = si
     progress(0.3, "diagnose")
     found = diagnose(recording, place.robot, model=place.model, validate=before.recording,
                      progress=lambda share, word: progress(0.3 + 0.4 * share, word))
-    extended = with_what_transfers(place.model, found)
+    extended = with_what_transfers(place.model, found, before.recording)
     progress(0.7, "after")
     after = _played(place, extended)
     progress(0.85, "oracle")
@@ -142,13 +142,22 @@ def _joined(end: np.ndarray, part: np.ndarray, steps: int = 80) -> np.ndarray:
     return np.concatenate([end + (part[0] - end) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), part])
 
 
-def with_what_transfers(known: Model, found: Diagnosis) -> Model:
-    """The known model with the effects that also lower the error of the scene's own run.
+def with_what_transfers(known: Model, found: Diagnosis, run: Recording) -> Model:
+    """The known model with the effects that also help to predict the scene's own run.
 
-    They were found in the diagnostic motion; what does not help to predict the path is a habit of that motion.
+    They were found in the diagnostic motion; what does not lower the error of the run is a habit of that motion.
     """
-    kept = tuple(f.fitted for f in (*found.effects, *found.unknown) if f.rms_after < 0.97 * f.rms_before)
-    return dataclasses.replace(known, effects=known.effects + kept)
+    kept = dataclasses.replace(known, effects=known.effects + tuple(
+        f.fitted for f in found.effects if not f.fitted.channel.startswith("tau") and f.transfers))
+    error = kept.predict(run).relative_error_percent
+    for f in found.effects:
+        if not f.fitted.channel.startswith("tau"):
+            continue
+        tried = dataclasses.replace(kept, effects=(*kept.effects, f.fitted))
+        after = tried.predict(run).relative_error_percent
+        if after[f.fitted.joint - 1] < 0.99 * error[f.fitted.joint - 1]:
+            kept, error = tried, after
+    return kept
 
 
 def _played(place: Workshop, model: Model) -> PathErrors:
