@@ -21,7 +21,7 @@ def short(name: str):
 
 @pytest.mark.parametrize(("name", "at_least"), [("iso9283_3", 85.0), ("iso9283_2", 85.0)])
 def test_the_ideal_robot_leaves_little_of_the_error(name, at_least):
-    """Issue 5's bound of 85 % on E_car (60 % on E_max) without delay, of the weaker of time-matched and aligned."""
+    """The bound of 85 % on E_car (60 % on E_max) without delay, of the weaker of time-matched and aligned."""
     scene = load_scene(name)
     before, after = (run(scene, method=method).errors for method in ("none", "ideal"))
     for kind in ("time_matched", "aligned"):
@@ -74,7 +74,7 @@ def test_two_degrees_of_freedom_are_enough_to_learn_from():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["iso9283_1", "vertical_circle", "edge"])
 def test_whole_comparisons(name, tmp_path):
-    """The table of issue 5; what each row asks for stands beside it."""
+    """The table of targets; what each row asks for stands beside it."""
     comparison = compare(load_scene(name), out=tmp_path)
     written = json.loads(write_json(tmp_path / "compare.json", comparison.json()).read_text())
     less = {method: values["reduction_percent"]["E_car"]["weaker"] for method, values in written["methods"].items()}
