@@ -2,8 +2,8 @@
 
 FIGAROH is no dependency. To compare, install it apart and say where:
 
-    python3.11 -m venv /tmp/figaroh && /tmp/figaroh/bin/pip install figaroh
-    FIGAROH_PYTHON=/tmp/figaroh/bin/python python benchmarks/bench_identify.py
+    python3.11 -m venv figaroh-env && figaroh-env/bin/pip install figaroh
+    FIGAROH_PYTHON=figaroh-env/bin/python python benchmarks/bench_identify.py
 
 Both get the same recording of the simulated KR 15 in its default world and the same filtered signals: FIGAROH its
 regressor (links, viscous and dry friction, rotor inertias, offsets), its QR decomposition to base parameters with least

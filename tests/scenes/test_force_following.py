@@ -1,4 +1,4 @@
-"""Force following and the fused ``glue`` scene against the issue's figures; every run is a whole simulated job."""
+"""Force following and the fused ``glue`` scene against its targets; every run is a whole simulated job."""
 
 from __future__ import annotations
 
