@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from ideal_robot.robot import Robot
 from planning.reference import ReferencePath
 from scenes.line_compare import LineComparison
 from scenes.line_result import FieldShown, LineResult
-from scenes.report import Report, write_json
+from scenes.report import Report, write_comparison_files, write_run_files
 from sim.picture import picture
 
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
@@ -27,21 +26,14 @@ PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 
 def write_run(result: LineResult, out: Path) -> LineResult:
     """Writes recording, figures and page into ``out`` and returns the result with their paths."""
-    recording = result.recording.write(out / "recording.parquet")
-    result = replace(result, recording_path=recording, report=out / "report.html")
-    run_page(result).write(out / "report.html")
-    write_json(out / "report.json", result.json())
-    return result
+    written: LineResult = write_run_files(result, run_page, out)
+    return written
 
 
 def write_comparison(comparison: LineComparison, out: Path) -> LineComparison:
     """Writes each run's recording and the common page into ``out``."""
-    runs = {method: replace(run, recording_path=run.recording.write(out / f"{method}.parquet"))
-            for method, run in comparison.runs.items()}
-    comparison = replace(comparison, runs=runs, report=out / "report.html")
-    comparison_page(comparison).write(out / "report.html")
-    write_json(out / "report.json", comparison.json())
-    return comparison
+    written: LineComparison = write_comparison_files(comparison, comparison_page, out)
+    return written
 
 
 def run_page(result: LineResult) -> Report:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.interface import Array
 from scenes.path_tracking import DELAY, REFERENCE, PathComparison, PathResult
-from scenes.report import Report, write_json
+from scenes.report import Report, write_comparison_files, write_run_files
 
 INK, SOFT = "#1c2430", "#8893a1"
 COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected_1": "#7fb2dd",
@@ -33,21 +32,14 @@ DEFINITION = (
 
 def write_run(result: PathResult, out: Path) -> PathResult:
     """Writes recording, figures and page into ``out``; returns the result with their paths."""
-    recording = result.recording.write(out / "recording.parquet")
-    result = replace(result, recording_path=recording, report=out / "report.html")
-    run_page(result).write(out / "report.html")
-    write_json(out / "report.json", result.json())
-    return result
+    written: PathResult = write_run_files(result, run_page, out)
+    return written
 
 
 def write_comparison(comparison: PathComparison, out: Path) -> PathComparison:
     """Writes each run's recording and the common page into ``out``."""
-    runs = {method: replace(run, recording_path=run.recording.write(out / f"{method}.parquet"))
-            for method, run in comparison.runs.items()}
-    comparison = replace(comparison, runs=runs, report=out / "report.html")
-    comparison_page(comparison).write(out / "report.html")
-    write_json(out / "report.json", comparison.json())
-    return comparison
+    written: PathComparison = write_comparison_files(comparison, comparison_page, out)
+    return written
 
 
 def run_page(result: PathResult) -> Report:

@@ -6,7 +6,8 @@ import base64
 import io
 import json
 import math
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -81,6 +82,31 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(plain(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return path
+
+
+def write_run_files(result: Any, page: Callable[[Any], Report], out: Path) -> Any:
+    """Writes recording, page and figures of a run into ``out``; returns the result with their paths.
+
+    Args:
+        result: a frozen run result with ``recording``, ``recording_path``, ``report`` and ``json()``.
+        page: makes the page of it.
+        out: folder.
+    """
+    recording = result.recording.write(out / "recording.parquet")
+    result = replace(result, recording_path=recording, report=out / "report.html")
+    page(result).write(out / "report.html")
+    write_json(out / "report.json", result.json())
+    return result
+
+
+def write_comparison_files(comparison: Any, page: Callable[[Any], Report], out: Path) -> Any:
+    """Writes each run's recording, the common page and the figures into ``out``; arguments as ``write_run_files``."""
+    runs = {method: replace(run, recording_path=run.recording.write(out / f"{method}.parquet"))
+            for method, run in comparison.runs.items()}
+    comparison = replace(comparison, runs=runs, report=out / "report.html")
+    page(comparison).write(out / "report.html")
+    write_json(out / "report.json", comparison.json())
+    return comparison
 
 
 def plain(value: Any) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ideal_robot.effects.base import TCP_POSITION, Effect, EffectParameter, Signals
+from ideal_robot.effects.thermal_drift import warming_bounds, warming_starts
 from ideal_robot.interface import Array
 
 
@@ -125,16 +126,11 @@ class ThermalGrowth(Effect):
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """By temperature if it varies; by time with constants from a tenth of the recording to three of it."""
-        span = float(signals.t[-1] - signals.t[0])
-        starts: list[tuple[float, ...]] = [(span * factor,) for factor in (0.1, 0.3, 1.0, 3.0)]
-        if signals.temperature is not None and float(np.ptp(signals.temperature[:, joint - 1])) > 0.5:
-            starts.append((0.0,))
-        return starts
+        return warming_starts(signals, joint)
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """As ``thermal_drift``."""
-        span = float(signals.t[-1] - signals.t[0])
-        return [(0.05 * span, 4.0 * span)]
+        return warming_bounds(signals)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, 3, 1)``."""

@@ -8,6 +8,21 @@ from ideal_robot.effects.base import Effect, EffectParameter, Signals
 from ideal_robot.interface import Array
 
 
+def warming_starts(signals: Signals, joint: int) -> list[tuple[float, ...]]:
+    """Time constants to start from [s]: a tenth of the recording to three of it, and 0 for temperature if it varies."""
+    span = float(signals.t[-1] - signals.t[0])
+    starts: list[tuple[float, ...]] = [(span * factor,) for factor in (0.1, 0.3, 1.0, 3.0)]
+    if signals.temperature is not None and float(np.ptp(signals.temperature[:, joint - 1])) > 0.5:
+        starts.append((0.0,))
+    return starts
+
+
+def warming_bounds(signals: Signals) -> list[tuple[float, float]]:
+    """Faster than a twentieth of the recording is no warming, slower than four times it is a straight line."""
+    span = float(signals.t[-1] - signals.t[0])
+    return [(0.05 * span, 4.0 * span)]
+
+
 class ThermalDrift(Effect):
     """Viscous and dry friction follow the gear temperature, or the time since the start where it was not measured.
 
@@ -24,16 +39,11 @@ class ThermalDrift(Effect):
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """By temperature if it varies; by time with constants from a tenth of the recording to three of it."""
-        span = float(signals.t[-1] - signals.t[0])
-        starts: list[tuple[float, ...]] = [(span * factor,) for factor in (0.1, 0.3, 1.0, 3.0)]
-        if signals.temperature is not None and float(np.ptp(signals.temperature[:, joint - 1])) > 0.5:
-            starts.append((0.0,))
-        return starts
+        return warming_starts(signals, joint)
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """Faster than a twentieth of the recording is no warming, slower than four times it is a straight line."""
-        span = float(signals.t[-1] - signals.t[0])
-        return [(0.05 * span, 4.0 * span)]
+        return warming_bounds(signals)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 2)``."""
