@@ -84,7 +84,7 @@ def candidates(library: tuple[Effect, ...], signals: Signals, undecided: dict[in
             yield [Candidate(effect, joint, theta, len(starts)) for theta in starts]
 
 
-def scanned(effect: TorqueRipple, joint: int, signals: Signals, residual: Array, use: Array,
+def scanned(effect: TorqueRipple, joint: int, signals: Signals, residual: Array, use: np.ndarray,
             peaks: int = 3) -> list[Candidate]:
     """Orders of a ripple at the highest peaks of the residual's spectrum over position.
 

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment
+from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment, with_equivalents
 from ideal_robot.diagnosis.estimate import Estimate, estimate
 from ideal_robot.diagnosis.experiment import Experiment, about, experiment, with_blur
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
@@ -192,6 +192,8 @@ class TorqueDiagnosis:
             search = Search(made, data, tuple(e for e in library() if e.domain == domain), prior=None, in_base=True,
                             options=self.options, rng=self.rng, progress=lambda share, word: None, only=self.only)
             choices = search.run()
+            if domain == TCP_POSITION:
+                choices = with_equivalents(made, data, choices)
             every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
             final = estimate(made, Data(made.y, made.W, made.use, every), [c.candidate for c in choices], None)
             parts.append(Part(made, data, choices, None, final, other, True, self.recording.hash))

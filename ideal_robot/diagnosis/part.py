@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ideal_robot.diagnosis.arm_side import ToolExperiment
 from ideal_robot.diagnosis.candidates import Candidate
 from ideal_robot.diagnosis.estimate import Estimate, estimate, fitted_effect
 from ideal_robot.diagnosis.evidence import ranked_structure, would_tell
@@ -14,6 +15,8 @@ from ideal_robot.diagnosis.experiment import Experiment
 from ideal_robot.diagnosis.gram import Data
 from ideal_robot.diagnosis.result import ChannelResult, FoundEffect, Structure, Traces
 from ideal_robot.diagnosis.search import Choice
+from ideal_robot.effects import SENSOR
+from ideal_robot.effects.tcp import AtTool, ToolTransmissionError
 from ideal_robot.interface import Array
 
 
@@ -98,10 +101,18 @@ class Part:
         evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source}
         fitted = fitted_effect(candidate, self.final.coefficients[k], self.final.std[k], self.final.theta_std[k],
-                               seen.units[j] in ("N", "m"), evidence)
+                               _slides(seen, candidate, j), evidence)
         names = tuple(choice.dependence.names) if choice.dependence is not None else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, would_tell(candidate.effect.name, rivals),
                            transfers, names)
+
+
+def _slides(seen: Experiment, candidate: Candidate, j: int) -> bool:
+    """Whether an effect's parameters are those of a sliding joint."""
+    if isinstance(seen, ToolExperiment):
+        gear = isinstance(candidate.effect, AtTool | ToolTransmissionError)
+        return gear and seen.prismatic[candidate.joint - 1]
+    return candidate.effect.domain != SENSOR and seen.units[j] in ("N", "m")
 
 
 def predicted(seen: Experiment, found: Estimate, chosen: list[Candidate]) -> Array:

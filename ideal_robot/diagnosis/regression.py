@@ -188,7 +188,7 @@ class Fit:
         S = CC - Z @ CX.T
         # A column that the others explain all but a hundred-thousandth of has nothing of its own.
         own = np.diag(S) > 1e-5 * np.diag(CC)
-        if len(Cy) > 3:
+        if len(Cy) > 6:
             S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
         m = len(Cy)
         gamma = np.zeros(m)

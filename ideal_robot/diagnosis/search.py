@@ -184,8 +184,8 @@ class Search:
             if (first.effect.name, first.joint) in taken and not repeatable:
                 continue
             if isinstance(first.effect, TorqueRipple):
-                j = first.joint - 1
-                starts = scanned(first.effect, first.joint, self.at_rows, residual[:, j], self.data.use[:, j])
+                seen = first.effect.seen(self.at_rows, first.joint, residual, self.data.use)
+                starts = scanned(first.effect, first.joint, self.at_rows, *seen)
             best: tuple[float, Candidate] | None = None
             for candidate in starts:
                 gain = self._plausible_gain(fit, candidate)

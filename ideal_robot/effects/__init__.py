@@ -39,7 +39,7 @@ def library() -> tuple[Effect, ...]:
     from ideal_robot.effects.presliding_hysteresis import PreslidingHysteresis
     from ideal_robot.effects.rotor_inertia import RotorInertia
     from ideal_robot.effects.stribeck import Stribeck
-    from ideal_robot.effects.tcp import AtTool, KinematicError, ThermalGrowth, ToolDeadTime
+    from ideal_robot.effects.tcp import AtTool, KinematicError, ThermalGrowth, ToolDeadTime, ToolTransmissionError
     from ideal_robot.effects.thermal_drift import ThermalDrift
     from ideal_robot.effects.torque_ripple import TorqueRipple
     from ideal_robot.effects.transmission_error import TransmissionError
@@ -50,7 +50,8 @@ def library() -> tuple[Effect, ...]:
             GravitySpring(), CableSpring(), Payload(), AxisCoupling(), DeadTime(), PositionDeadTime(),
             JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash(),
             ArmBacklashByLoad(), ToolDeadTime(), AtTool(ArmElasticity()),
-            AtTool(ArmBacklash()), KinematicError(), ThermalGrowth())
+            AtTool(ArmBacklash()), AtTool(ArmBacklashByLoad()), ToolTransmissionError(),
+            KinematicError(), ThermalGrowth())
 
 
 def names() -> tuple[str, ...]:

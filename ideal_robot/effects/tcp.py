@@ -8,6 +8,7 @@ import numpy as np
 
 from ideal_robot.effects.base import TCP_POSITION, Effect, EffectParameter, Signals
 from ideal_robot.effects.thermal_drift import warming_bounds, warming_starts
+from ideal_robot.effects.transmission_error import TransmissionError
 from ideal_robot.interface import Array
 
 
@@ -22,13 +23,24 @@ class AtTool(Effect):
 
     def __init__(self, inner: Effect) -> None:
         self._inner = inner
+        self._by_load = inner.channel(1).startswith("qa_load")
         # A wrapper has the names of what it wraps; they are class attributes there.
         for key in ("name", "theta_names", "theta_units", "coefficient_names", "coefficient_units", "source"):
             setattr(self, key, getattr(inner, key))
 
+    def acts_on(self, channel: str) -> bool:
+        """Whether a fitted effect of this name in ``channel`` is this one: some have several forms."""
+        return channel.startswith("tcp_load") if self._by_load else \
+            channel.startswith("tcp") and not channel.startswith("tcp_load")
+
+    def channel(self, joint: int) -> str:
+        """TCP; a gap crossed by the load has a name of its own, as for the arm's angle."""
+        return f"tcp_load_{joint}" if self._by_load else f"tcp_{joint}"
+
     def usable(self, signals: Signals, joint: int) -> bool:
-        """As the angle's effect, and the frames have to be at hand."""
-        return signals.frames is not None and self._inner.usable(signals, joint)
+        """As the angle's effect; frames have to be at hand, and a gear between motor and what was measured."""
+        loaded = bool(np.any(signals.load[:, joint - 1] != 0.0))
+        return signals.frames is not None and loaded and self._inner.usable(signals, joint)
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """As the angle's effect."""
@@ -53,6 +65,32 @@ class AtTool(Effect):
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
         """As the angle's effect."""
         return self._inner.parameters(coefficients, std, theta, theta_std)
+
+
+class ToolTransmissionError(TransmissionError):
+    """A gear that does not turn evenly, seen at the TCP: ``delta x = J_j (a cos(k q_j) + b sin(k q_j))``."""
+
+    domain = TCP_POSITION
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """As all gear effects: frames at hand, and a gear between motor and what was measured."""
+        return signals.frames is not None and bool(np.any(signals.load[:, joint - 1] != 0.0))
+
+    def seen(self, signals: Signals, joint: int, residual: Array,
+             use: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Residual of the TCP ``(N, 3)`` along the joint's motion, so that its spectrum is that of the angle."""
+        if signals.frames is None:
+            return np.zeros(len(residual)), use[:, 0]
+        lever = signals.frames.jacobian[:, :, joint - 1]
+        return np.asarray(np.einsum("ki,ki->k", lever, residual)), np.all(use, axis=1)
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, 3, 2)``."""
+        if signals.frames is None:
+            return np.zeros((len(signals.t), 3, 2))
+        phase = theta[0] * signals.q[:, joint - 1]
+        wave = np.column_stack([np.cos(phase), np.sin(phase)])
+        return np.asarray(signals.frames.jacobian[:, :, joint - 1, None] * wave[:, None, :])
 
 
 class ToolDeadTime(Effect):
@@ -84,9 +122,11 @@ class ToolDeadTime(Effect):
 
 
 class KinematicError(Effect):
-    """Errors of one joint's Denavit–Hartenberg parameters: shifts along and turns about its axis and its normal.
+    """Errors of one joint's Denavit–Hartenberg parameters: shifts along and turns about its axis and the common normal.
 
         delta x = da x_j + dd z_j + dalpha x_j × (x - p_j) + dtheta z_j × (x - p_j)
+
+    ``x_j`` is the common normal of the joint's axis and the next one; it turns with the joint.
     """
 
     name = "kinematic_error"

@@ -40,6 +40,10 @@ class TorqueRipple(Effect):
         high = max(0.35 * 2.0 * np.pi / signals.dt / typical, 2.0 * low)
         return [(low, min(high, low + 3000.0 * 2.0 / span))]
 
+    def seen(self, signals: Signals, joint: int, residual: Array, use: np.ndarray) -> tuple[Array, np.ndarray]:
+        """What of a residual ``(N, c)`` a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``."""
+        return residual[:, joint - 1], use[:, joint - 1]
+
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 2)``."""
         phase = theta[0] * signals.q[:, joint - 1]

@@ -1,0 +1,79 @@
+# ruff: noqa: E402 (thread counts must be set before NumPy loads)
+"""Blind trials of effects behind the gear, as a device that measures the TCP (and at times arm angles) shows them.
+
+Run: ``python benchmarks/blind_tcp.py --count 80`` (``--write`` puts the tables into docs/diagnosis.md).
+Seeds from 6000 on are the reported ones; what they showed was mended on others.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+import argparse
+import dataclasses
+import tempfile
+import time
+from pathlib import Path
+
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.robot import Robot
+from sim.blind_score import Score, confusion, rates, score
+from sim.blind_tcp import KINDS, draw_tcp_trial
+
+MARKS = ("<!-- blind trials tcp -->\n", "<!-- end of blind trials tcp -->")
+
+
+def play(seed: int, kind: str | None) -> Score:
+    """Draws, diagnoses and scores one trial."""
+    trial = draw_tcp_trial(seed, kind)
+    start = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        urdf = Path(folder) / "arm.urdf"
+        urdf.write_text(trial.urdf, encoding="utf-8")
+        found = diagnose(trial.recording, Robot.load(urdf))
+    result = score(seed, trial.kind, trial.truth, False, found, time.process_time() - start)
+    return dataclasses.replace(result, **_with_equivalents(result, trial.truth))
+
+
+def _with_equivalents(result: Score, truth: tuple[tuple[str, int], ...]) -> dict[str, bool]:
+    """What is said to be indistinguishable from the truth at another joint counts as the truth."""
+    if result.right or not truth:
+        return {}
+    (name, joint), = truth
+    group = any(f"{name} of joint {joint}" in rivals for _, _, rivals in result.found)
+    return {"right": group, "joint": group or result.joint}
+
+
+def main() -> None:
+    """Plays the trials and prints the rates and the confusion matrix."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=80)
+    parser.add_argument("--first", type=int, default=6000)
+    parser.add_argument("--kind", choices=KINDS)
+    parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
+    options = parser.parse_args()
+    scores: list[Score] = []
+    begun = time.monotonic()
+    for seed in range(options.first, options.first + options.count):
+        s = play(seed, options.kind)
+        scores.append(s)
+        print(f"{'ok ' if s.right else 'BAD'} {s.seed} {s.kind:8s} {s.seconds:5.1f} s  true {s.truth}  "
+              f"found {s.verdict} {s.found}", flush=True)
+        if time.monotonic() - begun > 60.0 * options.minutes:
+            break
+    text = "\n".join([rates(scores), "", confusion(scores)])
+    print(text)
+    if options.write:
+        page = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
+        before, _, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
+        after = rest.partition(MARKS[1])[2]
+        seeds = f"Seeds {scores[0].seed} to {scores[-1].seed}, played once.\n\n"
+        page.write_text(f"{before}{MARKS[0]}{seeds}{text}\n{MARKS[1]}{after}", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
