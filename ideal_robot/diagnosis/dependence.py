@@ -17,6 +17,8 @@ from ideal_robot.effects.unknown import Unknown, signal_of, spline_basis
 from ideal_robot.interface import Array
 
 _FLIPS = 400
+_SLOW = (6, 14)
+"""Intervals of a curve over time: so few that each is many blocks long, and a block can be told from its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,8 @@ def signal_names(signals: Signals, channel: int) -> list[str]:
 def terms(signals: Signals, channel: int, pairs: bool, head: str = "tau") -> list[Unknown]:
     """Curves to try on a channel: single signals, directed ones, and with ``pairs`` products of two."""
     names = signal_names(signals, channel)
-    result = [Unknown((name,), False, (_knots(signal_of(signals, name), 16 if name == "t" else 9),), head=head)
-              for name in names]
+    result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), head=head)
+              for name in names for intervals in (_SLOW if name == "t" else (9,))]
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
     if head == "tau":
         result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
@@ -97,9 +99,10 @@ class Sieve:
         """Tests one curve on one channel's residual ``(N,)``; ``use (N,)`` says which samples count."""
         columns = self._basis(term, channel) * use[:, None]
         r = np.where(use, residual, 0.0)
-        gram, sums, count = columns.T @ columns, columns.sum(axis=0), max(float(use.sum()), 1.0)
-        # About the mean, as a constant is in every model.
-        s, U = np.linalg.eigh(gram - np.outer(sums, sums) / count)
+        count = max(float(use.sum()), 1.0)
+        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
+        columns -= use[:, None] * (columns.sum(axis=0) / count)
+        s, U = np.linalg.eigh(columns.T @ columns)
         keep = s > 1e-6 * max(s[-1], 1e-300)
         if s[-1] <= 0.0:
             return Dependence(channel, term, 0.0, 0.0, 1.0)

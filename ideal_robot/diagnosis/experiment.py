@@ -117,7 +117,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     body = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, temperature, extra=extra, payload=body,
-                      v_small=noise_velocity)
+                      v_small=noise_velocity, cutoff=filtered.cutoff)
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)

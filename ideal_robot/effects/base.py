@@ -63,6 +63,7 @@ class Signals:
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
         frames: kinematics along the motion, or None.
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
+        cutoff: of the zero-phase filter that the positions went through [Hz]; None where they are exact.
         v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
     """
 
@@ -79,6 +80,7 @@ class Signals:
     payload: Array | None = None
     frames: Frames | None = None
     v_small: Array | None = None
+    cutoff: float | None = None
 
     @property
     def n(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.effects.base import ARM_POSITION, Effect, EffectParameter, Signals
+from ideal_robot.identification.preprocess import lowpass
 from ideal_robot.interface import Array
 
 
@@ -31,6 +32,9 @@ class JointElasticity(Effect):
             return np.zeros((len(signals.t), signals.n, 1))
         j = joint - 1
         bend = self.bend(signals, joint, theta)
+        if signals.cutoff is not None:
+            # The bend is in the recorded position, and of that the filter let pass only the slow part.
+            bend = lowpass(bend, signals.dt, signals.cutoff)
         # A step so small that the rigid body is linear in it, so large that rounding does not matter.
         h = 1e-4 / (float(np.std(bend)) + 1e-12)
         rate = signals.rate(bend)
