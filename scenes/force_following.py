@@ -89,7 +89,8 @@ def play(scene: ForceScene, method: str, gains: tuple[float, float] | None = Non
     """One run without files."""
     # What calibration does not see must not make it run again.
     alike = scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
-                                     "trouble": CameraTrouble()})
+                                     "trouble": CameraTrouble(),
+                                     "sensor": scene.sensor.model_copy(update={"drift": ()})})
     tool, elasticity = calibrations(alike.model_dump_json())
     loop = ForceLoop(set_up(scene), method, gains, tool, elasticity)
     with SimulatedArm(loop.cell.robot, loop.cell.world, loop.cell.noise, loop.follower.q_start) as arm:
@@ -110,6 +111,7 @@ class ForceLoop:
                  elasticity: ContactElasticity) -> None:
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
         assumed = cell.scene.assumed.elasticity_ratio * elasticity.stiffness
+        self.assumed_stiffness = assumed
         self.follower: Any
         if cell.scene.task == "contour":
             self.follower = cell.contour_follower(assumed)
@@ -166,7 +168,9 @@ class ForceLoop:
                 # A gain of direct feedback that drives the arm out of its limits: the controller refuses.
                 self.log.failure = self.log.failure or str(error)
                 break
-            self.under_way += self.cell.sensor.due(t, t + T, arm.tcp_at, contact.force_at)
+            measured = self.cell.sensor.due(t, t + T, arm.tcp_at, contact.force_at)
+            self.log.wrenches += measured
+            self.under_way += measured
             resting = resting + 1 if stopping is not None and np.allclose(last, last[0], atol=1e-9) else 0
             if self._done() or resting > REST:
                 break

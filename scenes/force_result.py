@@ -13,6 +13,7 @@ from ideal_robot.recording import Recording
 from planning.contact import Phase
 from planning.force_following import SurfaceFollower
 from scenes.force_scene import ForceScene
+from sensing.wrench import WrenchSample
 from sim.arm import SimulatedArm
 from sim.contact import TipContact
 
@@ -32,6 +33,7 @@ class ForceLog:
     planned: list[Array] = field(default_factory=list)
     cycles: list[float] = field(default_factory=list)
     samples: list[tuple[float, float, float]] = field(default_factory=list)
+    wrenches: list[WrenchSample] = field(default_factory=list)
     fields: list[tuple[float, int, str]] = field(default_factory=list)
     failure: str | None = None
 
@@ -147,14 +149,14 @@ def force_result(scene: ForceScene, method: str, loop: ForceLoop, arm: Simulated
         scene=scene, method=method, figures=force_figures(scene, history, log),
         elasticity=(loop.follower.settings.elasticity, loop.elasticity.std, scene.tip.stiffness),
         tool={"mass": loop.tool.mass, "force_residual_N": float(loop.tool.residual[0])}, history=history, log=log,
-        recording=force_recording(arm, scene, method, history, log), urdf=loop.cell.robot.urdf,
+        recording=force_recording(arm, scene, method, loop), urdf=loop.cell.robot.urdf,
         real_time_factor=arm.t / wall, lateral=lateral, lateral_series=series, failure=log.failure)
 
 
-def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, history: dict[str, Array],
-                    log: ForceLog) -> Recording:
-    """The controller's recording with ``q_d_i``, the felt force ``f_normal`` and why the arm stopped."""
-    recording = arm.recording(external=True)
+def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, loop: ForceLoop) -> Recording:
+    """The controller's recording with ``q_d_i``, the wrench as sensed, the felt force ``f_normal``, what calibration
+    said of tool and contact, and why the arm stopped."""
+    recording, log = arm.recording(external=True), loop.log
     columns = dict(recording.columns)
     t, q_d = np.array(log.t), np.array(log.q_d)
     for i in range(q_d.shape[1]):
@@ -163,6 +165,12 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, history: 
         felt = np.array(log.samples)
         order = np.argsort(felt[:, 0])
         columns["f_normal"] = np.interp(recording.t, felt[order, 0], felt[order, 1])
-    meta = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed, "seed": scene.seed,
+    if log.wrenches:
+        times, sensed = np.array([s.t for s in log.wrenches]), np.array([s.wrench for s in log.wrenches])
+        for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
+            columns[name] = np.interp(recording.t, times, sensed[:, i])
+    tool = {"bias": loop.tool.bias.tolist(), "mass": loop.tool.mass, "com": loop.tool.com.tolist()}
+    meta = {**recording.meta, "tool": tool, "contact_stiffness": loop.assumed_stiffness, "scene": scene.name,
+            "method": method, "speed": scene.speed, "seed": scene.seed,
             "stopped_because": log.failure}
     return Recording(columns, meta, recording.source)

@@ -69,6 +69,8 @@ class SensorTable(_Table):
     bias: tuple[float, float] = (3.0, 0.1)
     mass: float = pydantic.Field(default=0.8, ge=0, le=20)
     com: tuple[float, float, float] = (0.0, 0.01, -0.08)
+    drift: tuple[float, ...] = ()
+    """What the bias has changed by since calibration, six components [N, N m]."""
     lie: tuple[float, ...] = ()
 
     def truth(self) -> ForceSensorSettings:

@@ -27,6 +27,7 @@ class ForceSensorSettings:
         bias: standard deviations from which the constant bias of force [N] and moment [N m] is drawn.
         mass: of the tool behind the sensor [kg].
         com: its centre in the tool frame ``(3,)`` [m].
+        drift: what the bias has changed by since calibration ``(6,)`` [N, N m]; none if empty.
         lie: from and to [s]: the sensor reports nonsense; none if empty.
     """
 
@@ -37,11 +38,14 @@ class ForceSensorSettings:
     bias: tuple[float, float] = (3.0, 0.1)
     mass: float = 0.8
     com: tuple[float, float, float] = (0.0, 0.01, -0.08)
+    drift: tuple[float, ...] = ()
     lie: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.rate > 0 or self.latency < 0 or self.jitter < 0 or self.mass < 0:
             raise InputError("expected a positive rate; latency, jitter and mass not negative", field="force_sensor")
+        if self.drift and len(self.drift) != 6:
+            raise InputError("expected six components [N, N m]", field="force_sensor.drift", value=list(self.drift))
 
 
 class ForceSensor:
@@ -55,6 +59,8 @@ class ForceSensor:
     def __init__(self, settings: ForceSensorSettings, rng: np.random.Generator) -> None:
         self.settings, self._rng = settings, rng
         self._bias = np.repeat(settings.bias, 3) * rng.standard_normal(6)
+        if settings.drift:
+            self._bias = self._bias + np.asarray(settings.drift)
         self._noise = np.repeat(settings.noise, 3)
         self._phase = float(rng.uniform(0, 1 / settings.rate))
         self._next = 0

@@ -9,6 +9,7 @@ import numpy as np
 from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment, with_equivalents
 from ideal_robot.diagnosis.estimate import Estimate, estimate
 from ideal_robot.diagnosis.experiment import Experiment, about, experiment, with_blur
+from ideal_robot.diagnosis.force_side import blocks_of, force_experiments
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
 from ideal_robot.diagnosis.part import Part, rms
 from ideal_robot.diagnosis.rebase import with_parameters
@@ -16,7 +17,7 @@ from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
 from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.diagnosis.reversal import fitted_blur
 from ideal_robot.diagnosis.search import Choice, Options, Progress, Search
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, FittedEffect, library
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.identification.checks import checked
 from ideal_robot.interface import Array
 from ideal_robot.model import Model
@@ -197,7 +198,22 @@ class TorqueDiagnosis:
             every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
             final = estimate(made, Data(made.y, made.W, made.use, every), [c.candidate for c in choices], None)
             parts.append(Part(made, data, choices, None, final, other, True, self.recording.hash))
+        stiffness = None if self.given is None else self.given.stiffness
+        for made, other in force_experiments(self.recording, self.validate, self.robot, raw, seen, stiffness):
+            self.report(0.88, "force sensor")
+            parts.append(self._sensor_part(made, other, blocks_of(made, held_out=other is None)))
         return parts
+
+    def _sensor_part(self, made: Experiment, other: Experiment | None, blocks: Blocks) -> Part:
+        """What a sensor's regression shows; nothing is learned there."""
+        effects = tuple(e for e in library() if e.domain == SENSOR)
+        allowed = tuple((e.name, 0) for e in effects if self.only is None or (e.name, 0) in self.only)
+        data = Data(made.y, made.W, made.use, blocks)
+        choices = Search(made, data, effects, prior=None, in_base=True, options=self.options, rng=self.rng,
+                         progress=lambda share, word: None, only=allowed).run()
+        every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
+        final = estimate(made, Data(made.y, made.W, made.use, every), [c.candidate for c in choices], None)
+        return Part(made, data, choices, None, final, other, False, self.recording.hash)
 
     def _extended(self, final: Estimate, found: list[FoundEffect]) -> Model | None:
         if not self.shared:

@@ -32,6 +32,8 @@ def library() -> tuple[Effect, ...]:
     from ideal_robot.effects.dead_time import DeadTime, PositionDeadTime
     from ideal_robot.effects.degressive import Degressive
     from ideal_robot.effects.drive_gain import DriveGain
+    from ideal_robot.effects.force_bias import ForceBias
+    from ideal_robot.effects.force_compliance import ForceCompliance
     from ideal_robot.effects.gravity_spring import GravitySpring
     from ideal_robot.effects.joint_elasticity import ArmElasticity, JointElasticity
     from ideal_robot.effects.load_dependent_friction import LoadDependentFriction
@@ -51,7 +53,7 @@ def library() -> tuple[Effect, ...]:
             JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash(),
             ArmBacklashByLoad(), ToolDeadTime(), AtTool(ArmElasticity()),
             AtTool(ArmBacklash()), AtTool(ArmBacklashByLoad()), ToolTransmissionError(),
-            KinematicError(), ThermalGrowth())
+            KinematicError(), ThermalGrowth(), ForceBias(), ForceCompliance())
 
 
 def names() -> tuple[str, ...]:
