@@ -159,7 +159,7 @@ class Model:
         return torques(self._exact_model, q, qd, qdd)
 
     def inverse_dynamics(self, q: Array, qd: Array, qdd: Array, *, t: Array | None = None,
-                         temperature: Array | None = None) -> Array:
+                         temperature: Array | None = None, cutoff: float | None = None) -> Array:
         """Motor torque ``(N, n)`` [N m] for a motion, [G] (8), with the effects that act on the torque.
 
         Args:
@@ -167,6 +167,7 @@ class Model:
             t: times ``(N,)`` [s]; only effects with memory or warm-up look at them. One interpolation cycle apart if
                 not given.
             temperature: gear temperatures ``(N, n)`` [°C], where known.
+            cutoff: of the filter that measured positions went through [Hz]; None for exact ones.
         """
         q, qd, qdd = (np.atleast_2d(np.asarray(values, dtype=float)) for values in (q, qd, qdd))
         load = self.rigid_body(q, qd, qdd)
@@ -176,7 +177,8 @@ class Model:
         if acting:
             cycle = self.controller.t_cycle if self.controller else 0.012
             times: Array = np.asarray(cycle * np.arange(len(q)) if t is None else t, dtype=float)
-            signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body)
+            signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
+                              cutoff=cutoff)
             tau = tau + np.sum([effect.contribution(signals) for effect in acting], axis=0)
         return tau
 
@@ -208,7 +210,7 @@ class Model:
         temperature = (np.column_stack([signals.columns[f"temp_{i + 1}"] for i in range(self.n)])
                        if recording.has("temp") else None)
         tau = self.inverse_dynamics(signals.q, signals.qd, signals.qdd, t=signals.t - signals.t[0],
-                                    temperature=temperature)
+                                    temperature=temperature, cutoff=signals.cutoff)
         # The spread of the parameters needs no filtering: it is taken at the decimated instants.
         q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
         columns = sensitivity(self.kinematics, self.base, self.friction, q, qd, qdd, self.rigid_body(q, qd, qdd))

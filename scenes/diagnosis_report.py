@@ -37,6 +37,13 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
                  100 * c.rms_before / max(c.rms_signal, 1e-300), 100 * c.rms_after / max(c.rms_signal, 1e-300)]
                 for c in diagnosis.channels], "Relative errors are 100·‖y − ŷ‖/‖y‖.")
     _effects(page, diagnosis)
+    if diagnosis.not_transferred:
+        page.heading("Found, but not added")
+        page.table(["effect", "where", "channel", "p-value", "error without", "error with"],
+                   [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, f"{d.p_value:.1e}",
+                     d.rms_without, d.rms_with] for d in diagnosis.not_transferred],
+                   "These lower the error of the recording they were found in, but not that of the other recording "
+                   "(errors are on the blocks of it that decide): a phase that starts anew, or a habit of the motion.")
     for names, traces in diagnosis.traces:
         _traces(page, diagnosis, names, traces)
     _remaining(page, diagnosis)

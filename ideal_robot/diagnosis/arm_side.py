@@ -9,10 +9,10 @@ import numpy as np
 import pinocchio as pin
 from scipy import signal
 
+from ideal_robot.diagnosis.choice import Choice
 from ideal_robot.diagnosis.estimate import estimate
 from ideal_robot.diagnosis.experiment import Experiment
 from ideal_robot.diagnosis.gram import Data
-from ideal_robot.diagnosis.search import Choice
 from ideal_robot.effects.base import Frames, Signals
 from ideal_robot.effects.tcp import KinematicError, ThermalGrowth
 from ideal_robot.identification.preprocess import resampled

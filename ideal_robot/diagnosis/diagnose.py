@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment, with_equivalents
+from ideal_robot.diagnosis.choice import Choice, Options
 from ideal_robot.diagnosis.estimate import Estimate, estimate
 from ideal_robot.diagnosis.experiment import Experiment, about, experiment, with_blur
 from ideal_robot.diagnosis.force_side import blocks_of, force_experiments
@@ -14,9 +15,11 @@ from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
 from ideal_robot.diagnosis.part import Part, rms
 from ideal_robot.diagnosis.rebase import with_parameters
 from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
-from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect
+from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect, NotTransferred
 from ideal_robot.diagnosis.reversal import fitted_blur
-from ideal_robot.diagnosis.search import Choice, Options, Progress, Search
+from ideal_robot.diagnosis.scoring import Progress
+from ideal_robot.diagnosis.search import Search
+from ideal_robot.diagnosis.transfer import transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.identification.checks import checked
 from ideal_robot.interface import Array
@@ -95,8 +98,13 @@ class TorqueDiagnosis:
             found = estimate(raw, data, [c.candidate for c in choices], prior, spread=False)
             raw = dataclasses.replace(raw, signals=about(raw, with_parameters(self.start, found.change)).signals)
             data = Data(raw.y, raw.W, raw.use, blocks)
+        seen = self._seen(raw, data, choices, prior)
+        dropped: tuple[NotTransferred, ...] = ()
+        if seen is not None:
+            choices, dropped = transferring(raw, data, choices, prior, seen)
         final = estimate(raw, Data(raw.y, raw.W, raw.use, every), [c.candidate for c in choices], prior)
-        return self._reported(raw, data, choices, prior, final)
+        torque = Part(raw, data, choices, prior, final, seen, self.given is not None, self.recording.hash)
+        return self._reported(torque, dropped)
 
     # -- steps -------------------------------------------------------------------------------------------------------
 
@@ -152,23 +160,27 @@ class TorqueDiagnosis:
 
     # -- report ------------------------------------------------------------------------------------------------------
 
-    def _reported(self, raw: Experiment, data: Data, choices: list[Choice], prior: Array | None,
-                  final: Estimate) -> Diagnosis:
-        self.report(0.8, "held-out errors")
-        seen = None
-        if self.validate is not None:
+    def _seen(self, raw: Experiment, data: Data, choices: list[Choice], prior: Array | None) -> Experiment | None:
+        """The regression of the validation recording, if there is one."""
+        if self.validate is None:
+            return None
+        seen = self._experiment(self.validate, self.start, raw.filtered.cutoff)
+        if choices and self.shared:
             change = estimate(raw, data, [c.candidate for c in choices], prior, spread=False).change
-            seen = self._experiment(self.validate, self.start, raw.filtered.cutoff)
-            if choices and self.shared:
-                seen = dataclasses.replace(seen, signals=about(seen, with_parameters(self.start, change)).signals)
-        torque = Part(raw, data, choices, prior, final, seen, self.given is not None, self.recording.hash)
-        parts = [torque, *self._other_domains(raw, seen)]
+            seen = dataclasses.replace(seen, signals=about(seen, with_parameters(self.start, change)).signals)
+        return seen
+
+    def _reported(self, torque: Part, dropped: tuple[NotTransferred, ...]) -> Diagnosis:
+        self.report(0.8, "held-out errors")
+        raw = torque.raw
+        parts = [torque, *self._other_domains(raw, torque.seen)]
         results = [part.result(self.rng) for part in parts]
         if self.validate is not None:
-            how = f"parameters and selection from {_name(self.recording)}, errors on {_name(self.validate)}"
+            how = (f"parameters and selection from {_name(self.recording)}; of {_name(self.validate)} every second "
+                   "block of time decides what transfers, and the errors are those of the others")
         else:
-            how = (f"every fourth of {data.blocks.count} blocks of time of {_name(self.recording)}, which neither "
-                   "selection nor estimation saw")
+            how = (f"every fourth of {torque.data.blocks.count} blocks of time of {_name(self.recording)}, which "
+                   "neither selection nor estimation saw")
         found = [f for r in results for f in r.found]
         effects = tuple(f for f in found if f.fitted.name != "unknown")
         unknown = tuple(f for f in found if f.fitted.name == "unknown")
@@ -176,7 +188,7 @@ class TorqueDiagnosis:
         return Diagnosis(verdict, tuple(c for r in results for c in r.channels), effects, unknown, how,
                          torque.held_out_seconds, raw.undecided, tuple(x for r in results for x in r.before),
                          tuple(x for r in results for x in r.remaining), tuple(self.warnings),
-                         self._extended(final, found), tuple(r.traces for r in results))
+                         self._extended(torque.final, found), tuple(r.traces for r in results), dropped)
 
     def _other_domains(self, raw: Experiment, seen: Experiment | None) -> list[Part]:
         """Arm angles and TCP positions, where the recording has them."""

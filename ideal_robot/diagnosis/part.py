@@ -9,12 +9,13 @@ import numpy as np
 
 from ideal_robot.diagnosis.arm_side import ToolExperiment
 from ideal_robot.diagnosis.candidates import Candidate
+from ideal_robot.diagnosis.choice import Choice
 from ideal_robot.diagnosis.estimate import Estimate, estimate, fitted_effect
 from ideal_robot.diagnosis.evidence import ranked_structure, would_tell
 from ideal_robot.diagnosis.experiment import Experiment
 from ideal_robot.diagnosis.gram import Data
 from ideal_robot.diagnosis.result import ChannelResult, FoundEffect, Structure, Traces
-from ideal_robot.diagnosis.search import Choice
+from ideal_robot.diagnosis.transfer import deciding
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.tcp import AtTool, ToolTransmissionError
 from ideal_robot.interface import Array
@@ -58,7 +59,7 @@ class Part:
     def held_out(self) -> np.ndarray:
         """Samples on which errors are reported."""
         if self.seen is not None:
-            return np.ones(len(self.seen.t), dtype=bool)
+            return ~deciding(self.seen)
         return self.data.blocks.fold[self.data.blocks.of_samples()] < 0
 
     @property

@@ -76,6 +76,28 @@ class FoundEffect:
 
 
 @dataclass(frozen=True)
+class NotTransferred:
+    """An effect that was found but makes the error on the other recording worse, and is therefore not added.
+
+    Attributes:
+        effect, joint, channel, p_value: as in ``FoundEffect``.
+        rms_without, rms_with: of its channel on the blocks of the other recording that decide.
+    """
+
+    effect: str
+    joint: int
+    channel: str
+    p_value: float
+    rms_without: float
+    rms_with: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"effect": self.effect, "joint": self.joint, "channel": self.channel, "p_value": self.p_value,
+                "rms_without": self.rms_without, "rms_with": self.rms_with}
+
+
+@dataclass(frozen=True)
 class Structure:
     """A dependence left in the residual, or none.
 
@@ -124,6 +146,7 @@ class Diagnosis:
         warnings: for people.
         model: the extended model.
         traces: series for plots, one per domain.
+        not_transferred: effects that were found but are a habit of the recording.
     """
 
     verdict: str
@@ -138,6 +161,7 @@ class Diagnosis:
     warnings: tuple[str, ...] = ()
     model: Model | None = None
     traces: tuple[tuple[tuple[str, ...], Traces], ...] = ()
+    not_transferred: tuple[NotTransferred, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the keys that were promised, and a few more."""
@@ -149,6 +173,7 @@ class Diagnosis:
                          "rms_after": u.rms_after, "channel": u.fitted.channel, "p_value": u.p_value,
                          "transfers": u.transfers} for u in self.unknown],
             "held_out": {"how": self.held_out_how, "seconds": self.held_out_seconds},
+            "not_transferred": [d.to_dict() for d in self.not_transferred],
             "undecided": [{"joint": joint, "reason": reason} for joint, reason in sorted(self.undecided.items())],
             "residual_before": [_structure(s) for s in self.before],
             "residual_after": [_structure(s) for s in self.remaining],

@@ -53,6 +53,9 @@ def command(
                      ", ".join(e.depends_on) or "; ".join(f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}"
                                                           for p in e.fitted.parameters),
                      ", ".join(e.indistinguishable_from)] for e in (*found.effects, *found.unknown)])
+    for d in found.not_transferred:
+        typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); with it the error on the other "
+                   f"recording is {d.rms_with:.4g} instead of {d.rms_without:.4g}", err=True)
     for joint, reason in sorted(found.undecided.items()):
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
     for warning in found.warnings:

@@ -91,6 +91,36 @@ def test_wrong_input_is_refused_with_the_field(spoil, tmp_path):
     assert error.value.field
 
 
+def rippled(arm_: Robot, phase: float, seed: int) -> Recording:
+    """One joint with gravity, friction, and a ripple of 0.4 N m whose phase depends on where the encoder started."""
+    t = np.arange(0.0, 30.0, 0.004)
+    w, rng = 2.0 * np.pi / 10.0, np.random.default_rng(seed)
+    a = rng.uniform(0.5, 0.9, 3) / [1.0, 2.0, 3.0]
+    b = rng.uniform(0.0, 6.0, 3)
+    q = sum(a[k] * np.sin((k + 1) * w * t + b[k]) for k in range(3))
+    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    tau = 0.6 * qdd - 5.0 * 9.81 * 0.3 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd
+    tau = tau + 0.4 * np.cos(40.0 * q + phase) + 0.03 * rng.normal(size=len(t))
+    return Recording.from_arrays(t, q=q[:, None], tau=tau[:, None])
+
+
+@pytest.mark.parametrize(("phase", "transfers"), [(0.0, True), (2.5, False)])
+def test_an_effect_is_added_only_if_it_transfers_to_the_other_recording(phase, transfers, tmp_path):
+    one = arm(tmp_path)
+    found = diagnose(rippled(one, 0.0, 1), one, validate=rippled(one, phase, 2))
+    said = [e.fitted.name for e in found.effects]
+    dropped = [d.effect for d in found.not_transferred]
+    assert ("torque_ripple" in said) is transfers
+    assert ("torque_ripple" in dropped) is not transfers
+    if transfers:
+        assert found.channels[0].rms_after < 0.3 * found.channels[0].rms_before
+    else:
+        # Without it the model is no worse than before; with it, it would be.
+        gone = found.not_transferred[dropped.index("torque_ripple")]
+        assert gone.rms_with > gone.rms_without
+        assert found.channels[0].rms_after < 1.02 * found.channels[0].rms_before
+
+
 @needs_data
 def test_emps_asymmetry_and_delay_are_found_without_being_told():
     robot = Robot.load(DATA / "emps" / "emps.urdf")
@@ -114,4 +144,5 @@ def test_ur10e_load_dependent_friction_is_found():
     said = {(e.fitted.name, e.fitted.joint) for e in found.effects}
     assert ("load_dependent_friction", 2) in said
     assert ("load_dependent_friction", 3) in said
-    assert all(c.rms_after < c.rms_before for c in found.channels)
+    # What does not transfer by luck of the halves may cost a few percent, never more.
+    assert all(c.rms_after < 1.1 * c.rms_before for c in found.channels)
