@@ -1,5 +1,6 @@
 # ruff: noqa: E402 (thread counts must be set before NumPy loads)
-"""Blind trials of effects behind the gear, as a device that measures the TCP (and at times arm angles) shows them.
+"""Blind trials of effects behind the gear, as a device that measures the TCP (and at times arm angles) shows them;
+with ``--force`` of effects that a force sensor shows.
 
 Run: ``python benchmarks/blind_tcp.py --count 80`` (``--write`` puts the tables into docs/diagnosis.md).
 Seeds from 6000 on are the reported ones; what they showed was mended on others.
@@ -19,21 +20,25 @@ import time
 from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
+from ideal_robot.effects import SENSOR
 from ideal_robot.robot import Robot
+from sim.blind_force import draw_force_trial
 from sim.blind_score import Score, confusion, rates, score
 from sim.blind_tcp import KINDS, draw_tcp_trial
 
-MARKS = ("<!-- blind trials tcp -->\n", "<!-- end of blind trials tcp -->")
 
-
-def play(seed: int, kind: str | None) -> Score:
+def play(seed: int, kind: str | None, force: bool) -> Score:
     """Draws, diagnoses and scores one trial."""
-    trial = draw_tcp_trial(seed, kind)
+    trial = (draw_force_trial if force else draw_tcp_trial)(seed, kind)
     start = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "arm.urdf"
         urdf.write_text(trial.urdf, encoding="utf-8")
         found = diagnose(trial.recording, Robot.load(urdf))
+    if force:
+        # Contact also shows in motor torques, of which these trials do not ask.
+        effects = tuple(e for e in found.effects if e.fitted.domain == SENSOR)
+        found = dataclasses.replace(found, effects=effects, unknown=(), verdict="effects" if effects else "none")
     result = score(seed, trial.kind, trial.truth, False, found, time.process_time() - start)
     return dataclasses.replace(result, **_with_equivalents(result, trial.truth))
 
@@ -53,13 +58,14 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=80)
     parser.add_argument("--first", type=int, default=6000)
     parser.add_argument("--kind", choices=KINDS)
+    parser.add_argument("--force", action="store_true", help="of a force sensor instead")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
     parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
     options = parser.parse_args()
     scores: list[Score] = []
     begun = time.monotonic()
     for seed in range(options.first, options.first + options.count):
-        s = play(seed, options.kind)
+        s = play(seed, options.kind, options.force)
         scores.append(s)
         print(f"{'ok ' if s.right else 'BAD'} {s.seed} {s.kind:8s} {s.seconds:5.1f} s  true {s.truth}  "
               f"found {s.verdict} {s.found}", flush=True)
@@ -69,10 +75,12 @@ def main() -> None:
     print(text)
     if options.write:
         page = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
-        before, _, rest = page.read_text(encoding="utf-8").partition(MARKS[0])
-        after = rest.partition(MARKS[1])[2]
+        what = "force" if options.force else "tcp"
+        first, last = f"<!-- blind trials {what} -->\n", f"<!-- end of blind trials {what} -->"
+        before, _, rest = page.read_text(encoding="utf-8").partition(first)
+        after = rest.partition(last)[2]
         seeds = f"Seeds {scores[0].seed} to {scores[-1].seed}, played once.\n\n"
-        page.write_text(f"{before}{MARKS[0]}{seeds}{text}\n{MARKS[1]}{after}", encoding="utf-8")
+        page.write_text(f"{before}{first}{seeds}{text}\n{last}{after}", encoding="utf-8")
 
 
 if __name__ == "__main__":

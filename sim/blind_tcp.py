@@ -46,7 +46,7 @@ def draw_tcp_trial(seed: int, kind: str | None = None) -> Trial:
         arm = draw_arm(rng)
         if arm.n < 3:
             continue
-        arm = _with_tool(rng, arm)
+        arm = with_tool(rng, arm)
         rate = float(rng.choice([100.0, 200.0, 250.0]))
         t = np.arange(0.0, float(rng.uniform(25.0, 45.0)), 1.0 / rate)
         trial = _with_effect(rng, seed, kind, scene(arm, t, *draw_motion(rng, arm, t)))
@@ -55,7 +55,7 @@ def draw_tcp_trial(seed: int, kind: str | None = None) -> Trial:
     raise RuntimeError(f"no trial of kind {kind} from seed {seed}")
 
 
-def _with_tool(rng: np.random.Generator, arm: Arm) -> Arm:
+def with_tool(rng: np.random.Generator, arm: Arm) -> Arm:
     """A tool on the last link of arms that have none: without it the last joint would not move the TCP."""
     if "tool0" in arm.urdf:
         return arm
@@ -70,7 +70,7 @@ def _with_effect(rng: np.random.Generator, seed: int, kind: str, s: Scene) -> Tr
     angle_noise = noise
     behind = kind == "arm" or (kind == "none" and rng.random() < 0.3)
     temperature = _temperature(rng, s) if rng.random() < 0.4 else None
-    model, tool = _chain(s.arm)
+    model, tool = chain(s.arm)
     truth: list[tuple[str, int]] = []
     qa, exact = s.q, positions(model, tool, s.q)
     xyz = exact
@@ -106,7 +106,8 @@ def _with_effect(rng: np.random.Generator, seed: int, kind: str, s: Scene) -> Tr
     return Trial(seed, kind, Recording(columns, {}, "blind"), s.arm.urdf, tuple(truth), False, xyz - exact, None)
 
 
-def _chain(arm: Arm) -> tuple[pin.Model, int]:
+def chain(arm: Arm) -> tuple[pin.Model, int]:
+    """The arm as its drawings say, and the frame of its TCP."""
     model = pin.buildModelFromXML(arm.urdf)
     return model, int(model.getFrameId([f.name for f in model.frames if f.type == pin.FrameType.BODY][-1]))
 
@@ -124,7 +125,7 @@ def positions(model: pin.Model, tool: int, q: Array) -> Array:
 def _altered(rng: np.random.Generator, s: Scene, name: str, j: int,
              temperature: Array | None) -> tuple[Move, float, float] | None:
     """How arm angles and TCP are for a size of the effect, a small size, and the largest that makes sense."""
-    model, tool = _chain(s.arm)
+    model, tool = chain(s.arm)
     if name == "dead_time":
         exact = CubicSpline(s.t, positions(model, tool, s.q), axis=0)
         return (lambda size: (s.q, exact(np.maximum(s.t - size, 0.0)))), 1e-4, 0.02
@@ -182,7 +183,7 @@ def _misbuilt(arm: Arm, j: int, wrong: Array) -> tuple[pin.Model, int]:
         j: joint from 0.
         wrong: errors of a, d [m], alpha, theta [rad] ``(4,)``.
     """
-    model, tool = _chain(arm)
+    model, tool = chain(arm)
     a, d, alpha, theta = wrong
     z = _axis(model, j)
     following = model.jointPlacements[j + 2] if j + 1 < arm.n else model.frames[tool].placement
@@ -213,7 +214,7 @@ def _axis(model: pin.Model, j: int) -> Array:
 
 def _grown(s: Scene, j: int, strain: Array) -> Array:
     """TCP ``(N, 3)`` with the link behind joint ``j`` longer by a share ``(N,)``."""
-    model, tool = _chain(s.arm)
+    model, tool = chain(s.arm)
     data = model.createData()
     last = j + 1 == s.arm.n
     nominal = (model.frames[tool].placement if last else model.jointPlacements[j + 2]).copy()

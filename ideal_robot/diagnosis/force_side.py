@@ -108,7 +108,7 @@ def wrench_of(recording: Recording, robot: Robot, torque: Experiment) -> Wrench 
         mass, com = float(known["mass"]), np.asarray(known["com"], dtype=float)
         weight = np.column_stack([mass * pull, np.cross(mass * com, pull)])
         values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
-    free, load = _untouched(values[:, :3], pull, push, filtered.dt)
+    free, load = _untouched(values[:, :3], pull, push, filtered.dt, bool(known))
     return Wrench(values, rotation, pull, push, free, load)
 
 
@@ -122,7 +122,7 @@ def _poses(robot: Robot, q: Array) -> tuple[Array, Array]:
     return rotation, place
 
 
-def _untouched(force: Array, pull: Array, push: Array, dt: float) -> tuple[np.ndarray, Array]:
+def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bool) -> tuple[np.ndarray, Array]:
     """Samples without contact ``(N,)``, and bias and mass from them ``(4,)``.
 
     All samples if bias and weight explain them all; else those that agree with the beginning, where nothing touches.
@@ -133,8 +133,8 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float) -> tuple[np.nd
     limit = 1.0 + 3.0 * noise / np.sqrt(width)
     rows = np.zeros((len(force), 3, 5))
     rows[:, :, :3], rows[:, :, 3], rows[:, :, 4] = np.eye(3), pull, push
-    # A tool of some kilograms, a bias of some newtons: decides what the orientations leave open.
-    ridge = np.diag([1e-4, 1e-4, 1e-4, 1e-2, 1e-2])
+    # A bias of ten newtons, a tool of three kilograms (or as calibrated): decides what the orientations leave open.
+    ridge = np.diag((max(noise, 1e-3) / np.array([10.0, 10.0, 10.0, 0.02 if calibrated else 3.0, 3.0])) ** 2)
 
     def fitted(gram: Array, right: Array) -> Array:
         return np.asarray(np.linalg.solve(gram + ridge, right))
@@ -248,7 +248,8 @@ def _surface(place: Array, normal: Array, strong: np.ndarray) -> Array:
     flat = (place - middle) - np.outer((place - middle) @ normal, normal)
     _, _, axes = np.linalg.svd(flat[strong][:: max(1, int(strong.sum()) // 2000)], full_matrices=False)
     along, across = flat @ axes[0], flat @ axes[1]
-    columns = [across]
+    # A path on one line leaves nothing across but what tilts the normal; it must not stand for the force.
+    columns = [across] if float(np.std(across[strong])) > 0.1 * _FEATURE else []
     low, high = float(along[strong].min()), float(along[strong].max())
     intervals = int(min((high - low) / _FEATURE, 40))
     if intervals >= 2:
