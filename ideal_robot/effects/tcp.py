@@ -11,6 +11,9 @@ from ideal_robot.effects.thermal_drift import warming_bounds, warming_starts
 from ideal_robot.effects.transmission_error import TransmissionError
 from ideal_robot.interface import Array
 
+_LEVER = 1e-4
+"""A turn about an axis this close to the TCP [m] does not move it."""
+
 
 class AtTool(Effect):
     """An effect on an arm angle, seen at the TCP: ``delta x = J_j delta q_j``.
@@ -39,8 +42,7 @@ class AtTool(Effect):
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """As the angle's effect; frames have to be at hand, and a gear between motor and what was measured."""
-        loaded = bool(np.any(signals.load[:, joint - 1] != 0.0))
-        return signals.frames is not None and loaded and self._inner.usable(signals, joint)
+        return _shows_gears(signals, joint) and self._inner.usable(signals, joint)
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """As the angle's effect."""
@@ -67,6 +69,13 @@ class AtTool(Effect):
         return self._inner.parameters(coefficients, std, theta, theta_std)
 
 
+def _shows_gears(signals: Signals, joint: int) -> bool:
+    """Whether the TCP moves with a joint whose gear is between motor and what was measured."""
+    if signals.frames is None or not np.any(signals.load[:, joint - 1] != 0.0):
+        return False
+    return bool(np.max(np.abs(signals.frames.jacobian[:, :, joint - 1])) > _LEVER)
+
+
 class ToolTransmissionError(TransmissionError):
     """A gear that does not turn evenly, seen at the TCP: ``delta x = J_j (a cos(k q_j) + b sin(k q_j))``."""
 
@@ -74,7 +83,7 @@ class ToolTransmissionError(TransmissionError):
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """As all gear effects: frames at hand, and a gear between motor and what was measured."""
-        return signals.frames is not None and bool(np.any(signals.load[:, joint - 1] != 0.0))
+        return _shows_gears(signals, joint)
 
     def seen(self, signals: Signals, joint: int, residual: Array,
              use: np.ndarray) -> tuple[Array, np.ndarray]:
@@ -126,7 +135,8 @@ class KinematicError(Effect):
 
         delta x = da x_j + dd z_j + dalpha x_j × (x - p_j) + dtheta z_j × (x - p_j)
 
-    ``x_j`` is the common normal of the joint's axis and the next one; it turns with the joint.
+    ``x_j`` is the common normal of the joint's axis and the next one; it turns with the joint. ``d`` and ``theta`` of
+    the first joint are left out: they are where the measuring device stands.
     """
 
     name = "kinematic_error"
@@ -146,7 +156,17 @@ class KinematicError(Effect):
             return np.zeros((len(signals.t), 3, 4))
         x, z = frames.normal[:, joint - 1], frames.axis[:, joint - 1]
         lever = frames.tool - frames.position[:, joint - 1]
-        return np.stack([x, z, np.cross(x, lever), np.cross(z, lever)], axis=2)
+        columns = np.stack([x, z, np.cross(x, lever), np.cross(z, lever)], axis=2)
+        if joint == 1:
+            columns[:, :, [1, 3]] = 0.0
+        columns[:, :, np.max(np.abs(columns), axis=(0, 1)) < _LEVER] = 0.0
+        return columns
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """Those that can be seen at all."""
+        every = super().parameters(coefficients, std, theta, theta_std)
+        return [parameter for parameter in every if parameter.value != 0.0]
 
 
 class ThermalGrowth(Effect):
@@ -181,5 +201,10 @@ class ThermalGrowth(Effect):
             warm = 1.0 - np.exp(-signals.t / max(theta[0], 1e-9))
         else:
             warm = signals.temperature[:, joint - 1] - signals.temperature[0, joint - 1]
-        end = frames.position[:, joint] if joint < signals.n else frames.tool
+        end = frames.tool
+        if joint < signals.n:
+            end, axis = frames.position[:, joint], frames.axis[:, joint]
+            if np.allclose(frames.jacobian[:, :, joint], axis, atol=1e-9):
+                # Behind the link a joint slides: its way is no length of the link.
+                end = end - axis * signals.q[:, joint, None]
         return np.asarray(((end - frames.position[:, joint - 1]) * warm[:, None])[:, :, None])
