@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.diagnosis.adoption import adopted
 from ideal_robot.diagnosis.oracle import told
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
@@ -91,9 +92,10 @@ def close_loop(scene: Scene, *, out: Path | None = None, progress: Progress = si
     progress(0.15, "diagnostic motion")
     recording = place.play(PassThrough(place.world.t_ipo), path=diagnostic_motion(place)).recording
     progress(0.3, "diagnose")
-    found = diagnose(recording, place.robot, model=place.model, validate=before.recording,
+    # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
+    found = diagnose(recording, place.robot, model=place.model,
                      progress=lambda share, word: progress(0.3 + 0.4 * share, word))
-    extended = with_what_transfers(place.model, found, before.recording)
+    extended = adopted(place.model, found, before.recording, place.robot)
     progress(0.7, "after")
     after = _played(place, extended)
     progress(0.85, "oracle")
@@ -140,24 +142,6 @@ def _joined(end: np.ndarray, part: np.ndarray, steps: int = 80) -> np.ndarray:
     """A part with a smooth approach to its start in front."""
     s = np.linspace(0.0, 1.0, steps)[:, None]
     return np.concatenate([end + (part[0] - end) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), part])
-
-
-def with_what_transfers(known: Model, found: Diagnosis, run: Recording) -> Model:
-    """The known model with the effects that also help to predict the scene's own run.
-
-    They were found in the diagnostic motion; what does not lower the error of the run is a habit of that motion.
-    """
-    kept = dataclasses.replace(known, effects=known.effects + tuple(
-        f.fitted for f in found.effects if not f.fitted.channel.startswith("tau") and f.transfers))
-    error = kept.predict(run).relative_error_percent
-    for f in found.effects:
-        if not f.fitted.channel.startswith("tau"):
-            continue
-        tried = dataclasses.replace(kept, effects=(*kept.effects, f.fitted))
-        after = tried.predict(run).relative_error_percent
-        if after[f.fitted.joint - 1] < 0.99 * error[f.fitted.joint - 1]:
-            kept, error = tried, after
-    return kept
 
 
 def _played(place: Workshop, model: Model) -> PathErrors:

@@ -1,8 +1,6 @@
-"""An oracle: told the names and joints of effects, it estimates their size and nothing else."""
+"""An oracle: told the names and joints of effects, it estimates their size, and the model's parameters with them."""
 
 from __future__ import annotations
-
-import dataclasses
 
 import numpy as np
 
@@ -12,9 +10,11 @@ from ideal_robot.diagnosis.diagnose import prior_precision
 from ideal_robot.diagnosis.estimate import estimate, fitted_effect
 from ideal_robot.diagnosis.experiment import Experiment, experiment
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.rebase import with_parameters
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, FittedEffect, library
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
+from ideal_robot.interface import Array
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
@@ -23,7 +23,9 @@ from ideal_robot.robot import Robot
 def told(recording: Recording, robot: Robot, model: Model, effects: tuple[tuple[str, int], ...]) -> Model:
     """The model with the named effects, estimated jointly with its parameters.
 
-    An effect that shows in measured arm angles is estimated there, else in the torque.
+    An effect that shows in measured arm angles is estimated there, else in the torque. Those of the torque and the
+    parameters of the model are one fit, and the model returned is that of the fit: the effects on top of the
+    parameters of before would count twice what both describe.
 
     Args:
         recording, robot, model: as for ``diagnose``.
@@ -35,21 +37,27 @@ def told(recording: Recording, robot: Robot, model: Model, effects: tuple[tuple[
     (recording,), _ = checked([recording], robot)
     torque = experiment(recording, robot, model, payload=True)
     arm = arm_experiment(recording, robot, torque, model.stiffness)
-    found = []
+    found, result = [], model
     for name, joint in effects:
         behind = _named(name, ARM_POSITION) if arm is not None else []
         raw, kinds = (arm, behind) if arm is not None and behind else (torque, _named(name, MOTOR_TORQUE))
         if not kinds:
             raise InputError("no such effect", field="effect", value=name)
-        found.append(_estimated(raw, kinds, joint, model if raw is torque else None))
-    return dataclasses.replace(model, effects=model.effects + tuple(found))
+        if raw is arm:
+            found.append(_estimated(raw, kinds, joint, None)[0])
+            continue
+        # With what was estimated before in the model, as its parameters now are.
+        effect, change = _estimated(experiment(recording, robot, result, payload=True), kinds, joint, result)
+        result = with_parameters(result, change).with_effects((effect,))
+    return result.with_effects(tuple(found))
 
 
 def _named(name: str, domain: str) -> list[Effect]:
     return [effect for effect in library() if effect.name == name and effect.domain == domain]
 
 
-def _estimated(raw: Experiment, kinds: list[Effect], joint: int, model: Model | None) -> FittedEffect:
+def _estimated(raw: Experiment, kinds: list[Effect], joint: int, model: Model | None
+               ) -> tuple[FittedEffect, Array]:
     blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=False)
     data = Data(raw.y, raw.W, raw.use, Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0))
     prior = prior_precision(model, raw, data) if model is not None and np.any(model.covariance) else None
@@ -66,4 +74,4 @@ def _estimated(raw: Experiment, kinds: list[Effect], joint: int, model: Model | 
     if best is None:
         raise InputError("the effect has nothing to start from in this recording", field="effect", value=kinds[0].name)
     final = estimate(raw, data, [best[1]], prior)
-    return fitted_effect(best[1], final.coefficients[0], final.std[0], final.theta_std[0], False, {})
+    return fitted_effect(best[1], final.coefficients[0], final.std[0], final.theta_std[0], False, {}), final.change
