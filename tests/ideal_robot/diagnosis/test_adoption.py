@@ -1,0 +1,69 @@
+"""What goes from a diagnosis into the model for another motion: a joint's effects and friction together, or not."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.diagnosis.adoption import adopted, with_joint
+from ideal_robot.diagnosis.result import FoundEffect
+from ideal_robot.effects import FittedEffect
+from ideal_robot.friction import PerJointFriction, ViscousCoulomb
+from ideal_robot.model import Model
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+
+STICKS = FittedEffect("stribeck", 2, "tau_2", (60.0,), theta=(0.05,))
+"""What joint 2 truly has; its Coulomb friction is 40 N m less than an ordinary fit makes of it."""
+HABIT = FittedEffect("stribeck", 3, "tau_3", (60.0,), theta=(0.05,))
+
+
+def with_coulomb(robot: Robot, levels: list[float]) -> Model:
+    laws = [ViscousCoulomb(np.array([[100.0], [level]])) for level in levels]
+    return dataclasses.replace(Model.nominal(robot), friction=PerJointFriction(laws))
+
+
+def recorded(model: Model) -> Recording:
+    t = 0.004 * np.arange(2000.0)
+    phase = np.outer(t, 0.7 + 0.2 * np.arange(model.n)) + np.arange(model.n)
+    rate = 0.7 + 0.2 * np.arange(model.n)
+    q, qd, qdd = 0.3 * np.sin(phase), 0.3 * rate * np.cos(phase), -0.3 * rate**2 * np.sin(phase)
+    tau = model.inverse_dynamics(q, qd, qdd, t=t)
+    tau = tau + np.random.default_rng(1).normal(0.0, 1.0, tau.shape)
+    columns = {"t": t, **{f"q_{i + 1}": q[:, i].copy() for i in range(model.n)},
+               **{f"tau_{i + 1}": tau[:, i].copy() for i in range(model.n)}}
+    return Recording(columns, {"robot": model.robot_name})
+
+
+@pytest.fixture(scope="module")
+def case() -> tuple[Robot, Model, Diagnosis, Recording]:
+    robot = Robot.load("kr15")
+    known = with_coulomb(robot, [100.0] * robot.n)
+    fitted = with_coulomb(robot, [100.0, 60.0, 60.0, 100.0, 100.0, 100.0]).with_effects((STICKS, HABIT))
+    found = Diagnosis("effects", (), tuple(FoundEffect(e, 1.0, 0.5, 1e-9) for e in (STICKS, HABIT)), (), "", 0.0,
+                      model=fitted)
+    truth = with_joint(known, fitted, 2, (STICKS,))
+    return robot, known, found, recorded(truth)
+
+
+def test_joint_is_taken_as_it_was_fitted_and_a_habit_of_the_other_motion_is_not(case):
+    robot, known, found, run = case
+    model = adopted(known, found, run, robot)
+    assert model.effects == (STICKS,)
+    assert [law.coefficients[1, 0] for law in model.friction.laws] == [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]
+    before, after = (m.predict(run).relative_error_percent for m in (known, model))
+    assert after[1] < 0.7 * before[1]
+    np.testing.assert_allclose(np.delete(after, 1), np.delete(before, 1))
+
+
+def test_on_the_friction_of_before_the_same_effect_is_worth_less(case):
+    """Why the two are one package."""
+    robot, known, found, run = case
+    alone = known.with_effects((STICKS,)).predict(run).relative_error_percent[1]
+    assert alone > adopted(known, found, run, robot).predict(run).relative_error_percent[1]
+
+
+def test_without_an_extended_model_nothing_changes(case):
+    robot, known, found, run = case
+    assert adopted(known, dataclasses.replace(found, effects=(), model=None), run, robot).effects == known.effects
