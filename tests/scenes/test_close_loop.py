@@ -6,6 +6,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from scenes.close_loop import close_loop, undeclared_effects
+from scenes.path_scene import PathScene
 from scenes.scene import load_scene
 
 
@@ -21,7 +22,9 @@ def test_after_is_close_to_the_oracle(name: str, seed: int) -> None:
 
 
 def test_undeclared_effect_is_named_with_its_joint() -> None:
-    assert undeclared_effects(load_scene("close_stribeck"), 6) == (("stribeck", 2),)
+    scene = load_scene("close_stribeck")
+    assert isinstance(scene, PathScene)
+    assert undeclared_effects(scene, 6) == (("stribeck", 2),)
 
 
 def test_scene_without_an_undeclared_effect_is_refused() -> None:
