@@ -90,7 +90,7 @@ def _swung(rng: np.random.Generator, seed: int, kind: str, arm: Arm) -> Trial | 
     wrench = tool.wrench(rng, t, rotation, place, np.zeros((len(t), 3)))
     truth = (("force_bias", 0),) if kind == "inside" else ()
     meta = {"tool": tool.known()} if tool.calibrated else {}
-    return _trial(rng, seed, kind, arm, s.t, s.q, s.torque, wrench[:, :count], truth, meta)
+    return _trial(rng, seed, kind, arm, s.t, s.q, s.torque, wrench[:, :count], truth, meta, tool.bias)
 
 
 def _pressed(rng: np.random.Generator, seed: int, kind: str, arm: Arm) -> Trial | None:
@@ -134,7 +134,8 @@ def _pressed(rng: np.random.Generator, seed: int, kind: str, arm: Arm) -> Trial 
     wrench = tool.wrench(rng, t, rotation, place, force)
     truth = (("force_compliance", 0),) if kind == "inside" else ()
     return _trial(rng, seed, kind, arm, t, q, s.torque, wrench, truth,
-                  {"tool": tool.known(), "contact_stiffness": E * ratio})
+                  {"tool": tool.known(), "contact_stiffness": E * ratio},
+                  np.array([1.0 / E - 1.0 / (E * ratio)]))
 
 
 def _followed(rng: np.random.Generator, arm: Arm, path: Array) -> Array | None:
@@ -178,10 +179,11 @@ def _step(x: Array) -> Array:
 
 
 def _trial(rng: np.random.Generator, seed: int, kind: str, arm: Arm, t: Array, q: Array, torque: Array, wrench: Array,
-           truth: tuple[tuple[str, int], ...], meta: Mapping[str, object]) -> Trial:
+           truth: tuple[tuple[str, int], ...], meta: Mapping[str, object], size: Array) -> Trial:
+    """The trial; its ``oracle`` is the size of the effect: bias ``(6,)`` or compliance ``(1,)``."""
     noise = (np.std(torque, axis=0) + 1e-3) * rng.uniform(0.005, 0.02, arm.n)
     plain = measured(rng, arm, t, q, torque, noise, None)
     columns = dict(plain.columns)
     for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")[: wrench.shape[1]]):
         columns[name] = np.interp(plain.t, t, wrench[:, i])
-    return Trial(seed, kind, Recording(columns, dict(meta), "blind"), arm.urdf, truth, False, np.zeros_like(q), None)
+    return Trial(seed, kind, Recording(columns, dict(meta), "blind"), arm.urdf, truth, False, size, None)

@@ -21,7 +21,7 @@ from ideal_robot.effects.force_bias import MOMENTS
 from ideal_robot.effects.force_compliance import CONTACT_FORCE
 from ideal_robot.effects.unknown import spline_basis
 from ideal_robot.identification.preprocess import Signals as Filtered
-from ideal_robot.identification.preprocess import resampled
+from ideal_robot.identification.preprocess import lowpass, resampled
 from ideal_robot.interface import Array
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
@@ -34,6 +34,10 @@ LEAST_FORCE = 3.0
 FEWEST = 20
 """Rows a regression needs."""
 _CHUNK = 0.1
+_CONTACT_BAND = 8.0
+"""Band in which a contact is looked at [Hz]."""
+_SLOW = 0.01
+"""Speed below which the direction of sliding says little [m/s]."""
 _FEATURE = 0.04
 """Shortest undulation of an unknown surface that is followed [m]."""
 
@@ -199,12 +203,11 @@ def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torqu
     filtered = _only(torque, strong)
     if int(filtered.keep.sum()) < FEWEST:
         return None
-    normal = force[strong].mean(axis=0)
-    normal = normal / max(float(np.linalg.norm(normal)), 1e-9)
+    place = _arm_side(recording, robot, torque, force, stiffness)
+    normal = _normal(force, place, strong, torque.filtered.dt)
     pressed = force @ normal
     if float(np.mean(pressed[strong] > LEAST_FORCE)) < 0.9 or float(np.ptp(pressed[strong])) < LEAST_FORCE:
         return None
-    place = _arm_side(recording, robot, torque, force, stiffness)
     assumed = recording.meta.get("contact_stiffness")
     y = place @ normal + (pressed / float(assumed) if assumed else 0.0)
     y = y - y[strong].mean()
@@ -213,10 +216,33 @@ def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torqu
     W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
     # The filter looks to both sides: out of contact stands what was last or next in contact, for which the law holds.
     touching = _nearest(strong)
-    small = filtered.decimate(y[touching])
-    extra = {CONTACT_FORCE: pressed[touching]}
-    return _made(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W[touching]), extra,
+    # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
+    dt = torque.filtered.dt
+    band = min(_CONTACT_BAND, 0.2 / dt)
+    wide = noise_in_band(filtered.decimate(y[touching])[:, None], torque)
+    y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
+    small = filtered.decimate(y)
+    extra = {CONTACT_FORCE: pressed}
+    made = _made(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra,
                  (small - small.mean())[:, None], "force")
+    return dataclasses.replace(made, quiet=wide * np.sqrt(2.0 * band * dt * filtered.factor))
+
+
+def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
+    """Normal of the surface ``(3,)``: mean direction of the contact force without what turns with the sliding."""
+    width = max(1, round(0.05 / dt))
+    velocity = np.gradient(ndimage.uniform_filter1d(place, width, axis=0), dt, axis=0)[strong]
+    direction = force[strong] / np.linalg.norm(force[strong], axis=1, keepdims=True)
+    normal = direction.mean(axis=0)
+    for _ in range(3):
+        normal = normal / np.linalg.norm(normal)
+        sliding = velocity - np.outer(velocity @ normal, normal)
+        sliding = sliding / np.sqrt((sliding**2).sum(axis=1, keepdims=True) + _SLOW**2)
+        # direction = normal - mu sliding, mu from the scatter of both about their means.
+        middle, spread = sliding.mean(axis=0), sliding - sliding.mean(axis=0)
+        mu = -float(np.sum(spread * direction)) / max(float(np.sum(spread**2)), 1e-9)
+        normal = direction.mean(axis=0) + float(np.clip(mu, 0.0, 1.0)) * middle
+    return np.asarray(normal / np.linalg.norm(normal))
 
 
 def _nearest(mask: np.ndarray) -> np.ndarray:

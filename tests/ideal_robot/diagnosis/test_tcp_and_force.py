@@ -1,0 +1,135 @@
+"""Known truths behind the gear and at the force sensor are found with their numbers; nothing is where there is none."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.effects import TCP_POSITION, library
+from ideal_robot.recording import Recording
+from ideal_robot.robot import Robot
+from sim.blind_force import draw_force_trial
+
+NOISE = 2e-5
+
+
+@cache
+def robot() -> Robot:
+    return Robot.load("kr15")
+
+
+@cache
+def motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, positions, loads."""
+    arm, t = robot(), np.arange(0.0, 16.0, 0.01)
+    w = 2 * np.pi * np.array([0.25, 0.3, 0.35, 0.4, 0.45, 0.5])
+    phase = np.arange(6) * 1.1
+    q = arm.home + 0.4 * np.sin(np.outer(t, w) + phase) + 0.1 * np.sin(np.outer(t, 2.7 * w))
+    qd, data = np.gradient(q, t, axis=0), arm.model.createData()
+    qdd = np.gradient(qd, t, axis=0)
+    return t, q, np.array([pin.rnea(arm.model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+
+
+def recorded(xyz_at: np.ndarray | None, **more: np.ndarray) -> Recording:
+    rng = np.random.default_rng(5)
+    t, q, load = motion()
+    tau = load + np.sign(np.gradient(q, axis=0)) * 5.0
+    columns = {"q": q, "tau": tau + rng.normal(size=tau.shape) * 0.01 * np.std(tau, axis=0)}
+    xyz = {} if xyz_at is None else dict(zip("xyz", (xyz_at + NOISE * rng.normal(size=xyz_at.shape)).T, strict=True))
+    return Recording.from_arrays(t, **columns, **xyz, **more)
+
+
+def tcp(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    data, tool = model.createData(), robot().tool_id
+    result = []
+    for row in q:
+        pin.forwardKinematics(model, data, row)
+        result.append(pin.updateFramePlacement(model, data, tool).translation.copy())
+    return np.array(result)
+
+
+def within(found: Diagnosis, name: str, joint: int, **truth: float) -> None:
+    effect = next(e.fitted for e in found.effects if (e.fitted.name, e.fitted.joint) == (name, joint))
+    for parameter in effect.parameters:
+        if parameter.name in truth:
+            assert abs(parameter.value - truth.pop(parameter.name)) < 3.0 * parameter.std, parameter
+    assert not truth
+
+
+def test_a_soft_gear_at_the_tool():
+    _, q, load = motion()
+    soft = q.copy()
+    soft[:, 2] -= load[:, 2] / 4e5
+    found = diagnose(recorded(tcp(robot().model, soft)), robot(), only=(("joint_elasticity", 3), ("backlash", 3)))
+    within(found, "joint_elasticity", 3, stiffness=4e5)
+    assert next(p.unit for e in found.effects for p in e.fitted.parameters if p.name == "stiffness") == "N m/rad"
+
+
+def test_an_uneven_gear_at_the_tool_with_its_order():
+    _, q, _ = motion()
+    uneven = q.copy()
+    uneven[:, 1] += 8e-5 * np.sin(40.0 * q[:, 1] + 0.3)
+    found = diagnose(recorded(tcp(robot().model, uneven)), robot(), only=(("transmission_error", 2),))
+    within(found, "transmission_error", 2, amplitude=8e-5, order=40.0)
+
+
+def test_a_wrong_length_and_what_is_the_same():
+    model = robot().model.copy()
+    model.jointPlacements[4].translation += np.array([0.0, 4e-4, 0.0])
+    _, q, _ = motion()
+    found = diagnose(recorded(tcp(model, q)), robot(),
+                     only=tuple(("kinematic_error", j) for j in range(1, 7)))
+    assert {e.fitted.name for e in found.effects} == {"kinematic_error"}
+    first = found.effects[0]
+    # Axes 2 and 3 are parallel: a shift along them is the same at either.
+    said = {first.fitted.joint, *(int(r.split()[-1]) for r in first.indistinguishable_from if " of joint " in r)}
+    assert {2, 3} <= said
+    assert first.rms_after < 0.5 * first.rms_before
+
+
+def test_a_late_device_and_a_good_one():
+    t, q, _ = motion()
+    late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(robot().model, q).T])
+    within(diagnose(recorded(late), robot(), only=(("dead_time", 0),)), "dead_time", 0, delay=3e-4)
+    every = tuple((e.name, joint) for e in library() if e.domain == TCP_POSITION for joint in range(7))
+    good = diagnose(recorded(tcp(robot().model, q)), robot(), only=every)
+    assert not [e for e in good.effects if e.fitted.channel.startswith("tcp")]
+    floors = [c.noise_floor for c in good.channels if c.channel in "xyz"]
+    # White noise of the device fills the whole band of a recording that is not decimated.
+    np.testing.assert_allclose(floors, NOISE, rtol=0.2)
+
+
+def trial(seed: int, kind: str, folder: Path) -> tuple[Diagnosis, np.ndarray]:
+    drawn = draw_force_trial(seed, kind)
+    (folder / "arm.urdf").write_text(drawn.urdf, encoding="utf-8")
+    only = (("force_bias", 0), ("force_compliance", 0))
+    return diagnose(drawn.recording, Robot.load(folder / "arm.urdf"), only=only), drawn.oracle
+
+
+@pytest.mark.parametrize(("seed", "name"), [(3, "force_bias"), (4, "force_compliance")])
+def test_force_effects_have_their_size(seed, name, tmp_path):
+    found, truth = trial(seed, "inside", tmp_path)
+    assert [e.fitted.name for e in found.effects] == [name]
+    effect = found.effects[0].fitted
+    for value, std, true in zip(effect.coefficients, effect.std, truth, strict=False):
+        assert abs(value - true) < 3.0 * std
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_good_force_sensor_is_left_alone(seed, tmp_path):
+    found, _ = trial(seed, "none", tmp_path)
+    assert not found.effects
+    assert any(c.channel in ("fx", "contact") for c in found.channels)
+
+
+def test_a_wrench_without_columns_or_numbers_is_not_looked_at():
+    t, _, _ = motion()
+    gaps = np.full(len(t), np.nan)
+    for columns in ({"fx": gaps, "fy": gaps, "fz": gaps}, {"fx": gaps * 0 + 1.0}):
+        found = diagnose(recorded(None, **columns), robot(), only=(("force_bias", 0),))
+        assert not [c for c in found.channels if c.channel.startswith("f")]

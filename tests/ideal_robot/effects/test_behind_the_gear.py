@@ -1,0 +1,127 @@
+"""Columns of TCP and force effects are what finite differences of an altered geometry give."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.diagnosis.arm_side import frames_along
+from ideal_robot.effects import FittedEffect, Signals, effect_of, library
+from ideal_robot.effects.force_bias import MOMENTS
+from ideal_robot.effects.force_compliance import CONTACT_FORCE
+from ideal_robot.model import Model
+from ideal_robot.robot import Robot
+
+ROBOT = Robot.load("kr6")
+TOOL = [e for e in library() if e.domain == "tcp_position" or e.name in ("force_bias", "force_compliance")]
+
+
+def motion(count: int = 200) -> Signals:
+    t = np.linspace(0.0, 4.0, count)
+    n = ROBOT.n
+    q = ROBOT.home + 0.4 * np.sin(np.outer(t, 1.0 + 0.3 * np.arange(n)) + np.arange(n))
+    qd = np.gradient(q, t, axis=0)
+    load = 20.0 * np.sin(q)
+    still = np.zeros_like(q)
+    extra = {MOMENTS: np.ones(count), CONTACT_FORCE: 20.0 + np.sin(t)}
+    return Signals(t, q, qd, still, load, still, still, frames=frames_along(ROBOT, q), extra=extra)
+
+
+def tcp(model: pin.Model, q: np.ndarray) -> np.ndarray:
+    data, tool = model.createData(), ROBOT.tool_id
+    result = []
+    for row in q:
+        pin.forwardKinematics(model, data, row)
+        result.append(pin.updateFramePlacement(model, data, tool).translation.copy())
+    return np.array(result)
+
+
+def named(name: str, channel: str):
+    return next(e for e in library() if e.name == name and e.acts_on(channel))
+
+
+@pytest.mark.parametrize("name", ["joint_elasticity", "backlash", "transmission_error"])
+def test_gears_move_the_tool_as_their_angle_does(name):
+    signals, joint, h = motion(), 2, 1e-6
+    effect, angle = named(name, f"tcp_{joint}"), named(name, f"qa_{joint}")
+    theta = effect.starts(signals, joint)[0]
+    columns, bend = effect.columns(signals, joint, theta), angle.columns(signals, joint, theta)
+    for i in range(columns.shape[2]):
+        sides = [tcp(ROBOT.model, signals.q + sign * h * bend[:, :, i]) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(columns[:, :, i], (sides[0] - sides[1]) / (2 * h), rtol=1e-5, atol=1e-8)
+
+
+def test_a_late_device_sees_where_the_arm_was():
+    signals, h = motion(2000), 2e-3
+    column = named("dead_time", "tcp").columns(signals, 0, ())[:, :, 0]
+    before, after = (tcp(ROBOT.model, np.column_stack([np.interp(signals.t - s * h, signals.t, c)
+                                                       for c in signals.q.T])) for s in (-1.0, 1.0))
+    np.testing.assert_allclose(column[10:-10], ((after - before) / (2 * h))[10:-10], atol=2e-4)
+
+
+@pytest.mark.parametrize("joint", [2, 3, 4, 5])
+def test_kinematic_errors_are_those_of_altered_placements(joint):
+    signals, h = motion(60), 1e-6
+    columns = named("kinematic_error", f"tcp_{joint}").columns(signals, joint, ())
+    data = ROBOT.model.createData()
+    pin.forwardKinematics(ROBOT.model, data, signals.q[0])
+    R = data.oMi[joint].rotation
+    z, x = R.T @ signals.frames.axis[0, joint - 1], R.T @ signals.frames.normal[0, joint - 1]
+    nothing = np.zeros(3)
+    for i, (shift, turn) in enumerate(((x, nothing), (z, nothing), (nothing, x), (nothing, z))):
+        sides = []
+        for sign in (1.0, -1.0):
+            model = ROBOT.model.copy()
+            error = pin.SE3(pin.exp3(sign * h * turn), sign * h * shift)
+            model.jointPlacements[joint + 1] = error * model.jointPlacements[joint + 1]
+            sides.append(tcp(model, signals.q))
+        np.testing.assert_allclose(columns[:, :, i], (sides[0] - sides[1]) / (2 * h), rtol=1e-5, atol=1e-8)
+
+
+def test_a_link_grows_along_itself():
+    signals, joint, h = motion(60), 3, 1e-5
+    effect = named("thermal_growth", f"tcp_{joint}")
+    warm = 1.0 - np.exp(-signals.t / 2.0)
+    sides = []
+    for sign in (1.0, -1.0):
+        places = []
+        for k, q in enumerate(signals.q):
+            model = ROBOT.model.copy()
+            model.jointPlacements[joint + 1].translation *= 1.0 + sign * h * warm[k]
+            places.append(tcp(model, q[None])[0])
+        sides.append(np.array(places))
+    np.testing.assert_allclose(effect.columns(signals, joint, (2.0,))[:, :, 0], (sides[0] - sides[1]) / (2 * h),
+                               rtol=1e-5, atol=1e-8)
+
+
+def test_the_common_normal_is_square_to_both_axes():
+    frames = motion(20).frames
+    for j in range(ROBOT.n - 1):
+        dots = np.einsum("kj,kj->k", frames.normal[:, j], frames.axis[:, j])
+        np.testing.assert_allclose(dots, 0.0, atol=1e-9)
+        parallel = np.linalg.norm(np.cross(frames.axis[0, j], frames.axis[0, j + 1])) < 1e-6
+        if not parallel:
+            dots = np.einsum("kj,kj->k", frames.normal[:, j], frames.axis[:, j + 1])
+            np.testing.assert_allclose(dots, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("effect", TOOL, ids=lambda e: f"{e.name}-{e.channel(1)}")
+def test_effects_survive_their_file_and_leave_torques_alone(effect):
+    signals = motion(60)
+    joint = next(iter(effect.joints(signals)))
+    theta = effect.starts(signals, joint)[0]
+    m = effect.columns(signals, joint, theta).shape[2]
+    fitted = FittedEffect(effect.name, joint, effect.channel(joint), (1e-3,) * m, (1e-4,) * m, theta,
+                          (0.0,) * len(theta))
+    again = FittedEffect.from_dict(json.loads(json.dumps(fitted.to_dict())))
+    assert type(effect_of(again)) is type(effect)
+    assert again.domain == effect.domain
+    np.testing.assert_array_equal(again.contribution(signals), fitted.contribution(signals))
+    bare = Model.nominal(ROBOT)
+    with_it = dataclasses.replace(bare, effects=(again,))
+    motion_of = signals.q, signals.qd, signals.qdd
+    np.testing.assert_array_equal(with_it.inverse_dynamics(*motion_of), bare.inverse_dynamics(*motion_of))
