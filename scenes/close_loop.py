@@ -10,7 +10,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
+from scenes.line_scene import LineScene
 from scenes.metrics import PathErrors
 from scenes.path_methods import Workshop, training_motion
 from scenes.path_scene import JointPath, PathScene
@@ -28,6 +29,9 @@ from scenes.path_tracking import workshop
 from scenes.result import Progress, silent
 from scenes.scene import Scene
 from sim.world import World
+
+if TYPE_CHECKING:
+    from scenes.close_loop_line import CloseLineResult
 
 _EFFECT_OF_KEY = {"stribeck": "stribeck", "presliding": "presliding_hysteresis", "stiffness": "joint_elasticity",
                   "viscous": "viscous", "coulomb": "coulomb", "friction_asymmetry": "asymmetric_friction",
@@ -69,6 +73,8 @@ class CloseLoopResult:
             "report": self.report,
         }
 
+    columns = ("model", "E_car timed", "aligned", "geometric", "E_max aligned")
+
     def table(self) -> list[list[Any]]:
         """One row a model: errors in mm."""
         return [[name, *[1e3 * value for value in (e.time_matched.E_car, e.aligned.E_car, e.geometric.E_car,
@@ -76,14 +82,19 @@ class CloseLoopResult:
                 for name, e in (("before", self.before), ("after", self.after), ("oracle", self.oracle))]
 
 
-def close_loop(scene: Scene, *, out: Path | None = None, progress: Progress = silent) -> CloseLoopResult:
-    """Plays a path scene, finds what its model misses, and plays it again.
+def close_loop(scene: Scene, *, out: Path | None = None,
+               progress: Progress = silent) -> CloseLoopResult | CloseLineResult:
+    """Plays a path or line scene, finds what its model misses, and plays it again.
 
     Raises:
         InputError: a scene of another kind, or one whose world holds nothing undeclared.
     """
+    if isinstance(scene, LineScene):
+        from scenes.close_loop_line import close_line
+
+        return close_line(scene, out=out, progress=progress)
     if not isinstance(scene, PathScene):
-        raise InputError("only scenes of kind path can be closed; their world holds the undeclared effect",
+        raise InputError("only scenes of kind path and line can be closed; they hold the undeclared effect",
                          field="kind", value=scene.kind)
     place = workshop(scene, delay=False)
     undeclared = undeclared_effects(scene, place.robot.n)

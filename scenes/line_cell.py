@@ -79,7 +79,8 @@ def set_up(scene: LineScene) -> Cell:
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
             line_span=(begin, reference.length - scene.reference.run_out),
-            settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05))
+            settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05,
+                                      stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error

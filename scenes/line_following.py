@@ -16,6 +16,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.interface import Array
+from ideal_robot.model import Model
 from planning.direct_feedback import DirectFeedback
 from planning.errors import LineLostError, OutOfReachError
 from planning.stopping import stopping_rows
@@ -87,6 +88,11 @@ def compare(scene: LineScene, *, out: Path | None = None, progress: Progress = s
     return compare_lines(scene, run, out=out, progress=progress)
 
 
+def assumed_latency(model: Model) -> float:
+    """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
+    return sum(effect.coefficients[0] for effect in model.effects if effect.name == "camera_latency")
+
+
 @dataclass
 class _Log:
     """What is written down while the scene is played."""
@@ -113,12 +119,14 @@ class _Loop:
         self.n_d = cell.follower.n_d
         self.feedforward: Feedforward = PassThrough(cell.world.t_ipo)
         self.deflection: GearDeflection | None = None
+        self.latency = 0.0
         if method == "ideal":
             from ideal_robot.feedforward.ideal import IdealRobot
 
             model = model_for(cell.scene, cell.robot)
             self.feedforward = IdealRobot.of(model, cell.robot, self.n_d, delay=int(cell.world.correction_delay))
             self.deflection = GearDeflection(model, cell.world.t_ipo)
+            self.latency = assumed_latency(model)
         self.direct = DirectFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
         self.state: Any
         self.state = self.feedforward.init(self.follower.q_start)
@@ -129,6 +137,7 @@ class _Loop:
     def sense(self, arrived: Field) -> LineField:
         """Line points of a field and what follows from them for the path."""
         follower = self.follower
+        arrived = replace(arrived, t_stamp=arrived.t_stamp + self.latency)
         pose = follower.history.pose(arrived.t_stamp)
         seen = detect_line(arrived, self.cell.camera, follower.predict(arrived.t_stamp).seen_from(pose), self.detection)
         if self.direct is not None:
@@ -169,7 +178,8 @@ def _play(cell: Cell, method: str, gains: tuple[float, float] | None, shared: Pr
         wall = time.perf_counter() - started
         history = arm.history()
         tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
-        recording = line_recording(arm, scene, method, np.array(log.t), np.array(log.q_d), log.fields, log.failure)
+        recording = line_recording(arm, scene, method, np.array(log.t), np.array(log.q_d), log.fields, log.failure,
+                                   cell.camera)
     shown = tuple(replace(seen, image=shared.camera.frame(pose)) for pose, seen in log.shown) if pictures else ()
     whole, error, followed_from = _control_error(cell, history["t"], tcp, log.first_used)
     return LineResult(

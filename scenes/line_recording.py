@@ -11,12 +11,13 @@ import numpy as np
 from ideal_robot.interface import Array
 from ideal_robot.recording import Recording
 from scenes.line_scene import LineScene
+from sensing.camera_model import CameraModel
 from sensing.line_detection import LineField
 from sim.arm import SimulatedArm
 
 
 def line_recording(arm: SimulatedArm, scene: LineScene, method: str, t: Array, q_d: Array, fields: Sequence[LineField],
-                   failure: str | None) -> Recording:
+                   failure: str | None, camera: CameraModel) -> Recording:
     """The arm's own recording with columns added.
 
     ``q_d_i`` desired arm angles; for each camera field, in the row at its time stamp and NaN elsewhere: ``cam_t`` [s]
@@ -28,6 +29,7 @@ def line_recording(arm: SimulatedArm, scene: LineScene, method: str, t: Array, q
         t, q_d: desired angles ``(K,)`` [s], ``(K, n)`` [rad].
         fields: the camera fields that arrived.
         failure: why the run ended early, noted in the metadata.
+        camera: as it is believed to be; where its optical axis meets the surface, and how far away, is noted.
     """
     recording = arm.recording(external=scene.tracker)
     columns: dict[str, Array] = dict(recording.columns)
@@ -46,4 +48,8 @@ def line_recording(arm: SimulatedArm, scene: LineScene, method: str, t: Array, q
             columns[f"line_{name}_{i + 1}"] = points[:, i, axis].copy()
     meta: dict[str, Any] = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed,
                             "seed": scene.seed, "stopped_because": failure}
+    mount = camera.T_tool_camera
+    distance = -mount.translation[2] / mount.rotation[2, 2]
+    meta["camera"] = {"axis": [float(v) for v in mount.translation + distance * mount.rotation[:, 2]],
+                      "distance": float(distance)}
     return dataclasses.replace(recording, columns=columns, meta=meta)

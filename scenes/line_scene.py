@@ -139,6 +139,8 @@ class LineScene(Scene):
     """Line points looked for in each field; [L] takes 5."""
     tracker: bool = True
     """Whether the recording holds an external measuring device's arm angles and TCP."""
+    stamp_estimate: bool = True
+    """Whether the follower estimates on the way by how much the camera's time stamps are wrong."""
     max_gap: float = pydantic.Field(default=0.15, gt=0, le=5)
     """Distance that may be travelled without a seen line before it counts as lost [m]."""
 

@@ -12,6 +12,7 @@ from ideal_robot.diagnosis.estimate import Estimate, estimate
 from ideal_robot.diagnosis.experiment import Experiment, about, experiment, with_blur
 from ideal_robot.diagnosis.force_side import blocks_of, force_experiments
 from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.line_side import line_blocks, line_experiment
 from ideal_robot.diagnosis.part import Part, rms
 from ideal_robot.diagnosis.rebase import with_parameters
 from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
@@ -214,6 +215,11 @@ class TorqueDiagnosis:
         for made, other in force_experiments(self.recording, self.validate, self.robot, raw, seen, stiffness):
             self.report(0.88, "force sensor")
             parts.append(self._sensor_part(made, other, blocks_of(made, held_out=other is None)))
+        # The curve of another recording's line would say nothing here.
+        line = line_experiment(self.recording, self.robot, raw, stiffness)
+        if line is not None:
+            self.report(0.9, "line")
+            parts.append(self._sensor_part(line, None, line_blocks(line, held_out=True)))
         return parts
 
     def _sensor_part(self, made: Experiment, other: Experiment | None, blocks: Blocks) -> Part:

@@ -27,6 +27,10 @@ def library() -> tuple[Effect, ...]:
     from ideal_robot.effects.axis_coupling import AxisCoupling
     from ideal_robot.effects.backlash import ArmBacklash, ArmBacklashByLoad, Backlash
     from ideal_robot.effects.cable_spring import CableSpring
+    from ideal_robot.effects.camera_latency import CameraLatency
+    from ideal_robot.effects.camera_offset import CameraOffset
+    from ideal_robot.effects.camera_scale import CameraScale
+    from ideal_robot.effects.clock_drift import ClockDrift
     from ideal_robot.effects.coulomb import Coulomb
     from ideal_robot.effects.current_offset import CurrentOffset
     from ideal_robot.effects.dead_time import DeadTime, PositionDeadTime
@@ -36,6 +40,7 @@ def library() -> tuple[Effect, ...]:
     from ideal_robot.effects.force_compliance import ForceCompliance
     from ideal_robot.effects.gravity_spring import GravitySpring
     from ideal_robot.effects.joint_elasticity import ArmElasticity, JointElasticity
+    from ideal_robot.effects.lens_distortion import LensDistortion
     from ideal_robot.effects.load_dependent_friction import LoadDependentFriction
     from ideal_robot.effects.payload import Payload
     from ideal_robot.effects.presliding_hysteresis import PreslidingHysteresis
@@ -53,7 +58,8 @@ def library() -> tuple[Effect, ...]:
             JointElasticity(), Backlash(), ArmDeadTime(), ArmElasticity(), TransmissionError(), ArmBacklash(),
             ArmBacklashByLoad(), ToolDeadTime(), AtTool(ArmElasticity()),
             AtTool(ArmBacklash()), AtTool(ArmBacklashByLoad()), ToolTransmissionError(),
-            KinematicError(), ThermalGrowth(), ForceBias(), ForceCompliance())
+            KinematicError(), ThermalGrowth(), ForceBias(), ForceCompliance(), CameraLatency(),
+            CameraScale(), CameraOffset(), LensDistortion(), ClockDrift())
 
 
 def names() -> tuple[str, ...]:

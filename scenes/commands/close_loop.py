@@ -9,8 +9,8 @@ import typer
 
 
 def command(
-    scene: Annotated[str, typer.Argument(help="Scene of kind path whose world holds an effect that its model was not "
-                                              "told of, e.g. close_elastic, close_stribeck.")],
+    scene: Annotated[str, typer.Argument(help="Scene of kind path or line that holds an effect that its model was "
+                                              "not told of, e.g. close_elastic, close_stribeck, close_latency.")],
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
     speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
@@ -31,7 +31,6 @@ def command(
         result = close_loop(loaded, out=out or Path("out") / loaded.name, progress=progress)
     if json is not None:
         write_json(json, result.json())
-    show_table("path error of the true TCP [mm]", ["model", "E_car timed", "aligned", "geometric", "E_max aligned"],
-               result.table())
+    show_table("path error of the true TCP [mm]", list(result.columns), result.table())
     typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")
