@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ideal_robot.diagnosis.result import Diagnosis, FoundEffect, Traces
+from ideal_robot.effects import SENSOR
 from ideal_robot.interface import Array
 from scenes.report import Report
 
@@ -66,7 +67,8 @@ def summary(diagnosis: Diagnosis) -> str:
 
 
 def _where(e: FoundEffect) -> str:
-    return f"joint {e.fitted.joint}" if e.fitted.joint else "the whole arm"
+    nowhere = "the sensor" if e.fitted.domain == SENSOR else "the whole arm"
+    return f"joint {e.fitted.joint}" if e.fitted.joint else nowhere
 
 
 def _listed(parts: list[str]) -> str:

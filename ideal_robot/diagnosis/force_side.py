@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.arm_side import frames_along, noise_in_band
 from ideal_robot.diagnosis.experiment import Experiment
 from ideal_robot.diagnosis.gram import Blocks, time_blocks
 from ideal_robot.effects.force_bias import MOMENTS
-from ideal_robot.effects.force_compliance import CONTACT_FORCE
+from ideal_robot.effects.force_compliance import ASSUMED_GIVE, CONTACT_FORCE
 from ideal_robot.effects.unknown import spline_basis
 from ideal_robot.identification.preprocess import Signals as Filtered
 from ideal_robot.identification.preprocess import lowpass, resampled
@@ -222,7 +222,7 @@ def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torqu
     wide = noise_in_band(filtered.decimate(y[touching])[:, None], torque)
     y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
     small = filtered.decimate(y)
-    extra = {CONTACT_FORCE: pressed}
+    extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
     made = _made(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra,
                  (small - small.mean())[:, None], "force")
     return dataclasses.replace(made, quiet=wide * np.sqrt(2.0 * band * dt * filtered.factor))

@@ -95,6 +95,11 @@ class Part:
         candidate = choice.candidate
         gains = (levels[k] - levels[k + 1]) / (levels[k] + 1e-300)
         j = seen.channel_of(candidate.joint)
+        if j is None and seen.head == "force":
+            # Not where it helps most by chance, but where it says most against the noise.
+            columns = candidate.effect.columns(seen.signals, candidate.joint, candidate.theta)
+            added = seen.decimate(columns @ self.final.coefficients[k])
+            j = int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (seen.quiet + 1e-300)))
         j = int(np.argmax(gains)) if j is None else j
         rivals = tuple(dict.fromkeys(name for name, _, _ in choice.rivals if name != candidate.effect.name))
         transfers = None if self.seen is None else bool(levels[k + 1][j] < levels[k][j])

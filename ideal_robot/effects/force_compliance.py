@@ -12,6 +12,10 @@ from ideal_robot.interface import Array
 CONTACT_FORCE = "contact_force"
 """Signal: force along the surface's normal [N]."""
 
+ASSUMED_GIVE = "assumed_give"
+"""Signal, constant: 1/E as assumed [m/N]; 0 where contact is taken for rigid."""
+_SMALLEST = 0.05
+
 
 class ForceCompliance(Effect):
     """The position at which the tip is, given the surface, is off in proportion to the force: ``delta x_n = -c F``.
@@ -41,6 +45,11 @@ class ForceCompliance(Effect):
     def usable(self, signals: Signals, joint: int) -> bool:
         """There has to be a contact."""
         return CONTACT_FORCE in signals.extra
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """Large against what is assumed: a normal that turns with the surface's slope moves that by some percent."""
+        assumed = float(np.max(signals.extra.get(ASSUMED_GIVE, np.zeros(1))))
+        return bool(abs(coefficients[0]) > _SMALLEST * assumed)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, 1, 1)``."""
