@@ -42,11 +42,11 @@ def gantry() -> str:
     return "".join(parts)
 
 
-def draw_line_trial(seed: int, kind: str | None = None) -> tuple[str, float, Recording]:
-    """Kind, size and recording of a trial; the recording bears no trace of either."""
+def draw_line_trial(seed: int, kind: str | None = None, share: float = 1.0) -> tuple[str, float, Recording]:
+    """Kind, size (times ``share``) and recording of a trial; the recording bears no trace of either."""
     rng = np.random.default_rng(seed)
     kind = kind or str(rng.choice(KINDS))
-    size = 0.0 if kind == "none" else float(rng.uniform(*SIZES[kind]) * rng.choice([-1.0, 1.0]))
+    size = 0.0 if kind == "none" else float(share * rng.uniform(*SIZES[kind]) * rng.choice([-1.0, 1.0]))
     speed, length = rng.uniform(0.2, 0.5), 1.3
     wave = [(rng.uniform(0.01, 0.03) / k, rng.uniform(0.5, 0.9) / k, rng.uniform(0.0, 6.28)) for k in (1, 2)]
     x_line = np.arange(-0.3, length + 0.4, 0.0005)
@@ -91,12 +91,14 @@ def draw_line_trial(seed: int, kind: str | None = None) -> tuple[str, float, Rec
 
 
 def _displaced(u: Array, kind: str, size: float) -> Array:
-    """Points ``(m, 3)`` as a camera with an effect reports them."""
-    out = (u - AXIS) * np.array([1.0, 1.0, 0.0])
-    if kind == "camera_scale":
-        return np.asarray(u + size * out)
-    if kind == "lens_distortion":
-        return np.asarray(u + size * np.sum(out**2, axis=1)[:, None] * out)
-    if kind == "camera_offset":
-        return np.asarray(u + size * np.column_stack([np.full(len(u), 0.5) - out[:, 1], out[:, 0], 0.0 * u[:, 0]]))
-    return u
+    """Points ``(m, 3)`` as a camera reports them whose error is a function of what it reports."""
+    seen = u
+    for _ in range(8):
+        out = (seen - AXIS) * np.array([1.0, 1.0, 0.0])
+        if kind == "camera_scale":
+            seen = u + size * out
+        elif kind == "lens_distortion":
+            seen = u + size * np.sum(out**2, axis=1)[:, None] * out
+        elif kind == "camera_offset":
+            seen = u + size * np.column_stack([np.full(len(u), 0.5) - out[:, 1], out[:, 0], 0.0 * u[:, 0]])
+    return np.asarray(seen)

@@ -6,7 +6,7 @@ from ideal_robot.effects.seen_line import SCALE, SeenLineEffect
 class CameraScale(SeenLineEffect):
     """Measured points lie too far from the optical axis by a constant factor: ``du = epsilon (u - u_axis)``.
 
-    ``u = d / f · pixel``: an error of the distance d and one of the focal length f are the same.
+    ``u``, as measured, is ``d / f · pixel``: an error of the distance d and one of the focal length f are the same.
     """
 
     name = "camera_scale"

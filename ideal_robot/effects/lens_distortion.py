@@ -6,7 +6,8 @@ from ideal_robot.effects.seen_line import CUBIC, SeenLineEffect
 class LensDistortion(SeenLineEffect):
     """Measured points lie too far out by the cube of their distance from the optical axis: ``du = k r² (u - u_axis)``.
 
-    With a camera at height h above the surface ``k h²`` is the error of the first radial coefficient k1.
+    ``u`` is the point as measured. With a camera at height h above the surface ``k h²`` is the error of the first
+    radial coefficient k1.
     """
 
     name = "lens_distortion"
