@@ -27,8 +27,11 @@ ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
 WIDTH = 2
 """Samples left out to either side of a reversal."""
-_REST = 0.15
-"""A joint that stands still longer than this [s] is held by friction that no law knows; those samples do not count."""
+_SLOW = 0.004
+"""Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
+filter's cut-off, friction hangs on a direction that the filter has blurred, and those samples do not count."""
+_EDGE = 3.0
+"""Memory of the position filter in periods of its cut-off; effects differentiate the load, which it made, once more."""
 
 
 @dataclass(frozen=True)
@@ -121,8 +124,9 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
-    moving, undecided = _moving(t, q, qd, noise_velocity, robot)
+    moving, undecided = _moving(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
     use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
+    use &= _apart_from_ends(filtered)[:, None]
     measured = filtered.decimate(filtered.tau)
     units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
     made = Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
@@ -173,6 +177,14 @@ def _apart_from_reversals(qd: Array, width: int = WIDTH) -> np.ndarray:
     return mask
 
 
+def _apart_from_ends(filtered: Filtered) -> np.ndarray:
+    """Mask ``(N,)`` without what the position filter does not know at both ends; at most a tenth is left out."""
+    t = filtered.t_decimated
+    first, last = float(filtered.t[0]), float(filtered.t[-1])
+    edge = min(_EDGE / filtered.cutoff, 0.05 * (last - first))
+    return np.asarray((t > first + edge) & (t < last - edge))
+
+
 def _own_copies(W: Array) -> Array:
     N, c, _ = W.shape
     blocks = []
@@ -207,16 +219,18 @@ def _small_velocity(recording: Recording, filtered: Filtered) -> Array:
     return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
 
 
-def _moving(t: Array, q: Array, qd: Array, v_small: Array, robot: Robot) -> tuple[Array, dict[int, str]]:
-    """Samples at which each joint moves (short passages through zero included), and joints that move too little."""
+def _moving(t: Array, q: Array, qd: Array, v_small: Array, rest: float, robot: Robot) -> tuple[Array, dict[int, str]]:
+    """Samples at which each joint moves (passages shorter than ``rest`` [s] included), and joints that move too little.
+    """
     dt = float(t[1] - t[0])
     moving = np.ones(q.shape, dtype=bool)
     undecided: dict[int, str] = {}
     for j in range(q.shape[1]):
-        slow = np.abs(qd[:, j]) < np.maximum(2.0 * v_small[j], 0.004 * np.percentile(np.abs(qd[:, j]), 99))
+        speed = np.abs(qd[:, j])
+        slow = speed < np.maximum(2.0 * v_small[j], _SLOW * np.percentile(speed, 99))
         edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
         for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if (stop - start) * dt > _REST:
+            if (stop - start) * dt > rest:
                 moving[start:stop, j] = False
         seconds = float(np.sum(moving[:, j]) * dt)
         travel = float(np.ptp(q[:, j]))

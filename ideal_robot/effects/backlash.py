@@ -7,11 +7,7 @@ import numpy as np
 
 from ideal_robot.effects.base import ARM_POSITION, Effect, EffectParameter, Signals
 from ideal_robot.effects.joint_elasticity import JointElasticity
-from ideal_robot.identification.preprocess import lowpass
 from ideal_robot.interface import Array
-
-_MOTION = 3.0
-"""The position filter lets pass ten times the motion's bandwidth; a load has up to three times of it."""
 
 
 @numba.njit(cache=True)
@@ -55,15 +51,8 @@ class Backlash(JointElasticity):
         return [(0.02 * size, 0.6 * size)]
 
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """What a unit coefficient bends the gear by ``(N,)``.
-
-        The load is computed from the motor's position, which jumps where the gap is crossed: the acceleration of that
-        jump, as fast as the position filter lets it be, must not decide about the crossing.
-        """
-        load = signals.load[:, joint - 1]
-        if signals.cutoff is not None:
-            load = lowpass(load, signals.dt, signals.cutoff / _MOTION)
-        return np.asarray(np.tanh(load / theta[0]))
+        """What a unit coefficient bends the gear by ``(N,)``."""
+        return np.asarray(np.tanh(self.slow_load(signals, joint) / theta[0]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """A gap, not a range of motion."""

@@ -8,6 +8,9 @@ from ideal_robot.effects.base import ARM_POSITION, Effect, EffectParameter, Sign
 from ideal_robot.identification.preprocess import lowpass
 from ideal_robot.interface import Array
 
+_MOTION = 5.0
+"""The position filter lets pass ten times the motion's bandwidth; the load is looked at up to twice of it."""
+
 
 class JointElasticity(Effect):
     """Seen in the motor torque: the arm moves on ``q_a = q - tau_load/K``, so that
@@ -50,7 +53,16 @@ class JointElasticity(Effect):
 
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """What a unit coefficient bends the gear by ``(N,)``."""
-        return signals.load[:, joint - 1]
+        return self.slow_load(signals, joint)
+
+    def slow_load(self, signals: Signals, joint: int) -> Array:
+        """Load as far as the motion asks for it ``(N,)``.
+
+        It is computed from the motor's position, which holds the bend: where the bend sets in, the motor's acceleration
+        jumps, and that jump is no load of the arm. In recorded motions it is filtered out.
+        """
+        load = signals.load[:, joint - 1]
+        return load if signals.cutoff is None else lowpass(load, signals.dt, signals.cutoff / _MOTION)
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """A spring holds, and bends by less than a twentieth of a radian in use."""

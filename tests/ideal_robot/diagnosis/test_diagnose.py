@@ -25,7 +25,10 @@ def robot_of(urdf: str, folder: Path) -> Robot:
 
 # A seeded subset of ``benchmarks/blind_trials.py``: few joints, so that all of them fit into the time of `make test`.
 @pytest.mark.parametrize(("seed", "kind"), [(203, "none"), (204, "inside"), (201, "outside"), (102, "arm"),
-                                            (221, "two"), (104, "model"), (30060, "inside"), (30034, "outside")])
+                                            (221, "two"), (104, "model"), (30060, "inside"), (30034, "outside"),
+                                            # A gap crossed slowly, breakaway of short touches, springs that the ends
+                                            # of the recording hid: all once missed.
+                                            (40003, "inside"), (40064, "inside"), (40075, "inside"), (40095, "inside")])
 def test_blind_trial(seed, kind, tmp_path):
     trial = draw_trial(seed, kind)
     robot = robot_of(trial.urdf, tmp_path)
