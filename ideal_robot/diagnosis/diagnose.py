@@ -85,7 +85,7 @@ class TorqueDiagnosis:
         blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=self.validate is None)
         every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
         if self.shared:
-            self.blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks))
+            self.blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks), self.start)
             raw = with_blur(raw, self.start, self.blur)
         if self.given is None and self.shared:
             first = estimate(raw, Data(raw.y, raw.W, raw.use, blocks), [], None, spread=False)

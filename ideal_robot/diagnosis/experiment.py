@@ -131,7 +131,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
     made = Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
                       measured, measured, W, use, signals, filtered, undecided, _noise(filtered))
-    made = with_blur(about(made, model), model, noise_velocity if blur is None else blur)
+    made = with_blur(made, model, noise_velocity if blur is None else blur)
     return made if shared else replace(made, W=_own_copies(made.W))
 
 
@@ -140,7 +140,8 @@ def about(made: Experiment, model: Model) -> Experiment:
     s, n = made.signals, made.signals.n
     chain = chain_of(model._exact_model)
     load = inverse_dynamics(chain, s.q, s.qd, s.qdd)
-    friction = model.friction.torque(s.qd, load, s.q)
+    friction = np.concatenate([law.torque(s.qd[:, [j]], load[:, [j]], s.q[:, [j]], direction_of(s, j))
+                               for j, law in enumerate(model.friction.laws)], axis=1)
     torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
     signals = replace(s, load=load, torque=torque, friction=friction,
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c))
@@ -153,15 +154,18 @@ def about(made: Experiment, model: Model) -> Experiment:
 
 def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
     """The same regression with dry friction that changes sign over other speeds ``(n,)`` [rad/s]."""
-    signals = replace(made.signals, v_small=blur)
-    W = made.W.copy()
-    at = model.base.count
+    made = about(replace(made, signals=replace(made.signals, v_small=blur)), model)
+    s, W, at = made.signals, made.W.copy(), model.base.count
     for j, law in enumerate(model.friction.laws):
-        for i, name in enumerate(law.coefficient_names):
-            if name in ("Fc", "a2") and not law.presliding:
-                W[:, j, at + i] = made.filtered.decimate(signals.direction(signals.qd[:, j], j + 1))
-        at += len(law.coefficients)
-    return replace(made, signals=signals, W=W)
+        columns = law.regressor(s.qd[:, [j]], s.load[:, [j]], s.q[:, [j]], direction_of(s, j))[:, 0]
+        W[:, j, at : at + columns.shape[1]] = made.filtered.decimate(columns)
+        at += columns.shape[1]
+    return replace(made, W=W)
+
+
+def direction_of(signals: Signals, j: int) -> Array:
+    """Direction of motion of joint ``j`` (from 0) as friction laws want it ``(N, 1)``."""
+    return signals.direction(signals.qd[:, j], j + 1)[:, None]
 
 
 def _apart_from_reversals(qd: Array, width: int = WIDTH) -> np.ndarray:

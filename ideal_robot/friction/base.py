@@ -63,11 +63,13 @@ class FrictionModel(ABC):
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
         """One array like ``qd (…, n)`` per coefficient of the law proper; ``direction`` stands for ``sign(qd)``."""
 
-    def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None) -> Array:
+    def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
+                  direction: Array | None = None) -> Array:
         """Regressor ``(…, n, m)`` with respect to the ``m`` coefficients of each joint; arguments as in ``torque``."""
-        return np.stack(self._columns(qd, load, q), axis=-1)
+        return np.stack(self._columns(qd, load, q, direction), axis=-1)
 
-    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None) -> Array:
+    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
+               direction: Array | None = None) -> Array:
         """Friction torque ``(…, n)`` [N m]; without memory zero at rest, where no law can know what friction balances.
 
         Args:
@@ -75,13 +77,17 @@ class FrictionModel(ABC):
             load: torque the gear transmits ``(…, n)`` [N m]; zero if not given. Only loaded laws look at it.
             q: joint position ``(N, n)`` [rad], consecutive in time: what the memory of presliding follows. Without it
                 the direction is that of gross sliding, ``sign(qd)``.
+            direction: of motion ``(…, n)``, -1 to 1, of who knows how sharply it changes; laws with presliding know it.
         """
-        columns = self._columns(qd, load, q)
+        columns = self._columns(qd, load, q, direction)
         return np.sum([c * column for c, column in zip(self.coefficients, columns, strict=True)], axis=0)
 
-    def _columns(self, qd: Array, load: Array | None, q: Array | None) -> list[Array]:
+    def _columns(self, qd: Array, load: Array | None, q: Array | None, direction: Array | None) -> list[Array]:
         qd = np.asarray(qd, dtype=float)
-        direction = sliding_direction(q, qd, self.shape[-1]) if self.presliding and q is not None else np.sign(qd)
+        if self.presliding and q is not None:
+            direction = sliding_direction(q, qd, self.shape[-1])
+        elif direction is None:
+            direction = np.sign(qd)
         columns = self.columns(qd, direction, self.shape)
         if self.loaded:
             columns.append((np.zeros_like(qd) if load is None else np.abs(load)) * direction)
