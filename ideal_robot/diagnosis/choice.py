@@ -19,7 +19,7 @@ class Options:
         smallest_next: the same for a channel that has an effect already: its form may be slightly another.
         smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
         smallest_in_base: the same for an effect that is a change of the model's own parameters.
-        smallest_torque: rms of an effect over rms of the torque below which nothing is claimed.
+        smallest_torque: rms of an effect over the torque's standard deviation below which nothing is claimed.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
         unknown_margin: a learned curve replaces the best effect of the library only if it wins so many times as much.
         most: effects at most.

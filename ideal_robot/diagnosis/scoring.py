@@ -50,8 +50,10 @@ class Scoring:
         self.weights = self._weights(["W"])
         self.choices: list[Choice] = []
         self.rounds: list[list[Scored]] = []
-        power = (experiment.measured**2 * data.use).sum(axis=0) / np.maximum(data.use.sum(axis=0), 1)
-        self.torque_rms = np.sqrt(np.maximum(power, 1e-300))
+        count = np.maximum(data.use.sum(axis=0), 1)
+        mean = (experiment.measured * data.use).sum(axis=0) / count
+        power = ((experiment.measured - mean) ** 2 * data.use).sum(axis=0) / count
+        self.torque_std = np.sqrt(np.maximum(power, 1e-300))
 
     # -- the present model --------------------------------------------------------------------------------------------
 
@@ -120,7 +122,7 @@ class Scoring:
         weighted = float(((own**2).sum(axis=0) * self.weights[list(columns.channels)]).sum())
         if s.trial.gain < self.options.smallest_own * weighted:
             return False
-        return bool(np.max(size / self.torque_rms[list(columns.channels)]) > self.options.smallest_torque)
+        return bool(np.max(size / self.torque_std[list(columns.channels)]) > self.options.smallest_torque)
 
     def _refined(self, fit: Fit, s: Scored) -> Scored:
         """Theta by bounded search from the best start, all linear parameters eliminated."""
