@@ -14,6 +14,7 @@ _WORDS = {
     "effects": "The model misses {effects}.",
     "none": "Nothing is missing: what the model leaves in this recording shows no dependence on anything that was "
             "looked at, above the smallest effect that is claimed.",
+    "loud": "No effect could be named, though the model leaves more than the noise of the measurement.",
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
     "undecided": "This recording moves too little to decide anything.",
 }
@@ -30,6 +31,8 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
         page.warning(f"Joint {joint} is left out: it {reason}.")
     for warning in diagnosis.warnings:
         page.warning(warning)
+    if unexplained(diagnosis):
+        page.warning(unexplained(diagnosis))
     page.heading("Error before and after, on held-out data")
     page.text(f"Held out: {diagnosis.held_out_how}.")
     page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
@@ -55,7 +58,8 @@ def summary(diagnosis: Diagnosis) -> str:
     """The result in a sentence or two."""
     named = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects]
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
-    text = _WORDS[diagnosis.verdict].format(effects=_listed(named) or "no effect that the library has",
+    words = "loud" if diagnosis.verdict == "none" and diagnosis.unexplained else diagnosis.verdict
+    text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has",
                                             unknown=_listed(unknown))
     falls = [(c.channel, c.rms_before, c.rms_after, c.unit) for c in diagnosis.channels
              if c.rms_after < 0.98 * c.rms_before]
@@ -64,6 +68,15 @@ def summary(diagnosis: Diagnosis) -> str:
         text += (f" On data that had no part in finding it the error of {name} falls from {before:.3g} to {after:.3g} "
                  f"{unit}.")
     return text
+
+
+def unexplained(diagnosis: Diagnosis) -> str:
+    """What remains far above the noise and has no name, in a sentence; empty if there is nothing."""
+    if diagnosis.verdict == "undecided" or not diagnosis.unexplained:
+        return ""
+    loud = _listed([f"{c.channel} ({c.rms_after / c.noise_floor:.0f} times)" for c in diagnosis.unexplained])
+    return (f"What remains is several times the noise of the measurement in {loud}, and no signal that was looked at "
+            "predicts it: short spikes, a filtered or saturated signal, or a cause that is not in the recording.")
 
 
 def _where(e: FoundEffect) -> str:

@@ -11,6 +11,9 @@ from ideal_robot.effects import FittedEffect
 from ideal_robot.interface import Array
 from ideal_robot.model import Model
 
+_LOUD = 3.0
+"""Error over noise floor from which on something remains that the floor's own uncertainty does not account for."""
+
 
 @dataclass(frozen=True)
 class ChannelResult:
@@ -163,6 +166,11 @@ class Diagnosis:
     traces: tuple[tuple[tuple[str, ...], Traces], ...] = ()
     not_transferred: tuple[NotTransferred, ...] = ()
 
+    @property
+    def unexplained(self) -> tuple[ChannelResult, ...]:
+        """Channels whose error is still several times the noise of the measurement."""
+        return tuple(c for c in self.channels if c.rms_after > _LOUD * c.noise_floor > 0.0)
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the keys that were promised, and a few more."""
         return {
@@ -178,6 +186,7 @@ class Diagnosis:
             "residual_before": [_structure(s) for s in self.before],
             "residual_after": [_structure(s) for s in self.remaining],
             "warnings": list(self.warnings),
+            "unexplained": [c.channel for c in self.unexplained],
         }
 
 

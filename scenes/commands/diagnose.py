@@ -31,7 +31,7 @@ def command(
     from ideal_robot.recording import Recording
     from ideal_robot.robot import Robot
     from scenes.commands.common import progress_bar, show_table
-    from scenes.diagnosis_report import diagnosis_page, summary
+    from scenes.diagnosis_report import diagnosis_page, summary, unexplained
     from scenes.report import write_json
 
     with progress_bar("diagnose") as progress:
@@ -60,5 +60,7 @@ def command(
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
     for warning in found.warnings:
         typer.echo(f"warning: {warning}", err=True)
+    if unexplained(found):
+        typer.echo(f"warning: {unexplained(found)}", err=True)
     typer.echo(summary(found))
     typer.echo(f"report: {page}")

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.experiment import experiment, with_blur
+from ideal_robot.diagnosis.gram import Data, time_blocks
+from ideal_robot.diagnosis.reversal import fitted_blur
 from ideal_robot.errors import InputError
+from ideal_robot.friction import PerJointFriction
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
+from scenes.diagnosis_report import summary, unexplained
 from sim.blind_score import score
 from sim.blind_trials import draw_trial
 
@@ -149,3 +154,48 @@ def test_ur10e_load_dependent_friction_is_found():
     assert ("load_dependent_friction", 3) in said
     # What does not transfer by luck of the halves may cost a few percent, never more.
     assert all(c.rms_after < 1.1 * c.rms_before for c in found.channels)
+
+
+def test_what_nothing_explains_is_not_called_nothing(tmp_path):
+    one, rng = arm(tmp_path), np.random.default_rng(3)
+    t = np.arange(0.0, 40.0, 0.004)
+    # Kicks that no column tells of, at random times, in random directions.
+    kicks = np.zeros(len(t))
+    for at in rng.integers(0, len(t) - 5, 150):
+        kicks[at : at + 5] += 4.0 * rng.normal()
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
+    assert found.verdict == "none"
+    assert not found.unexplained
+    found = diagnose(Recording.from_arrays(t, q=q, tau=tau + kicks[:, None]), one)
+    assert not found.effects
+    assert [c.channel for c in found.unexplained] == ["tau_1"]
+    assert "Nothing is missing" not in summary(found)
+    assert "tau_1" in unexplained(found)
+
+
+@pytest.mark.parametrize("width", [0.004, 0.006])
+def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_path):
+    one, rng = arm(tmp_path), np.random.default_rng(5)
+    t = np.arange(0.0, 40.0, 0.004)
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    speed = width * np.percentile(np.abs(qd), 99)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / speed) + 1.5 * qd + 0.01 * rng.normal(size=q.shape)
+    recording = Recording.from_arrays(t, q=q, tau=tau)
+    nominal = Model.nominal(one)
+    raw = experiment(recording, one, nominal)
+    blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=True)
+    blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks), nominal)
+    assert blur[0] == pytest.approx(speed, rel=0.1)
+    # About a model that has friction, the residual holds the same change of sign as the columns.
+    law = type(nominal.friction.laws[0])(np.array([[1.5], [2.0]]))
+    rubbing = dataclasses.replace(nominal, friction=PerJointFriction([law]))
+    made = with_blur(raw, rubbing, blur)
+    beta = np.zeros(made.W.shape[2])
+    beta[nominal.base.count : nominal.base.count + 2] = 1.5, 2.0
+    bare = with_blur(raw, nominal, blur)
+    assert made.y == pytest.approx(bare.y - bare.W @ beta, abs=1e-9)
+    assert diagnose(recording, one).verdict == "none"
