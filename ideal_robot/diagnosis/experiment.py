@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy import interpolate
 
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
@@ -109,7 +110,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     filtered = preprocess(recording, cutoff=cutoff)
     # The torque is looked at up to far above what the motion contains: ripple and spikes are there.
     wanted = min(0.5 * wanted, 0.5 * rate)
-    filtered = preprocess(recording, cutoff=filtered.cutoff, cutoff_decimation=wanted)
+    filtered = _differentiated(preprocess(recording, cutoff=filtered.cutoff, cutoff_decimation=wanted))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
     temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
@@ -166,6 +167,15 @@ def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
 def direction_of(signals: Signals, j: int) -> Array:
     """Direction of motion of joint ``j`` (from 0) as friction laws want it ``(N, 1)``."""
     return signals.direction(signals.qd[:, j], j + 1)[:, None]
+
+
+def _differentiated(filtered: Filtered) -> Filtered:
+    """With the derivatives of a quintic spline through the filtered positions.
+
+    Central differences lose ``(2 pi f dt)^2 / 3`` of an acceleration, which a soft gear does as well.
+    """
+    spline = interpolate.make_interp_spline(filtered.t, filtered.q, k=5)
+    return replace(filtered, qd=spline(filtered.t, 1), qdd=spline(filtered.t, 2))
 
 
 def _apart_from_reversals(qd: Array, width: int = WIDTH) -> np.ndarray:

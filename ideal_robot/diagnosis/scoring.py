@@ -19,6 +19,8 @@ from ideal_robot.effects.torque_ripple import TorqueRipple
 from ideal_robot.interface import Array
 
 Progress = Callable[[float, str], None]
+_ITERATIONS = 4
+"""Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
 
 
 class Scoring:
@@ -130,6 +132,8 @@ class Scoring:
         bounds = effect.bounds(self.experiment.signals, joint)
         if not bounds or len(bounds) != len(s.candidate.theta) or (len(bounds) == 1 and s.candidate.theta[0] == 0.0):
             return s
+        if not effect.theta_is_physical:
+            return self._agreeing(fit, s)
         theta0 = np.array(s.candidate.theta)
         if isinstance(effect, TorqueRipple):
             width = 1.5 / float(np.ptp(self.experiment.signals.q[:, joint - 1]))
@@ -160,6 +164,18 @@ class Scoring:
             return s
         tried = self._tried(fit, better)
         return tried if tried.trial.total > s.trial.total else s
+
+    def _agreeing(self, fit: Fit, s: Scored) -> Scored:
+        """Theta that agrees with the coefficients, by fixed-point iteration."""
+        for _ in range(_ITERATIONS):
+            theta = s.candidate.effect.agreeing(s.trial.coefficients)
+            if np.allclose(theta, s.candidate.theta, rtol=0.01):
+                break
+            better = replace(s.candidate, theta=theta)
+            if self._plausible_gain(fit, better) is None:
+                break
+            s = self._tried(fit, better)
+        return s
 
     # -- many candidates -----------------------------------------------------------------------------------------------
 

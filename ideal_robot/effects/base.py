@@ -189,6 +189,10 @@ class Effect(ABC):
         """Whether the coefficients have the sign and size physics allows."""
         return True
 
+    def agreeing(self, coefficients: Array) -> tuple[float, ...]:
+        """Theta with which the coefficients are exact, of effects whose theta only serves the computation."""
+        raise NotImplementedError
+
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
         """The physical numbers to report; by default the coefficients and theta as they are."""

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from ideal_robot.effects.base import Effect, EffectParameter, Signals
 from ideal_robot.interface import Array
 
 
 def delayed(values: Array, delay: float, dt: float) -> Array:
-    """``values (N, …)`` late by ``delay`` [s], linearly interpolated; the ends are held."""
-    if len(values) < 2:
-        return values
-    at = np.arange(len(values)) - delay / dt
-    low = np.clip(np.floor(at).astype(int), 0, len(values) - 2)
-    weight = np.clip(at - low, 0.0, 1.0)
-    shaped = weight.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((1.0 - shaped) * values[low] + shaped * values[low + 1])
+    """``values (N,)`` late by ``delay`` [s], by cubic splines between samples; the ends are held."""
+    return np.asarray(ndimage.shift(values, delay / dt, order=3, mode="nearest"))
 
 
 class DeadTime(Effect):
@@ -35,6 +30,7 @@ class DeadTime(Effect):
     coefficient_units = ("s",)
     source = "first-order expansion of a pure delay"
     longest = 0.06
+    _shortest = 5e-5
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
@@ -46,8 +42,13 @@ class DeadTime(Effect):
         return [(delay,) for delay in (1e-3, -1e-3, 8e-3, -8e-3)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """The longest delay to either side; the search keeps the sign of its start."""
+        """The longest delay to either side."""
         return [(-self.longest, self.longest)]
+
+    def agreeing(self, coefficients: Array) -> tuple[float, ...]:
+        """The chord as long as the delay, where it is exact."""
+        delay = float(np.clip(coefficients[0], -self.longest, self.longest))
+        return (float(np.copysign(max(abs(delay), self._shortest), delay)),)
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
