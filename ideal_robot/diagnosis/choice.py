@@ -26,7 +26,7 @@ class Options:
     """
 
     false_discovery: float = 0.01
-    smallest: float = 0.08
+    smallest: float = 0.05
     smallest_next: float = 0.10
     smallest_learned: float = 0.10
     smallest_in_base: float = 0.10
