@@ -178,7 +178,7 @@ class Model:
             cycle = self.controller.t_cycle if self.controller else 0.012
             times: Array = np.asarray(cycle * np.arange(len(q)) if t is None else t, dtype=float)
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
-                              cutoff=cutoff)
+                              cutoff=cutoff, sliding=self.friction.sliding(q, qd))
             tau = tau + np.sum([effect.contribution(signals) for effect in acting], axis=0)
         return tau
 

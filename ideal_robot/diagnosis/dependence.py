@@ -128,7 +128,7 @@ class Sieve:
                 basis = parts[0] if len(parts) == 1 else \
                     (parts[0][:, :, None] * parts[1][:, None, :]).reshape(len(parts[0]), -1)
             if term.directed:
-                basis = basis * self.signals.direction(self.signals.qd[:, channel], channel + 1)[:, None]
+                basis = basis * self.signals.sliding_direction(channel + 1)[:, None]
             self._bases[key] = basis
         return self._bases[key]
 

@@ -84,6 +84,7 @@ class Experiment:
         return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
                        friction=at(s.friction), payload=None, rigid=None, frames=None,
                        temperature=None if s.temperature is None else at(s.temperature),
+                       sliding=None if s.sliding is None else at(s.sliding),
                        extra={name: at(values) for name, values in s.extra.items()})
 
 
@@ -145,6 +146,7 @@ def about(made: Experiment, model: Model) -> Experiment:
                                for j, law in enumerate(model.friction.laws)], axis=1)
     torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
     signals = replace(s, load=load, torque=torque, friction=friction,
+                      sliding=model.friction.sliding(s.q, s.qd),
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c))
     prediction = torque
     for effect in model.effects:

@@ -65,6 +65,8 @@ class Signals:
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
         cutoff: of the zero-phase filter that the positions went through [Hz]; None where they are exact.
         v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
+        sliding: direction of sliding ``(N, n)``, -1 to 1, of joints whose friction in the model builds up over a
+            displacement, NaN for others; None where no model says so.
     """
 
     t: Array
@@ -81,6 +83,7 @@ class Signals:
     frames: Frames | None = None
     v_small: Array | None = None
     cutoff: float | None = None
+    sliding: Array | None = None
 
     @property
     def n(self) -> int:
@@ -97,6 +100,15 @@ class Signals:
         if self.v_small is None:
             return np.sign(qd)
         return np.tanh(qd / self.v_small[joint - 1])
+
+    def sliding_direction(self, joint: int) -> Array:
+        """Direction ``(N,)`` in which dry friction of ``joint`` (from 1) acts, with the memory that the model gives it.
+
+        What belongs to dry friction builds up after a reversal like dry friction itself.
+        """
+        if self.sliding is not None and len(self.t) and np.isfinite(self.sliding[0, joint - 1]):
+            return np.asarray(self.sliding[:, joint - 1])
+        return self.direction(self.qd[:, joint - 1], joint)
 
     def on_joint(self, joint: int, *columns: Array) -> Array:
         """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``."""

@@ -16,4 +16,4 @@ class Coulomb(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
-        return signals.on_joint(joint, signals.direction(signals.qd[:, joint - 1], joint))
+        return signals.on_joint(joint, signals.sliding_direction(joint))

@@ -23,7 +23,7 @@ class LoadDependentFriction(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
-        direction = signals.direction(signals.qd[:, joint - 1], joint)
+        direction = signals.sliding_direction(joint)
         return signals.on_joint(joint, np.abs(signals.load[:, joint - 1]) * direction)
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:

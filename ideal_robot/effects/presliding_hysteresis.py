@@ -49,7 +49,7 @@ class PreslidingHysteresis(Effect):
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
         z = dahl(np.ascontiguousarray(signals.q[:, joint - 1]), theta[0])
-        return signals.on_joint(joint, z - signals.direction(signals.qd[:, joint - 1], joint))
+        return signals.on_joint(joint, z - signals.sliding_direction(joint))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """Friction opposes motion."""

@@ -33,7 +33,7 @@ class Stribeck(Effect):
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
         qd = signals.qd[:, joint - 1]
-        return signals.on_joint(joint, signals.direction(qd, joint) * np.exp(-np.abs(qd) / theta[0]))
+        return signals.on_joint(joint, signals.sliding_direction(joint) * np.exp(-np.abs(qd) / theta[0]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """Friction is larger, not smaller, near standstill."""

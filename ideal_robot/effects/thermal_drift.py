@@ -54,7 +54,7 @@ class ThermalDrift(Effect):
             warm = signals.temperature[:, joint - 1] - signals.temperature[0, joint - 1]
         else:
             warm = np.zeros_like(qd)
-        return signals.on_joint(joint, warm * qd, warm * signals.direction(qd, joint))
+        return signals.on_joint(joint, warm * qd, warm * signals.sliding_direction(joint))
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:

@@ -57,7 +57,7 @@ class Unknown(Effect):
         """Shape ``(N, n, m)``: the basis functions on the joint's channel."""
         basis = self.basis(signals)
         if self.directed:
-            basis = basis * signals.direction(signals.qd[:, joint - 1], joint)[:, None]
+            basis = basis * signals.sliding_direction(joint)[:, None]
         if self.head == "tcp":
             result = np.zeros((len(signals.t), 3, basis.shape[1]))
             result[:, joint - 1] = basis

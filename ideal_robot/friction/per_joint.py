@@ -10,6 +10,7 @@ import numpy as np
 from ideal_robot.errors import InputError
 from ideal_robot.friction.base import FrictionModel
 from ideal_robot.friction.laws import Arctan, Asymmetric, CubeRoot, Stribeck, ViscousCoulomb
+from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.interface import Array
 
 LAWS: dict[str, type[FrictionModel]] = {
@@ -41,6 +42,18 @@ class PerJointFriction:
         parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in (load, q)))
                  for j, law in enumerate(self.laws)]
         return np.concatenate(parts, axis=-1)
+
+    def sliding(self, q: Array, qd: Array) -> Array:
+        """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.
+
+        Args:
+            q, qd: position and velocity ``(N, n)``, consecutive in time.
+        """
+        result = np.full(np.shape(q), np.nan)
+        for j, law in enumerate(self.laws):
+            if law.presliding:
+                result[:, [j]] = sliding_direction(q[:, [j]], qd[:, [j]], law.shape[-1])
+        return result
 
     def to_dict(self) -> list[dict[str, Any]]:
         """Plain values for the model file, one entry per joint."""
