@@ -199,3 +199,13 @@ def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_
     bare = with_blur(raw, nominal, blur)
     assert made.y == pytest.approx(bare.y - bare.W @ beta, abs=1e-9)
     assert diagnose(recording, one).verdict == "none"
+
+
+def test_acceleration_is_not_lost_as_in_a_soft_gear(tmp_path):
+    t, w = np.arange(0.0, 40.0, 0.01), 2.0 * np.pi * 3.0
+    q = 0.4 * np.sin(w * t)[:, None] + 0.3 * np.sin(0.2 * w * t)[:, None]
+    raw = experiment(Recording.from_arrays(t, q=q, tau=np.zeros_like(q)), arm(tmp_path),
+                     Model.nominal(arm(tmp_path)), cutoff=15.0)
+    exact = -0.4 * w**2 * np.sin(w * t) - 0.3 * (0.2 * w) ** 2 * np.sin(0.2 * w * t)
+    # Central differences would lose (w dt)^2 / 3 = 1.2 % of the fast part.
+    assert raw.signals.qdd[100:-100, 0] == pytest.approx(exact[100:-100], abs=1e-3 * np.abs(exact).max())

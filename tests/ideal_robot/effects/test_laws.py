@@ -1,13 +1,16 @@
 """Laws of all effects of the library, on one small motion."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect, Signals, effect_of, library
+from ideal_robot.effects.dead_time import DeadTime
 from ideal_robot.effects.unknown import Unknown
 from ideal_robot.errors import InputError
+from ideal_robot.friction import PerJointFriction, ViscousCoulomb
 
 
 def motion(n: int = 2, count: int = 1500) -> Signals:
@@ -98,3 +101,36 @@ def test_dead_time_is_exact_at_its_chord():
     delay = 3.0 * signals.dt
     late = effect.columns(signals, 1, (delay,))[:, 0, 0] * delay + signals.torque[:, 0]
     np.testing.assert_allclose(late[10:-10], signals.torque[7:-13, 0], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["coulomb", "stribeck", "load_dependent_friction"])
+def test_dry_friction_of_an_effect_builds_up_as_the_models_own_does(name):
+    signals = motion()
+    friction = PerJointFriction([ViscousCoulomb(np.array([[0.5], [1.0]]), np.array([[0.06]]), presliding=True),
+                                 ViscousCoulomb(np.array([[0.5], [1.0]]))])
+    known = replace(signals, sliding=friction.sliding(signals.q, signals.qd))
+    effect = next(e for e in library() if e.name == name and e.acts_on("tau_1"))
+    theta = effect.starts(signals, 1)[0]
+    sharp, gradual = (effect.columns(s, 1, theta)[:, 0, 0] for s in (signals, known))
+    # After each reversal that ends a long stroke it still acts in the old direction, later it is the same.
+    turned = np.flatnonzero(np.diff(np.sign(signals.qd[:, 0])))
+    turned = turned[1:][np.abs(np.diff(signals.q[turned, 0])) > 0.3] + 2
+    assert len(turned) >= 3
+    assert np.all(sharp[turned] * gradual[turned] < 0.0)
+    fast = np.abs(signals.qd[:, 0]) > 0.9 * np.abs(signals.qd[:, 0]).max()
+    assert gradual[fast] == pytest.approx(sharp[fast], rel=1e-3)
+    # A joint whose model has no memory keeps the sign of its speed.
+    assert np.array_equal(effect.columns(signals, 2, theta), effect.columns(known, 2, theta))
+
+
+@pytest.mark.parametrize("delay", [-0.0008, 0.0003, 0.0137])
+def test_a_delay_is_exact_where_the_chord_is_as_long(delay):
+    t = np.arange(0.0, 4.0, 1e-3)
+    still = np.zeros((len(t), 1))
+    torque = np.sin(2.0 * np.pi * 8.0 * t)[:, None]
+    effect = DeadTime()
+    theta = effect.agreeing(np.array([delay]))
+    signals = Signals(t, still, still, still, still, torque, still)
+    late = torque[:, 0] + delay * effect.columns(signals, 1, theta)[:, 0, 0]
+    inner = slice(50, -50)
+    assert late[inner] == pytest.approx(np.sin(2.0 * np.pi * 8.0 * (t - delay))[inner], abs=1e-5)
