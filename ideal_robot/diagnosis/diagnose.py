@@ -22,11 +22,15 @@ from ideal_robot.diagnosis.scoring import Progress
 from ideal_robot.diagnosis.search import Search
 from ideal_robot.diagnosis.transfer import transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
+from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.interface import Array
 from ideal_robot.model import Model
 from ideal_robot.recording import Recording
 from ideal_robot.robot import Robot
+
+_SAME_PLACE = 0.02
+"""What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""
 
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
@@ -53,6 +57,8 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     report: Progress = progress or (lambda share, word: None)
     rng = np.random.default_rng(seed)
     report(0.0, "reading")
+    if model is not None:
+        _check_arm(model, robot)
     # Torques made of currents without known gains are in amperes: then joints must not share inertias.
     amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
     (recording,), warnings = checked([recording], robot)
@@ -61,6 +67,18 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         warnings += more
     shared = model is not None or not amperes
     return TorqueDiagnosis(recording, robot, model, validate, options, rng, report, warnings, shared, only).run()
+
+
+def _check_arm(model: Model, robot: Robot) -> None:
+    """Refuses a model of an arm with other joints, or with joints at other places."""
+    mine, own = model.kinematics, robot.model
+    if model.n != robot.n:
+        raise InputError(f"the model of {model.robot_name} has {model.n} joints, the robot {robot.name} has {robot.n}; "
+                         "give the model that was identified for this arm", field="model", value=model.robot_name)
+    for j in range(1, robot.n + 1):
+        if not np.allclose(mine.jointPlacements[j].homogeneous, own.jointPlacements[j].homogeneous, atol=_SAME_PLACE):
+            raise InputError(f"joint {j} of the model of {model.robot_name} sits elsewhere than that of {robot.name}; "
+                             "give the model that was identified for this arm", field="model", value=model.robot_name)
 
 
 class TorqueDiagnosis:

@@ -209,3 +209,14 @@ def test_acceleration_is_not_lost_as_in_a_soft_gear(tmp_path):
     exact = -0.4 * w**2 * np.sin(w * t) - 0.3 * (0.2 * w) ** 2 * np.sin(0.2 * w * t)
     # Central differences would lose (w dt)^2 / 3 = 1.2 % of the fast part.
     assert raw.signals.qdd[100:-100, 0] == pytest.approx(exact[100:-100], abs=1e-3 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize(("name", "says"), [("one", "1 joints"), ("kr15", "sits elsewhere")])
+def test_a_model_of_another_arm_is_refused(name, says, tmp_path):
+    one, kr6 = arm(tmp_path), Robot.load("kr6")
+    other = Model.nominal(one if name == "one" else Robot.load(name))
+    t = np.arange(0.0, 10.0, 0.004)
+    q = np.sin(np.outer(t, np.ones(6)))
+    with pytest.raises(InputError, match=says) as error:
+        diagnose(Recording.from_arrays(t, q=q, tau=q), kr6, model=other)
+    assert error.value.field == "model"
