@@ -31,8 +31,8 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
         page.warning(f"Joint {joint} is left out: it {reason}.")
     for warning in diagnosis.warnings:
         page.warning(warning)
-    if unexplained(diagnosis):
-        page.warning(unexplained(diagnosis))
+    if loud := unexplained(diagnosis):
+        page.warning(loud)
     page.heading("Error before and after, on held-out data")
     page.text(f"Held out: {diagnosis.held_out_how}.")
     page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
@@ -59,8 +59,7 @@ def summary(diagnosis: Diagnosis) -> str:
     named = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects]
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
     words = "loud" if diagnosis.verdict == "none" and diagnosis.unexplained else diagnosis.verdict
-    text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has",
-                                            unknown=_listed(unknown))
+    text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has", unknown=_listed(unknown))
     falls = [(c.channel, c.rms_before, c.rms_after, c.unit) for c in diagnosis.channels
              if c.rms_after < 0.98 * c.rms_before]
     if falls and diagnosis.verdict in ("effects", "unknown"):

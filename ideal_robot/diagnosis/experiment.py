@@ -142,8 +142,7 @@ def about(made: Experiment, model: Model) -> Experiment:
     s, n = made.signals, made.signals.n
     chain = chain_of(model._exact_model)
     load = inverse_dynamics(chain, s.q, s.qd, s.qdd)
-    friction = np.concatenate([law.torque(s.qd[:, [j]], load[:, [j]], s.q[:, [j]], direction_of(s, j))
-                               for j, law in enumerate(model.friction.laws)], axis=1)
+    friction = model.friction.torque(s.qd, load, s.q, np.column_stack([direction_of(s, j) for j in range(n)]))
     torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
     signals = replace(s, load=load, torque=torque, friction=friction,
                       sliding=model.friction.sliding(s.q, s.qd),
@@ -160,9 +159,10 @@ def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
     made = about(replace(made, signals=replace(made.signals, v_small=blur)), model)
     s, W, at = made.signals, made.W.copy(), model.base.count
     for j, law in enumerate(model.friction.laws):
-        columns = law.regressor(s.qd[:, [j]], s.load[:, [j]], s.q[:, [j]], direction_of(s, j))[:, 0]
-        W[:, j, at : at + columns.shape[1]] = made.filtered.decimate(columns)
-        at += columns.shape[1]
+        first, at = at, at + len(law.coefficients)
+        if not law.presliding:
+            columns = law.regressor(s.qd[:, [j]], s.load[:, [j]], s.q[:, [j]], direction_of(s, j))
+            W[:, j, first:at] = made.filtered.decimate(columns[:, 0])
     return replace(made, W=W)
 
 

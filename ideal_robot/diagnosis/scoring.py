@@ -168,7 +168,7 @@ class Scoring:
     def _agreeing(self, fit: Fit, s: Scored) -> Scored:
         """Theta that agrees with the coefficients, by fixed-point iteration."""
         for _ in range(_ITERATIONS):
-            theta = s.candidate.effect.agreeing(s.trial.coefficients)
+            theta = s.candidate.effect.agreeing(s.trial.coefficients, s.candidate.theta)
             if np.allclose(theta, s.candidate.theta, rtol=0.01):
                 break
             better = replace(s.candidate, theta=theta)

@@ -201,9 +201,9 @@ class Effect(ABC):
         """Whether the coefficients have the sign and size physics allows."""
         return True
 
-    def agreeing(self, coefficients: Array) -> tuple[float, ...]:
-        """Theta with which the coefficients are exact, of effects whose theta only serves the computation."""
-        raise NotImplementedError
+    def agreeing(self, coefficients: Array, theta: tuple[float, ...]) -> tuple[float, ...]:
+        """Theta with which the coefficients are exact; by default as it is, for a physical one is fitted."""
+        return theta
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:

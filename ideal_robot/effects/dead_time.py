@@ -45,7 +45,7 @@ class DeadTime(Effect):
         """The longest delay to either side."""
         return [(-self.longest, self.longest)]
 
-    def agreeing(self, coefficients: Array) -> tuple[float, ...]:
+    def agreeing(self, coefficients: Array, theta: tuple[float, ...]) -> tuple[float, ...]:
         """The chord as long as the delay, where it is exact."""
         delay = float(np.clip(coefficients[0], -self.longest, self.longest))
         return (float(np.copysign(max(abs(delay), self._shortest), delay)),)

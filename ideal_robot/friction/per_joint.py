@@ -36,10 +36,12 @@ class PerJointFriction:
         """Number of joints."""
         return len(self.laws)
 
-    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None) -> Array:
+    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
+               direction: Array | None = None) -> Array:
         """Friction torque ``(…, n)`` [N m]; arguments as in ``FrictionModel.torque``."""
         qd = np.asarray(qd, dtype=float)
-        parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in (load, q)))
+        others = (load, q, direction)
+        parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in others))
                  for j, law in enumerate(self.laws)]
         return np.concatenate(parts, axis=-1)
 

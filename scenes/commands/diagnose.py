@@ -60,7 +60,7 @@ def command(
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
     for warning in found.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    if unexplained(found):
-        typer.echo(f"warning: {unexplained(found)}", err=True)
+    if loud := unexplained(found):
+        typer.echo(f"warning: {loud}", err=True)
     typer.echo(summary(found))
     typer.echo(f"report: {page}")
