@@ -22,7 +22,7 @@ bench: .venv/installed
 	for b in benchmarks/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
 
 models: .venv/installed
-	$(BIN)/python -m scenes.identification_models
+	$(BIN)/python -m scenes.identification.models
 
 check: .venv/installed
 	$(BIN)/ruff check .

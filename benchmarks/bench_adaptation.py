@@ -16,19 +16,19 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ideal_robot.feedforward.adaptation import AdaptedIdeal
+from ideal_robot.arrays import Array
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.interface import Array
-from ideal_robot.loop_model import LoopModel
-from ideal_robot.robot import Robot
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.robot import Robot
 from scenes.models import model_for
-from scenes.path_methods import Workshop
-from scenes.path_scene import joint_path
+from scenes.path.methods import Workshop
+from scenes.path.scene import joint_path
 from scenes.scene import load_scene
-from sim.arm import SimulatedArm
-from sim.friction import steady_friction
-from sim.individual import draw_individual
-from sim.world import World
+from sim.arm.arm import SimulatedArm
+from sim.arm.friction import steady_friction
+from sim.arm.specimen import draw_individual
+from sim.arm.world import World
 
 REST = 0.3
 """Rest between two circles [s]."""

@@ -11,11 +11,11 @@ import time
 
 import numpy as np
 
-from ideal_robot.robot import Robot
-from sim.arm import SimulatedArm
+from ideal_robot.robots.robot import Robot
+from sim.arm.arm import SimulatedArm
+from sim.arm.kernel import drive_step
+from sim.arm.world import STEP, World
 from sim.bullet import pybullet
-from sim.kernel import drive_step
-from sim.world import STEP, World
 
 SECONDS = 6.0
 REPEATS = 5

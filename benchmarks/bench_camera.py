@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.interface import Array
-from sensing.camera_model import CalibrationError, CameraModel
-from sensing.hand_eye import Observation, calibrate, calibration_poses
-from sensing.line_detection import LineField, PredictedLine, detect_line, search_windows
-from sensing.line_polynomial import fit_line_polynomial
-from sim.camera import CameraSettings, RenderedCamera
-from sim.surface import DrawnLine, Feature
-from sim.texture import Texture, paint
+from ideal_robot.arrays import Array
+from sensing.camera.camera_model import CalibrationError, CameraModel
+from sensing.camera.hand_eye import Observation, calibrate, calibration_poses
+from sensing.camera.line_detection import LineField, PredictedLine, detect_line, search_windows
+from sensing.camera.line_polynomial import fit_line_polynomial
+from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.surface import DrawnLine, Feature
+from sim.camera.texture import Texture, paint
 
 AHEAD = np.linspace(0.02, 0.11, 5)
 QUIET = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0)
@@ -221,12 +221,12 @@ def calibration(seeds: int) -> list[dict[str, Any]]:
 def calibration_in_scenes(seeds: int) -> list[dict[str, Any]]:
     """The simulated arm driven over the line of a scene, all world effects on; lateral error left."""
     from ideal_robot.elasticity.deflection import GearDeflection
-    from scenes.line_calibration import calibrate_by_moving
-    from scenes.line_cell import set_up
+    from scenes.line.calibration import calibrate_by_moving
+    from scenes.line.cell import set_up
     from scenes.models import model_for
     from scenes.scene import load_scene
-    from sensing.line_detection import DetectionSettings
-    from sim.arm import SimulatedArm
+    from sensing.camera.line_detection import DetectionSettings
+    from sim.arm.arm import SimulatedArm
 
     x, y = np.meshgrid(AHEAD, np.linspace(-0.02, 0.02, 5))
     probe = np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()])

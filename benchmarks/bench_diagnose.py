@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.robot import Robot
-from sim.blind_arms import draw_arm, draw_motion
-from sim.blind_trials import measured
-from sim.blind_truth import scene, stribeck
+from ideal_robot.robots.robot import Robot
+from trials.arms import draw_arm, draw_motion
+from trials.torque import measured
+from trials.torque_truth import scene, stribeck
 
 
 def main() -> None:

@@ -25,7 +25,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from ideal_robot.recording import Recording
+from ideal_robot.signals.recording import Recording
 
 FIGAROH = r'''
 import sys, time, warnings
@@ -79,10 +79,10 @@ print(f"{done - imported:6.2f} s ({used:.2f} s CPU), peak {peak:.0f} MB, {len(ba
 def recording(seed: int, seconds: float) -> Recording:
     """A recording of the simulated KR 15 moving along an optimised Fourier series."""
     from ideal_robot.identification.excitation import design_excitation
-    from ideal_robot.robot import Robot
-    from scenes.identification_plan import fourier_commands
-    from sim.arm import SimulatedArm
-    from sim.world import World
+    from ideal_robot.robots.robot import Robot
+    from scenes.identification.plan import fourier_commands
+    from sim.arm.arm import SimulatedArm
+    from sim.arm.world import World
 
     robot = Robot.load("kr15")
     motion = design_excitation(robot, np.random.default_rng(seed), period=seconds - 10.0)
@@ -96,7 +96,7 @@ def recording(seed: int, seconds: float) -> Recording:
 def ours(folder: Path) -> None:
     """Runs in its own process, so that the peak memory is that of the identification."""
     from ideal_robot.identification.idim import identify, relative_error
-    from ideal_robot.robot import Robot
+    from ideal_robot.robots.robot import Robot
 
     robot = Robot.load("kr15")
     estimation, validation = (Recording.read(folder / f"{name}.parquet") for name in ("estimation", "validation"))
@@ -116,8 +116,8 @@ def main() -> None:
     if len(sys.argv) > 1:
         ours(Path(sys.argv[1]))
         return
-    from ideal_robot.identification.preprocess import preprocess
-    from ideal_robot.robot import Robot
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.preprocess import preprocess
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

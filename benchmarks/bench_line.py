@@ -13,8 +13,8 @@ import sys
 import numpy as np
 
 from scenes import load_scene
-from scenes.line_cell import prepared
-from scenes.line_following import run
+from scenes.line.cell import prepared
+from scenes.line.play import run
 
 RUNS = 5
 

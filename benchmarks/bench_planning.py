@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planning.line_follower import FollowerSettings, LineFollower
+from planning.line.line_follower import FollowerSettings, LineFollower
 
 # The cell without pictures is the tests' own.
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -9,10 +9,10 @@ import time
 
 import numpy as np
 
-from ideal_robot.robot import Robot
-from sim.arm import SimulatedArm
-from sim.friction import steady_friction
-from sim.world import World
+from ideal_robot.robots.robot import Robot
+from sim.arm.arm import SimulatedArm
+from sim.arm.friction import steady_friction
+from sim.arm.world import World
 
 COMPRESSION = 60.0
 """Thermal time runs so many times faster than the arm: an hour takes a minute of arm time."""

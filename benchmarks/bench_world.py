@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
-from planning.kinematics import InverseKinematics
-from sim.arm import SimulatedArm
-from sim.friction import steady_friction
-from sim.individual import draw_individual
-from sim.world import World
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from sim.arm.arm import SimulatedArm
+from sim.arm.friction import steady_friction
+from sim.arm.specimen import draw_individual
+from sim.arm.world import World
 
 ROBOTS = ("kr6", "kr15", "manutec_r15")
 

@@ -18,8 +18,8 @@ from collections import Counter
 from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.robot import Robot
-from sim.blind_line import KINDS, draw_line_trial, gantry
+from ideal_robot.robots.robot import Robot
+from trials.line import KINDS, draw_line_trial, gantry
 
 
 def main() -> None:

@@ -21,10 +21,10 @@ from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import SENSOR
-from ideal_robot.robot import Robot
-from sim.blind_force import draw_force_trial
-from sim.blind_score import Score, confusion, rates, score
-from sim.blind_tcp import KINDS, draw_tcp_trial
+from ideal_robot.robots.robot import Robot
+from trials.force import draw_force_trial
+from trials.score import Score, confusion, rates, score
+from trials.tcp import KINDS, draw_tcp_trial
 
 
 def play(seed: int, kind: str | None, force: bool) -> Score:

@@ -21,9 +21,9 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.robot import Robot
-from sim.blind_score import Score, confusion, rates, score
-from sim.blind_trials import KINDS, draw_trial
+from ideal_robot.robots.robot import Robot
+from trials.score import Score, confusion, rates, score
+from trials.torque import KINDS, draw_trial
 
 ORACLE = bool(os.environ.get("BLIND_ORACLE"))
 """Whether an oracle that is told names and joints diagnoses too, for the ratio of held-out errors; twice the time."""

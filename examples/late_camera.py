@@ -1,8 +1,8 @@
 """Does a late camera matter? Three latencies, with the ideal robot and with direct sensor feedback."""
 
 from scenes import load_scene
-from scenes.line_cell import prepared
-from scenes.line_following import run
+from scenes.line.cell import prepared
+from scenes.line.play import run
 
 for latency in (0.02, 0.04, 0.08):
     scene = load_scene("line").changed(camera={"latency": latency})

@@ -28,7 +28,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 
 def run_scene(scene: Scene, *, method: str | None = None, out: Path | None = None, **changes: Any) -> Any:
-    """Plays a scene and returns its typed result (``scenes.line_result.LineResult`` for a line).
+    """Plays a scene and returns its typed result (``scenes.line.result.LineResult`` for a line).
 
     Args:
         scene: what to play.

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
 
 _DELAY_MIN, _DELAY_MAX = -0.1, 0.3
 """Delays looked for [s]."""

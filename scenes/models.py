@@ -7,8 +7,8 @@ from importlib import resources
 from pathlib import Path
 
 from ideal_robot.errors import InputError
-from ideal_robot.model import Model
-from ideal_robot.robot import Robot
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
 from scenes.scene import Scene
 
 

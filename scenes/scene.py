@@ -19,10 +19,10 @@ from ideal_robot.errors import InputError
 S = TypeVar("S", bound="Scene")
 
 KINDS = {
-    "line": "scenes.line_following",
-    "path": "scenes.path_tracking",
-    "force": "scenes.force_following",
-    "clamped": "scenes.clamped",
+    "line": "scenes.line.play",
+    "path": "scenes.path.play",
+    "force": "scenes.force.play",
+    "clamped": "scenes.clamped.play",
 }
 """Kind of scene → module with ``SceneModel``, ``METHODS``, ``run(scene, …)`` and ``compare(scene, …)``."""
 

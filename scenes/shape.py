@@ -10,8 +10,8 @@ import numpy as np
 import pydantic
 from scipy.interpolate import CubicSpline
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
 
 STEP = 0.0005
 """Spacing of the points that stand for the curve [m]; far below what a camera resolves."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from ideal_robot.diagnosis.choice import Options
 from ideal_robot.diagnosis.diagnose import diagnose
-from ideal_robot.diagnosis.result import Diagnosis, FoundEffect
+from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect
 
 __all__ = ["Diagnosis", "FoundEffect", "Options", "diagnose"]

@@ -6,28 +6,28 @@ import dataclasses
 
 import numpy as np
 
-from ideal_robot.diagnosis.arm_side import arm_experiment, tcp_experiment, with_equivalents
-from ideal_robot.diagnosis.choice import Choice, Options
-from ideal_robot.diagnosis.estimate import Estimate, estimate
-from ideal_robot.diagnosis.experiment import Experiment, about, experiment, with_blur
-from ideal_robot.diagnosis.force_side import blocks_of, force_experiments
-from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
-from ideal_robot.diagnosis.line_side import line_blocks, line_experiment
-from ideal_robot.diagnosis.part import Part, rms
-from ideal_robot.diagnosis.rebase import with_parameters
-from ideal_robot.diagnosis.regression import Design, Fit, channel_weights
-from ideal_robot.diagnosis.result import ChannelResult, Diagnosis, FoundEffect, NotTransferred
-from ideal_robot.diagnosis.reversal import fitted_blur
-from ideal_robot.diagnosis.scoring import Progress
-from ideal_robot.diagnosis.search import Search
-from ideal_robot.diagnosis.transfer import transferring
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.arm import arm_experiment, tcp_experiment, with_equivalents
+from ideal_robot.diagnosis.channels.force import blocks_of, force_experiments
+from ideal_robot.diagnosis.channels.line import line_blocks, line_experiment
+from ideal_robot.diagnosis.channels.motor_torque import Experiment, about, experiment, with_blur
+from ideal_robot.diagnosis.channels.reversal import fitted_blur
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Search
+from ideal_robot.diagnosis.search.scoring import Progress
+from ideal_robot.diagnosis.statistics.block_regression import Design, Fit, channel_weights
+from ideal_robot.diagnosis.statistics.cross_products import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.statistics.estimate import Estimate, estimate
+from ideal_robot.diagnosis.statistics.rebase import with_parameters
+from ideal_robot.diagnosis.validation.part import Part, rms
+from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, NotTransferred
+from ideal_robot.diagnosis.validation.transfer import transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 _SAME_PLACE = 0.02
 """What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""

@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 from scipy import linalg
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.regressor import LINK_PARAMETERS, LINK_UNITS, regressor
-from ideal_robot.interface import Array
 
 _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""

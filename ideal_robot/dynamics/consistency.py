@@ -17,9 +17,9 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.base_parameters import BaseParameters
 from ideal_robot.errors import IdealRobotError
-from ideal_robot.interface import Array
 
 _PRIOR = 1e-4
 """Weight of staying near the nominal inertias: it decides only what the base parameters leave open."""

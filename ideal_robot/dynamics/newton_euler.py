@@ -12,8 +12,8 @@ import numba
 import numpy as np
 import pinocchio as pin
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
 
 
 class Chain(NamedTuple):

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.interface import Array
+from ideal_robot.arrays import Array
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 LINK_UNITS = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)

@@ -22,35 +22,35 @@ __all__ = ["ARM_POSITION", "MOTOR_TORQUE", "SENSOR", "TCP_POSITION", "Effect", "
 @cache
 def library() -> tuple[Effect, ...]:
     """All effects; the same cause may stand there several times, once for each place where it shows."""
-    from ideal_robot.effects.arm_dead_time import ArmDeadTime
-    from ideal_robot.effects.asymmetric_friction import AsymmetricFriction
-    from ideal_robot.effects.axis_coupling import AxisCoupling
-    from ideal_robot.effects.backlash import ArmBacklash, ArmBacklashByLoad, Backlash
-    from ideal_robot.effects.cable_spring import CableSpring
-    from ideal_robot.effects.camera_latency import CameraLatency
-    from ideal_robot.effects.camera_offset import CameraOffset
-    from ideal_robot.effects.camera_scale import CameraScale
-    from ideal_robot.effects.clock_drift import ClockDrift
-    from ideal_robot.effects.coulomb import Coulomb
-    from ideal_robot.effects.current_offset import CurrentOffset
-    from ideal_robot.effects.dead_time import DeadTime, PositionDeadTime
-    from ideal_robot.effects.degressive import Degressive
-    from ideal_robot.effects.drive_gain import DriveGain
-    from ideal_robot.effects.force_bias import ForceBias
-    from ideal_robot.effects.force_compliance import ForceCompliance
-    from ideal_robot.effects.gravity_spring import GravitySpring
-    from ideal_robot.effects.joint_elasticity import ArmElasticity, JointElasticity
-    from ideal_robot.effects.lens_distortion import LensDistortion
-    from ideal_robot.effects.load_dependent_friction import LoadDependentFriction
-    from ideal_robot.effects.payload import Payload
-    from ideal_robot.effects.presliding_hysteresis import PreslidingHysteresis
-    from ideal_robot.effects.rotor_inertia import RotorInertia
-    from ideal_robot.effects.stribeck import Stribeck
-    from ideal_robot.effects.tcp import AtTool, KinematicError, ThermalGrowth, ToolDeadTime, ToolTransmissionError
-    from ideal_robot.effects.thermal_drift import ThermalDrift
-    from ideal_robot.effects.torque_ripple import TorqueRipple
-    from ideal_robot.effects.transmission_error import TransmissionError
-    from ideal_robot.effects.viscous import Viscous
+    from ideal_robot.effects.arm.dead_time import ArmDeadTime
+    from ideal_robot.effects.arm.transmission_error import TransmissionError
+    from ideal_robot.effects.sensor.camera_latency import CameraLatency
+    from ideal_robot.effects.sensor.camera_offset import CameraOffset
+    from ideal_robot.effects.sensor.camera_scale import CameraScale
+    from ideal_robot.effects.sensor.clock_drift import ClockDrift
+    from ideal_robot.effects.sensor.force_bias import ForceBias
+    from ideal_robot.effects.sensor.force_compliance import ForceCompliance
+    from ideal_robot.effects.sensor.lens_distortion import LensDistortion
+    from ideal_robot.effects.tcp.tcp import AtTool, KinematicError, ThermalGrowth, ToolDeadTime, ToolTransmissionError
+    from ideal_robot.effects.torque.asymmetric_friction import AsymmetricFriction
+    from ideal_robot.effects.torque.axis_coupling import AxisCoupling
+    from ideal_robot.effects.torque.backlash import ArmBacklash, ArmBacklashByLoad, Backlash
+    from ideal_robot.effects.torque.cable_spring import CableSpring
+    from ideal_robot.effects.torque.coulomb import Coulomb
+    from ideal_robot.effects.torque.current_offset import CurrentOffset
+    from ideal_robot.effects.torque.dead_time import DeadTime, PositionDeadTime
+    from ideal_robot.effects.torque.degressive import Degressive
+    from ideal_robot.effects.torque.drive_gain import DriveGain
+    from ideal_robot.effects.torque.gravity_spring import GravitySpring
+    from ideal_robot.effects.torque.joint_elasticity import ArmElasticity, JointElasticity
+    from ideal_robot.effects.torque.load_dependent_friction import LoadDependentFriction
+    from ideal_robot.effects.torque.payload import Payload
+    from ideal_robot.effects.torque.presliding_hysteresis import PreslidingHysteresis
+    from ideal_robot.effects.torque.rotor_inertia import RotorInertia
+    from ideal_robot.effects.torque.stribeck import Stribeck
+    from ideal_robot.effects.torque.thermal_drift import ThermalDrift
+    from ideal_robot.effects.torque.torque_ripple import TorqueRipple
+    from ideal_robot.effects.torque.viscous import Viscous
 
     return (Viscous(), Coulomb(), Degressive(), Stribeck(), AsymmetricFriction(), LoadDependentFriction(),
             ThermalDrift(), PreslidingHysteresis(), TorqueRipple(), CurrentOffset(), DriveGain(), RotorInertia(),
@@ -73,7 +73,7 @@ def effect_of(fitted: FittedEffect) -> Effect:
     Raises:
         InputError: a model file names an effect that this version does not know.
     """
-    from ideal_robot.effects.unknown import Unknown
+    from ideal_robot.effects.learned import Unknown
     from ideal_robot.errors import InputError
 
     if fitted.name == "unknown":

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ideal_robot.interface import Array
+from ideal_robot.arrays import Array
 
 MOTOR_TORQUE = "motor_torque"
 ARM_POSITION = "arm_position"

@@ -19,11 +19,11 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import nnls
 
-from ideal_robot.elasticity.signals import ClampedSignals
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.clamped_signals import ClampedSignals
 from ideal_robot.elasticity.stiffness import flange_jacobian, joint_torque
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 
 def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple[ClampedSignals, ...]:

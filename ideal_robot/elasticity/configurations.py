@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.elasticity.clamp_compliance import compliance_shapes
 from ideal_robot.elasticity.stiffness import condition_number, flange_jacobian
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
+from ideal_robot.model.model import Model
 
 
 class GearDeflection:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
 
 
 @dataclass(frozen=True)

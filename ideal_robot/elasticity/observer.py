@@ -18,8 +18,8 @@ import numpy as np
 import pinocchio as pin
 from numba import njit
 
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
+from ideal_robot.arrays import Array
+from ideal_robot.model.model import Model
 
 SUBSTEP = 0.0005
 """Time step of the model; far below the period of the stiffest gear [s]."""

@@ -10,11 +10,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.clamped_signals import DECIMATE_HZ, ClampedSignals
 from ideal_robot.elasticity.least_squares import least_squares
-from ideal_robot.elasticity.signals import DECIMATE_HZ, ClampedSignals
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 Method = Literal["motor", "wrench"]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.interface import Array
+from ideal_robot.arrays import Array
 
 
 class Feedforward(ABC):

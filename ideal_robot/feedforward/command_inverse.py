@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ideal_robot.interface import Array
-from ideal_robot.loop_model import LoopModel
+from ideal_robot.arrays import Array
+from ideal_robot.loop.loop_model import LoopModel
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,16 @@ from typing import Any
 import numba
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.command_inverse import command_inverse
-from ideal_robot.feedforward.from_model import loop_model
 from ideal_robot.feedforward.smoothing import spline_operators
-from ideal_robot.interface import Array
-from ideal_robot.loop_model import Drives, LoopModel, ripple_torque
-from ideal_robot.model import Model
-from ideal_robot.robot import Robot
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop_model import Drives, LoopModel, ripple_torque
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
 
 _CYCLES = 7
 """Commands solved for together: what lies further ahead changes the first one by less than 1e-4 of itself."""
@@ -64,7 +64,7 @@ class IdealRobot(Feedforward):
     """Inverse of the identified closed loop over the horizon.
 
     Args:
-        loop: the identified closed loop; see :func:`ideal_robot.feedforward.from_model.loop_model`.
+        loop: the identified closed loop; see :func:`ideal_robot.loop.from_model.loop_model`.
         n_d: length of the horizon it is given; with fewer than ``n_d_needed`` rows the path is continued with constant
             velocity.
         elastic: whether gear deflection is compensated. Then the command at rest differs from the desired position

@@ -19,12 +19,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.signal import butter, sosfiltfilt
 
-from ideal_robot.closed_loop import simulate
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.linear_loop import LinearLoop
-from ideal_robot.interface import Array
-from ideal_robot.loop_model import LoopModel
+from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.loop_model import LoopModel
 
 _SMALLEST_STEP = 0.2
 """Learning stops when a step this much smaller than the full one still makes the path worse."""

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.information_filter import InformationFilter
-from ideal_robot.feedforward.linear_loop import LinearLoop
-from ideal_robot.interface import Array
+from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.information_filter import InformationFilter
 
 
 class LinearInverse(Feedforward):

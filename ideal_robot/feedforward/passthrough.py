@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.interface import Array
 
 
 class PassThrough(Feedforward):

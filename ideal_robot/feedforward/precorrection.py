@@ -18,16 +18,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ideal_robot.controller_model import ControllerModel
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.from_model import loop_model
 from ideal_robot.feedforward.smoothing import spline_operators
-from ideal_robot.interface import Array
-from ideal_robot.loop_model import low_pass_taps
-from ideal_robot.model import Model
-from ideal_robot.robot import Robot
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop_model import low_pass_taps
+from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
 
 _BEFORE, _AFTER = 4, 4
 """Desired positions used on either side of the instant that counts, for its derivatives."""

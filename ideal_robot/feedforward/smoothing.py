@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import BSpline
 
-from ideal_robot.interface import Array
+from ideal_robot.arrays import Array
 
 _DEGREE = 5
 _PENALTY_ORDER = 4

@@ -15,9 +15,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Degrees of freedom: displacements and small rotations along and about the axes of the base frame."""

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.information_filter import InformationFilter
 from ideal_robot.feedforward.passthrough import PassThrough
-from ideal_robot.interface import Array
+from ideal_robot.loop.information_filter import InformationFilter
 
 _STILL = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""

@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.friction.presliding import sliding_direction
-from ideal_robot.interface import Array
 
 
 class FrictionModel(ABC):

@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.friction.base import FrictionModel
-from ideal_robot.interface import Array
 
 
 class ViscousCoulomb(FrictionModel):

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction.base import FrictionModel
 from ideal_robot.friction.laws import Arctan, Asymmetric, CubeRoot, Stribeck, ViscousCoulomb
 from ideal_robot.friction.presliding import sliding_direction
-from ideal_robot.interface import Array
 
 LAWS: dict[str, type[FrictionModel]] = {
     law.key: law for law in (ViscousCoulomb, CubeRoot, Arctan, Stribeck, Asymmetric)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from ideal_robot.interface import Array
+from ideal_robot.arrays import Array
 
 _BEFORE = 0.1
 """How long a motion is taken to have lasted before its first sample [s]."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction.base import FrictionModel
-from ideal_robot.interface import Array
 
 
 @dataclass(frozen=True)

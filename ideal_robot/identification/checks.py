@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction import Asymmetric
-from ideal_robot.identification.regression import Solution
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.identification.weighted_least_squares import Solution
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 _MINIMUM_DURATION = 1.0
 _STILL = 1e-3

@@ -20,11 +20,11 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.signal import butter, filtfilt, lfilter
 
-from ideal_robot.controller_model import ControllerModel
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 _ORDER = 2
 """Stages of the command low-pass that are fitted; a single one comes out as two shorter ones just as well."""

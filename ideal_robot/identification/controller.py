@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from ideal_robot.controller_model import ControllerModel
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.recording import Recording
+from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.signals.recording import Recording
 
 _K_I_RANGE = (1e-4, 2.0)
 

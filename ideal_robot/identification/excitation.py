@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics import base_parameters, full_regressor
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 
 @dataclass(frozen=True)

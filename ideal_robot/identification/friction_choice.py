@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
+from ideal_robot.arrays import Array
 from ideal_robot.friction import Arctan, CubeRoot, FrictionModel, PerJointFriction, ViscousCoulomb
 from ideal_robot.friction.laws import Asymmetric
-from ideal_robot.identification.preprocess import Signals
-from ideal_robot.interface import Array
+from ideal_robot.signals.preprocess import FilteredSignals
 
 AUTO: tuple[type[FrictionModel], ...] = (ViscousCoulomb, CubeRoot, Arctan, Asymmetric)
 """Laws the automatic choice tries. [G] leaves (4) out: its effect depends too much on operating conditions."""
@@ -73,7 +73,8 @@ class FrictionChoice:
         noise: noise level per joint ``(n,)`` for the weights.
     """
 
-    def __init__(self, signals: Sequence[Signals], rigid: Array, y: Array, load: Sequence[Array], noise: Array) -> None:
+    def __init__(self, signals: Sequence[FilteredSignals], rigid: Array, y: Array, load: Sequence[Array],
+                 noise: Array) -> None:
         self._signals, self._load = signals, load
         self._rigid, self._y, self._noise = rigid / noise[:, None], y / noise, noise
         self._folds = np.arange(len(y)) * _FOLDS // len(y)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics import (
     BaseParameters,
     base_parameters,
@@ -24,13 +25,12 @@ from ideal_robot.errors import InputError
 from ideal_robot.friction import Asymmetric, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.checks import checked, excitation_warnings
 from ideal_robot.identification.friction_choice import AUTO, FrictionChoice, candidates, with_coefficients
-from ideal_robot.identification.preprocess import Signals, chosen_cutoff, preprocess, resampled, uniform_time
-from ideal_robot.identification.regression import Solution, weighted_least_squares
-from ideal_robot.interface import Array
-from ideal_robot.model import Model, Prediction
-from ideal_robot.parametrisation import shape_columns
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.identification.weighted_least_squares import Solution, weighted_least_squares
+from ideal_robot.model.model import Model, Prediction
+from ideal_robot.model.parametrisation import shape_columns
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import FilteredSignals, chosen_cutoff, preprocess, resampled, uniform_time
+from ideal_robot.signals.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -138,8 +138,8 @@ def _cutoff_of(recording: Recording) -> float:
     return chosen_cutoff(resampled(recording.t, recording.joints("q"), grid, smooth=True), float(grid[1] - grid[0]))
 
 
-def _friction(signals: Sequence[Signals], W: Array, y: Array, segments: Array, base: BaseParameters, nominal: Array,
-              robot: Robot, wanted: str,
+def _friction(signals: Sequence[FilteredSignals], W: Array, y: Array, segments: Array, base: BaseParameters,
+              nominal: Array, robot: Robot, wanted: str,
               ) -> tuple[list[FrictionModel], list[dict[str, float]], list[Array]]:
     """Friction laws with their shape, the scores of those tried, and the load they look at."""
     options = candidates(AUTO, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
@@ -159,7 +159,8 @@ def _friction(signals: Sequence[Signals], W: Array, y: Array, segments: Array, b
     return laws, scores, load
 
 
-def _friction_columns(signals: Sequence[Signals], laws: Sequence[FrictionModel], load: Sequence[Array]) -> Array:
+def _friction_columns(signals: Sequence[FilteredSignals], laws: Sequence[FrictionModel],
+                      load: Sequence[Array]) -> Array:
     """Decimated regressor of all joints' friction coefficients ``(M, n, Σm)``."""
     n, total = len(laws), sum(len(law.coefficients) for law in laws)
     parts = []
@@ -173,7 +174,7 @@ def _friction_columns(signals: Sequence[Signals], laws: Sequence[FrictionModel],
     return np.concatenate(parts)
 
 
-def _with_shape(solution: Solution, W: Array, signals: Sequence[Signals], friction: PerJointFriction,
+def _with_shape(solution: Solution, W: Array, signals: Sequence[FilteredSignals], friction: PerJointFriction,
                 load: Sequence[Array], segments: Array) -> Solution:
     """The solution with the shape parameters' share of the covariance, by linearisation about the optimum."""
     shape = np.concatenate([law.shape[:, 0] for law in friction.laws])

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, full_regressor
-from ideal_robot.identification.preprocess import Signals, lowpass
-from ideal_robot.identification.segments import alone, runs
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass
+from ideal_robot.signals.segments import alone, runs
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Measurement:
     std: float
 
 
-def constant_stretches(s: Signals, joint: int, start: int, stop: int) -> list[tuple[int, int]]:
+def constant_stretches(s: FilteredSignals, joint: int, start: int, stop: int) -> list[tuple[int, int]]:
     """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off."""
     qd, qdd = s.qd[start:stop, joint], s.qdd[start:stop, joint]
     margin = int(np.ceil(0.5 / s.cutoff / s.dt))
@@ -51,13 +51,14 @@ def constant_stretches(s: Signals, joint: int, start: int, stop: int) -> list[tu
     return found
 
 
-def rows_of(s: Signals, robot: Robot, base: BaseParameters, index: np.ndarray, with_acceleration: bool) -> Array:
+def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.ndarray,
+            with_acceleration: bool) -> Array:
     """Regressor ``(k, n, b)`` of the base parameters at some samples, with or without the measured acceleration."""
     qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
     return full_regressor(robot.model, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
 
 
-def gravity_measurements(s: Signals, robot: Robot, base: BaseParameters) -> list[Measurement]:
+def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:
     """Mean of the averaged torques of forward and backward motion, for each pair of stretches of the same speed."""
     found = []
     for j in range(robot.n):
@@ -76,7 +77,7 @@ def gravity_measurements(s: Signals, robot: Robot, base: BaseParameters) -> list
     return found
 
 
-def _both_directions(s: Signals, robot: Robot, base: BaseParameters, joint: int, first: tuple[int, int],
+def _both_directions(s: FilteredSignals, robot: Robot, base: BaseParameters, joint: int, first: tuple[int, int],
                      second: tuple[int, int]) -> Measurement:
     rows, values, errors, postures = [], [], [], []
     for a, b in (first, second):
@@ -96,7 +97,7 @@ def _both_directions(s: Signals, robot: Robot, base: BaseParameters, joint: int,
                        max(std, 1e-9))
 
 
-def inertia_measurements(s: Signals, robot: Robot, base: BaseParameters, p_g: Array) -> list[Measurement]:
+def inertia_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters, p_g: Array) -> list[Measurement]:
     """Moment of inertia of one axis from its motion with high acceleration, gravity compensated."""
     found = []
     smooth = lowpass(s.tau, s.dt, s.cutoff)

@@ -15,11 +15,11 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import butter, filtfilt
 
+from ideal_robot.arrays import Array
 from ideal_robot.effects.base import EffectParameter, FittedEffect
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 _ORDERS = tuple(range(1, 9))
 _FREQUENCY = (0.3, 6.0)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.identification.preprocess import lowpass, preprocess, resampled
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
+from ideal_robot.model.model import Model
+from ideal_robot.signals.preprocess import lowpass, preprocess, resampled
+from ideal_robot.signals.recording import Recording
 
 
 def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameters
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
@@ -27,13 +28,12 @@ from ideal_robot.identification.operating_points import (
     inertia_measurements,
     rows_of,
 )
-from ideal_robot.identification.preprocess import Signals, lowpass, preprocess
-from ideal_robot.identification.regression import Solution
-from ideal_robot.identification.segments import alone
-from ideal_robot.interface import Array
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.identification.weighted_least_squares import Solution
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
+from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.segments import alone
 
 _CUTOFF = 15.0
 """Position filter [Hz]: corners of trapezoids reach far up in frequency, but nothing that is measured here does."""
@@ -170,8 +170,8 @@ def _weighted(measurements: Sequence[Measurement], start: Array, prior: Array,
     return start + step, covariance, residual, unexcited
 
 
-def _with_presliding(law: FrictionModel, signals: Sequence[Signals], robot: Robot, base: BaseParameters, p: Array,
-                     joint: int) -> FrictionModel:
+def _with_presliding(law: FrictionModel, signals: Sequence[FilteredSignals], robot: Robot, base: BaseParameters,
+                     p: Array, joint: int) -> FrictionModel:
     """The law with the presliding distance that describes the joint's reversals best, out of a grid.
 
     Runs at constant velocity do not show it, but without it the law would not know a direction at rest.
@@ -194,7 +194,7 @@ def _with_presliding(law: FrictionModel, signals: Sequence[Signals], robot: Robo
     return refined(min(_DISTANCES.tolist(), key=cost))
 
 
-def _friction_points(signals: Sequence[Signals], robot: Robot, base: BaseParameters, p: Array,
+def _friction_points(signals: Sequence[FilteredSignals], robot: Robot, base: BaseParameters, p: Array,
                      joint: int) -> tuple[Array, Array]:
     """Speeds and friction torques of all stretches at constant velocity, the rest of the model removed."""
     speeds, torques = [], []

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 
 @dataclass(frozen=True)

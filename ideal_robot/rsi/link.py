@@ -7,8 +7,8 @@ import time
 from dataclasses import dataclass
 
 from ideal_robot.errors import InputError
-from ideal_robot.rsi.errors import PacketError, RsiError
 from ideal_robot.rsi.message import MAX_PACKET, RobMessage, parse_rob
+from ideal_robot.rsi.rsi_error import PacketError, RsiError
 
 _IPOC_RANGE = 2**32
 """Where a 32-bit time stamp starts anew."""

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ideal_robot.interface import Array
-from ideal_robot.rsi.errors import PacketError
+from ideal_robot.arrays import Array
+from ideal_robot.rsi.rsi_error import PacketError
 
 MAX_PACKET = 4096
 """Largest packet that is read [bytes]; a controller's has less than 1500."""

@@ -11,13 +11,14 @@ from types import TracebackType
 
 import numpy as np
 
-from ideal_robot.interface import Array, RobotState
-from ideal_robot.limits import checked_command
-from ideal_robot.robot import Robot
+from ideal_robot.arrays import Array
+from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.limits import checked_command
+from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.axes import Axes
-from ideal_robot.rsi.errors import RsiError
 from ideal_robot.rsi.link import PacketLink, passed
 from ideal_robot.rsi.message import DECIMALS, RobMessage, format_sen
+from ideal_robot.rsi.rsi_error import RsiError
 
 _TRIALS = 3
 """Cycles within which the expected cycle time has to show."""

@@ -20,10 +20,10 @@ def command(
 
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
-    from scenes.close_loop import close_loop
     from scenes.commands.common import chosen, progress_bar, show_table
-    from scenes.diagnosis_report import summary
-    from scenes.report import write_json
+    from scenes.diagnosis.page import summary
+    from scenes.refine.play import close_loop
+    from scenes.report.page import write_json
     from scenes.scene import load_scene
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)

@@ -20,7 +20,7 @@ def command(
     Example: `ideal-robot compare line --speed 0.7`
     """
     from scenes.commands.common import chosen, progress_bar, show_table
-    from scenes.report import write_json
+    from scenes.report.page import write_json
     from scenes.scene import load_scene, module_of
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)

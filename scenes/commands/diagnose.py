@@ -27,12 +27,12 @@ def command(
     Example: `ideal-robot diagnose estimation.parquet --urdf arm.urdf --validate other.parquet --model-out better.json`
     """
     from ideal_robot.diagnosis import diagnose
-    from ideal_robot.model import Model
-    from ideal_robot.recording import Recording
-    from ideal_robot.robot import Robot
+    from ideal_robot.model.model import Model
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
     from scenes.commands.common import progress_bar, show_table
-    from scenes.diagnosis_report import diagnosis_page, summary, unexplained
-    from scenes.report import write_json
+    from scenes.diagnosis.page import diagnosis_page, summary, unexplained
+    from scenes.report.page import write_json
 
     with progress_bar("diagnose") as progress:
         arm = Robot.load(urdf, robot)

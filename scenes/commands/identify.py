@@ -35,12 +35,12 @@ def command(
 
     Example: `ideal-robot identify free_50s.parquet free_30s.parquet --urdf ur10e.urdf --validate free_20s.parquet`
     """
-    from ideal_robot.recording import Recording
-    from ideal_robot.robot import Robot
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
     from scenes.commands.common import progress_bar, show_table
-    from scenes.identification_analysis import analyse
-    from scenes.identification_report import identification_page
-    from scenes.report import write_json
+    from scenes.identification.analysis import analyse
+    from scenes.identification.page import identification_page
+    from scenes.report.page import write_json
 
     with progress_bar("identify") as progress:
         arm = Robot.load(urdf, robot)

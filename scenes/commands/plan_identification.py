@@ -30,10 +30,10 @@ def command(
     Example: `ideal-robot plan-identification --urdf kr15 --method two-step --play --out out/kr15`
     """
     from ideal_robot.identification.excitation import Workspace
-    from ideal_robot.robot import Robot
+    from ideal_robot.robots.robot import Robot
     from scenes.commands.common import progress_bar, show_table
-    from scenes.identification_plan import plan, play_plan
-    from scenes.report import write_json
+    from scenes.identification.plan import plan, play_plan
+    from scenes.report.page import write_json
 
     arm = Robot.load(urdf, robot)
     with progress_bar("plan") as progress:

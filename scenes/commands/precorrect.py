@@ -27,8 +27,8 @@ def command(
     Example: `ideal-robot precorrect path.csv --model scenes/models/kr15.json -o corrected.csv`
     """
     from scenes.commands.common import progress_bar, show_table
-    from scenes.precorrect import precorrected_path, write_page
-    from scenes.report import write_json
+    from scenes.path.precorrect import precorrected_path, write_page
+    from scenes.report.page import write_json
 
     with progress_bar("precorrect") as progress:
         progress(0.1, "")

@@ -35,8 +35,8 @@ def command(
     import sys
 
     from scenes.commands.common import progress_bar, show_table
-    from scenes.report import write_json
-    from scenes.rsi_setup import rsi_server
+    from scenes.report.page import write_json
+    from scenes.rsi.setup import rsi_server
 
     with rsi_server(path, robot=robot, model=model, method=method, host=host, port=port, relative=relative, cycle=cycle,
                     delay=delay, rest=rest) as server:

@@ -21,7 +21,7 @@ def command(
     Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json`
     """
     from scenes.commands.common import chosen, closed, progress_bar
-    from scenes.report import write_json
+    from scenes.report.page import write_json
     from scenes.scene import load_scene, module_of
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)

@@ -24,12 +24,12 @@ def command(
 
     Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --urdf kr500 --method both`
     """
-    from ideal_robot.recording import Recording
-    from ideal_robot.robot import Robot
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
+    from scenes.clamped.page import stiffness_page
+    from scenes.clamped.stiffness_analysis import analyse
     from scenes.commands.common import progress_bar, show_table
-    from scenes.report import write_json
-    from scenes.stiffness_analysis import analyse
-    from scenes.stiffness_report import stiffness_page
+    from scenes.report.page import write_json
 
     with progress_bar("stiffness") as progress:
         robot = Robot.load(urdf)

@@ -25,7 +25,7 @@ def command(
     import pandas as pd
 
     from scenes.commands.common import numbers, progress_bar, show_table
-    from scenes.report import write_json
+    from scenes.report.page import write_json
     from scenes.sweep import jobs, sweep
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],

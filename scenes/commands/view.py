@@ -20,9 +20,9 @@ def command(
     """
     import time
 
-    from ideal_robot.robot import SHIPPED, Robot
+    from ideal_robot.robots.robot import SHIPPED, Robot
     from scenes.scene import load_scene, module_of
-    from scenes.viewer import Viewer, open_recording
+    from scenes.view.viewer import Viewer, open_recording
 
     recording = None
     curves: dict = {}

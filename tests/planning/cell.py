@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
-from planning.line_follower import LineFollower
-from planning.reference import ReferencePath
-from planning.speed_profile import JointPath, Limits, SpeedProfile
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.line.line_follower import LineFollower
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import JointPath, Limits, SpeedProfile
 
 T = 0.012
 

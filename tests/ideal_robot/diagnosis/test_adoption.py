@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Diagnosis
-from ideal_robot.diagnosis.adoption import adopted, with_joint
-from ideal_robot.diagnosis.result import FoundEffect
+from ideal_robot.diagnosis.validation.adoption import adopted, with_joint
+from ideal_robot.diagnosis.validation.result import FoundEffect
 from ideal_robot.effects import FittedEffect
 from ideal_robot.friction import PerJointFriction, ViscousCoulomb
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 STICKS = FittedEffect("stribeck", 2, "tau_2", (60.0,), theta=(0.05,))
 """What joint 2 truly has; its Coulomb friction is 40 N m less than an ordinary fit makes of it."""

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.experiment import experiment, with_blur
-from ideal_robot.diagnosis.gram import Data, time_blocks
-from ideal_robot.diagnosis.reversal import fitted_blur
+from ideal_robot.diagnosis.channels.motor_torque import experiment, with_blur
+from ideal_robot.diagnosis.channels.reversal import fitted_blur
+from ideal_robot.diagnosis.statistics.cross_products import Data, time_blocks
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
-from scenes.diagnosis_report import summary, unexplained
-from sim.blind_score import score
-from sim.blind_trials import draw_trial
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.diagnosis.page import summary, unexplained
+from trials.score import score
+from trials.torque import draw_trial
 
 DATA = Path(__file__).resolve().parents[3].parent / "shared" / "data"
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason="measured data (../shared/data) are not beside the checkout")

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.experiment import experiment
-from ideal_robot.diagnosis.line_side import line_experiment, told_line
+from ideal_robot.diagnosis.channels.line import line_experiment, told_line
+from ideal_robot.diagnosis.channels.motor_torque import experiment
 from ideal_robot.effects import SENSOR, FittedEffect, effect_of
-from ideal_robot.effects.seen_line import CUBIC, SCALE, SPEED
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
-from sim.blind_line import AXIS, SIZES, draw_line_trial, gantry
+from ideal_robot.effects.sensor.seen_line import CUBIC, SCALE, SPEED
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from trials.line import AXIS, SIZES, draw_line_trial, gantry
 
 
 @pytest.fixture(scope="module")

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ideal_robot.diagnosis.dependence import Sieve, terms
-from ideal_robot.diagnosis.gram import Blocks, Data, time_blocks
-from ideal_robot.diagnosis.regression import Design, Fit
+from ideal_robot.diagnosis.statistics.block_regression import Design, Fit
+from ideal_robot.diagnosis.statistics.cross_products import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.statistics.dependence import Sieve, terms
 from tests.ideal_robot.effects.test_laws import motion
 
 

@@ -11,9 +11,9 @@ import pytest
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.effects import TCP_POSITION, library
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
-from sim.blind_force import draw_force_trial
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from trials.force import draw_force_trial
 
 NOISE = 2e-5
 

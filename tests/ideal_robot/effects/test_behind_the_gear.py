@@ -9,12 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ideal_robot.diagnosis.arm_side import frames_along
+from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.effects import FittedEffect, Signals, effect_of, library
-from ideal_robot.effects.force_bias import MOMENTS
-from ideal_robot.effects.force_compliance import CONTACT_FORCE
-from ideal_robot.model import Model
-from ideal_robot.robot import Robot
+from ideal_robot.effects.sensor.force_bias import MOMENTS
+from ideal_robot.effects.sensor.force_compliance import CONTACT_FORCE
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
 
 ROBOT = Robot.load("kr6")
 TOOL = [e for e in library() if e.domain == "tcp_position" or e.name in ("force_bias", "force_compliance")]

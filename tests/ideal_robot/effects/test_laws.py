@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect, Signals, effect_of, library
-from ideal_robot.effects.dead_time import DeadTime
-from ideal_robot.effects.unknown import Unknown
+from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.torque.dead_time import DeadTime
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction, ViscousCoulomb
 

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ideal_robot.elasticity.adaptation import adapt_observer
 from ideal_robot.elasticity.observer import ArmObserver
+from ideal_robot.elasticity.observer_adaptation import adapt_observer
 from ideal_robot.errors import InputError
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from scenes.models import shipped_model
-from sim.arm import SimulatedArm
-from sim.world import World
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
 
 
 @pytest.fixture(scope="module")

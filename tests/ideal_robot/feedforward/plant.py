@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.interface import Array
-from ideal_robot.loop_model import LoopModel, low_pass_taps, velocity_grid
-from ideal_robot.robot import Robot
+from ideal_robot.loop.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.robots.robot import Robot
 
 T = 0.012
 ROBOT = Robot.load("kr15")

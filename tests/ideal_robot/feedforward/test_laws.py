@@ -8,16 +8,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ideal_robot.controller_model import ControllerModel
-from ideal_robot.feedforward.adaptation import AdaptedIdeal
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback
 from ideal_robot.feedforward.linear_inverse import LinearInverse
-from ideal_robot.feedforward.linear_loop import LinearLoop
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.feedforward.precorrection import Precorrection
 from ideal_robot.feedforward.training import train
-from ideal_robot.model import Model
+from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.model import Model
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant
 
 LIMITS = ROBOT.q_min, ROBOT.q_max

@@ -12,8 +12,8 @@ from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameter
 from ideal_robot.friction import FrictionModel, PerJointFriction
 from ideal_robot.friction.laws import ViscousCoulomb
 from ideal_robot.identification.excitation import FourierMotion, design_excitation
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "data"
 

@@ -10,7 +10,7 @@ import pytest
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import identify
-from ideal_robot.recording import Recording
+from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.identification.arm import record, robot, truth
 
 

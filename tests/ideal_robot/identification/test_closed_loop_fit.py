@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.from_model import cascade_gains
 from ideal_robot.identification.closed_loop_fit import fit_controller
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
-from sim.arm import SimulatedArm
-from sim.world import World
+from ideal_robot.loop.from_model import cascade_gains
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
 
 ROBOT = Robot.load("kr15")
 

@@ -7,8 +7,8 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.identification.controller import identify_controller
-from ideal_robot.identification.linear_loop import METHODS, identify_linear_loop
-from ideal_robot.recording import Recording
+from ideal_robot.identification.impulse_response_fit import METHODS, identify_linear_loop
+from ideal_robot.signals.recording import Recording
 
 K_P, K_D, K_I = 5000.0, 200.0, 0.2
 T = 0.012

@@ -7,9 +7,9 @@ import pytest
 
 from ideal_robot.friction import Arctan, CubeRoot, ViscousCoulomb
 from ideal_robot.identification.idim import identify, relative_error
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.identification.arm import SHARED, base, record, robot, truth, wrong_by_half
 
 EMPS = SHARED / "emps" / "emps_estimation.parquet"

@@ -7,13 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ideal_robot.closed_loop import simulate
-from ideal_robot.feedforward.from_model import loop_model
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.identification.ripple_fit import fit_ripple
-from ideal_robot.model import Model
-from ideal_robot.recording import Recording
-from ideal_robot.robot import Robot
+from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.feedforward.plant import commands, motion, plant, rms
 from tests.ideal_robot.feedforward.test_laws import nominal_model
 

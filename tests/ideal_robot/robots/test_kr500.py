@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 
 # α_j, d_j, offset of θ_j, r_j of [J] table 1.
 TABLE_1 = (

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.interface import Array
-from ideal_robot.robot import Robot
+from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiError, RsiRobot
 
 ROBOT = Robot.load("kr6")

@@ -1,0 +1,297 @@
+"""The regression of a camera that sees a line: all its points must lie on one smooth curve in the base frame.
+
+Each place of the line is seen in several fields, from other poses and at other places of the image. The curve itself is
+not known: its lateral deviation from the path of the tool is a spline, whose coefficients are eliminated: residual and
+columns of effects are what the best curve through all points leaves of them. The curve is no part of any model, so it
+may know all fields; were it to be foretold where hardly any other field has looked, nothing else would be tested.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+from scipy import ndimage
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.motor_torque import Experiment, experiment
+from ideal_robot.diagnosis.search.candidates import Candidate
+from ideal_robot.diagnosis.statistics.cross_products import Blocks, Data
+from ideal_robot.diagnosis.statistics.estimate import estimate, fitted_effect
+from ideal_robot.effects import SENSOR, FittedEffect, Signals, library
+from ideal_robot.effects.learned import spline_basis
+from ideal_robot.effects.sensor.seen_line import ACROSS, ALONG, CUBIC, DRIFT, SCALE, SPEED, YAW
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+KNOTS = 0.02
+"""Distance of the curve's knots [m]."""
+FIELDS = 300
+"""Fields looked at, at most."""
+FEWEST = 24
+"""Fields that are needed."""
+BLOCK = 3
+"""Fields of a block."""
+_STEP = 0.002
+_WIDTH = 0.012
+_OUTLIER = 8.0
+
+
+@dataclasses.dataclass(frozen=True)
+class LineExperiment(Experiment):
+    """Rows are points of the line in order of time; columns need no filter.
+
+    Attributes:
+        field: number of the camera field of each row ``(N,)``.
+    """
+
+    field: np.ndarray = dataclasses.field(default_factory=lambda: np.empty(0, dtype=int))
+
+    def channel_of(self, joint: int) -> int | None:
+        """The only channel."""
+        return 0
+
+    def decimate(self, columns: Array) -> Array:
+        """The columns as they are."""
+        return columns
+
+    def decimated_signals(self) -> Signals:
+        """The signals as they are."""
+        return self.signals
+
+
+def line_experiment(recording: Recording, robot: Robot, torque: Experiment,
+                    stiffness: Array | None) -> LineExperiment | None:
+    """The regression of a line-following recording; None if there are no line points, or too few.
+
+    Args:
+        recording: with ``cam_t`` and ``line_x_i line_y_i line_z_i``.
+        robot: the arm.
+        torque: regression of its torques, for signals.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
+    """
+    seen = _seen(recording)
+    if seen is None:
+        return None
+    stamps, number, points = seen
+    begin = float(recording.t[0])
+    rotation, place, velocity, turning = _poses(recording, robot, torque, stiffness, stamps)
+    lever = np.einsum("kij,kj->ki", rotation[number], points)
+    x = lever + place[number]
+    up = -rotation[:, :, 2].mean(axis=0)
+    up /= np.linalg.norm(up)
+    path, s_path = _tool_path(recording, robot, torque, stiffness, stamps, up)
+    if s_path[-1] < 4.0 * KNOTS:
+        return None
+    s, d, tangent, inside = _against(path, s_path, x, place[number], up)
+    rows = np.flatnonzero(inside)
+    W, slope, kept = _curve(s[rows], d[rows])
+    rows = rows[kept]
+    if len(np.unique(number[rows])) < FEWEST:
+        return None
+    t = tangent[rows]
+    # A point that moves along its line comes to where the line has another deviation.
+    normal = np.cross(up, t) - slope[:, None] * t
+    axis = _axis(recording, points)
+    out = points[rows] - axis
+    out[:, 2] = 0.0
+    turn = rotation[number[rows]]
+    radius = np.sum(out**2, axis=1)
+
+    def across(du: Array) -> Array:
+        return np.asarray(np.einsum("ki,kij,kj->k", normal, turn, du))
+
+    moved = velocity[number[rows]] + np.cross(turning[number[rows]], lever[rows])
+    extra = {SPEED: -np.sum(normal * moved, axis=1), ALONG: across(np.tile([1.0, 0.0, 0.0], (len(rows), 1))),
+             YAW: across(np.column_stack([-out[:, 1], out[:, 0], np.zeros(len(rows))])), SCALE: across(out),
+             CUBIC: across(radius[:, None] * out)}
+    times = stamps[number[rows]] - begin
+    extra[DRIFT] = times * extra[SPEED]
+    aside = across(np.tile([0.0, 1.0, 0.0], (len(rows), 1)))
+    basis, sizes, _ = np.linalg.svd(W, full_matrices=False)
+    basis = basis[:, sizes > 1e-6 * sizes[0]]
+
+    def beside(values: Array) -> Array:
+        """What no curve explains."""
+        return np.asarray(values - basis @ (basis.T @ values))
+
+    extra = {name: beside(values) for name, values in extra.items()}
+    if float(np.sum(beside(aside) ** 2)) > 0.002 * float(np.sum(aside**2)):
+        extra[ACROSS] = beside(aside)
+    residual = beside(d[rows])
+    s0 = torque.signals
+    grid = torque.filtered.t - begin
+
+    def at(values: Array) -> Array:
+        return np.column_stack([np.interp(times, grid, column) for column in values.T])
+
+    signals = Signals(times, at(s0.q), at(s0.qd), at(s0.qdd), at(s0.load), at(s0.torque), at(s0.friction), extra=extra)
+    # What differs between points next to each other in one field is the noise of finding them.
+    jumps = np.diff(residual, 2)[number[rows][2:] == number[rows][:-2]]
+    quiet = np.array([np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0) if len(jumps) else 0.0])
+    y, constant = residual[:, None], np.ones((len(residual), 1, 1))
+    return LineExperiment(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
+                          torque.filtered, {}, quiet, "line", field=number[rows])
+
+
+def line_blocks(made: LineExperiment, held_out: bool) -> Blocks:
+    """Blocks of a few fields each."""
+    first = np.flatnonzero(np.diff(made.field, prepend=-1))
+    edges = (*(int(e) for e in first[::BLOCK]), len(made.t))
+    number = np.arange(len(edges) - 1)
+    if not held_out:
+        return Blocks(edges, number % 6, 6)
+    selecting = number % 4 != 2
+    fold = np.full(len(number), -1)
+    fold[selecting] = np.arange(int(selecting.sum())) % 6
+    return Blocks(edges, fold, 6)
+
+
+def told_line(recording: Recording, robot: Robot, model: Model, name: str) -> FittedEffect:
+    """An oracle: an effect of the camera by its name, fitted to all of a line-following recording.
+
+    Raises:
+        InputError: no such effect, or no line in the recording.
+    """
+    made = line_experiment(recording, robot, experiment(recording, robot, model), model.stiffness)
+    found = [e for e in library() if e.domain == SENSOR and e.name == name and e.acts_on("line")]
+    if made is None or not found:
+        raise InputError("no such effect of a camera, or no line in the recording", field="effect", value=name)
+    candidate = Candidate(found[0], 0)
+    fit = estimate(made, Data(made.y, made.W, made.use, line_blocks(made, False)), [candidate], None)
+    return fitted_effect(candidate, fit.coefficients[0], fit.std[0], fit.theta_std[0], False, {})
+
+
+def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
+    """Time stamps of the fields ``(F,)``, and for each point its field ``(M,)`` and place in the tool ``(M, 3)``."""
+    if "cam_t" not in recording.columns or "line_x_1" not in recording.columns:
+        return None
+    count = 1
+    while all(f"line_{axis}_{count + 1}" in recording.columns for axis in "xyz"):
+        count += 1
+    if not all(f"line_{axis}_{i + 1}" in recording.columns for axis in "xyz" for i in range(count)):
+        return None
+    points = np.stack([np.column_stack([recording.columns[f"line_{axis}_{i + 1}"] for axis in "xyz"])
+                       for i in range(count)], axis=1)
+    stamps = recording.columns["cam_t"]
+    good = np.isfinite(points).all(axis=2) & np.isfinite(stamps)[:, None]
+    good &= ((stamps >= recording.t[0]) & (stamps <= recording.t[-1]))[:, None]
+    fields = np.flatnonzero(good.any(axis=1))
+    fields = fields[np.argsort(stamps[fields], kind="stable")][:FIELDS]
+    if len(fields) < FEWEST:
+        return None
+    number, which = np.nonzero(good[fields])
+    return stamps[fields], number, points[fields][number, which]
+
+
+def _arm_angles(recording: Recording, torque: Experiment, stiffness: Array | None) -> tuple[Array, Array]:
+    """Times and arm angles ``(N, n)``: measured, or those of the motors less the deflection that is known."""
+    n = torque.signals.n
+    if all(f"qa_{i + 1}" in recording.columns for i in range(n)):
+        q = np.column_stack([recording.columns[f"qa_{i + 1}"] for i in range(n)])
+        if np.all(np.isfinite(q)):
+            return recording.t, q
+    q = torque.signals.q
+    return torque.filtered.t, q if stiffness is None else q - torque.signals.load / stiffness
+
+
+def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
+    """Values and rates ``(F, k)`` at some times: a parabola through what was measured within 12 ms to either side."""
+    result, rate = np.empty((len(at), values.shape[1])), np.empty((len(at), values.shape[1]))
+    half = max(_WIDTH, 2.5 * float(np.median(np.diff(t))))
+    for k, moment in enumerate(at):
+        a, b = np.searchsorted(t, [moment - half, moment + half])
+        a = max(min(a, len(t) - 4), 0)
+        b = max(b, a + 4)
+        coefficients = np.linalg.lstsq(np.vander(t[a:b] - moment, 3, increasing=True), values[a:b], rcond=None)[0]
+        result[k], rate[k] = coefficients[0], coefficients[1]
+    return result, rate
+
+
+def _poses(recording: Recording, robot: Robot, torque: Experiment, stiffness: Array | None,
+           stamps: Array) -> tuple[Array, Array, Array, Array]:
+    """Rotation, place, velocity and angular velocity of the tool in the base frame at the time stamps."""
+    t, angles = _arm_angles(recording, torque, stiffness)
+    q, qd = _smooth(t, angles, stamps)
+    model, data, tool = robot.model, robot.model.createData(), robot.tool_id
+    rotation, place, twist = np.empty((len(q), 3, 3)), np.empty((len(q), 3)), np.empty((len(q), 6))
+    for k in range(len(q)):
+        jacobian = pin.computeFrameJacobian(model, data, q[k], tool, pin.LOCAL_WORLD_ALIGNED)
+        pose = pin.updateFramePlacement(model, data, tool)
+        rotation[k], place[k], twist[k] = pose.rotation, pose.translation, jacobian @ qd[k]
+    return rotation, place, twist[:, :3], twist[:, 3:]
+
+
+def _tool_path(recording: Recording, robot: Robot, torque: Experiment, stiffness: Array | None, stamps: Array,
+               up: Array) -> tuple[Array, Array]:
+    """The tool's path in the surface while the line is seen, at equal steps, smoothed, straight on at its end."""
+    moments = np.arange(stamps[0], min(stamps[-1] + 0.5, float(recording.t[-1])), 0.004)
+    place = _poses(recording, robot, torque, stiffness, moments)[1]
+    flat = place - np.outer((place - place[0]) @ up, up)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(flat, axis=0), axis=1))])
+    keep = np.concatenate([[True], np.diff(way) > 1e-6])
+    s = np.arange(0.0, way[-1], _STEP)
+    if len(s) < 40:
+        return flat[:1], np.zeros(1)
+    path = np.column_stack([np.interp(s, way[keep], flat[keep, i]) for i in range(3)])
+    path = ndimage.gaussian_filter1d(path, 0.01 / _STEP, axis=0, mode="nearest")[10:-10]
+    end = (path[-1] - path[-11]) / 10.0
+    path = np.vstack([path, path[-1] + np.arange(1, 100)[:, None] * end])
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    return path, way
+
+
+def _against(path: Array, s_path: Array, x: Array, tool: Array, up: Array) -> tuple[Array, Array, Array, np.ndarray]:
+    """Arc length, lateral deviation, and tangent at each point's foot on the path; and whether it has one."""
+    tangents = np.gradient(path, s_path, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+    s, d, tangent = np.empty(len(x)), np.empty(len(x)), np.empty((len(x), 3))
+    inside = np.ones(len(x), dtype=bool)
+    last = 0
+    for k, point in enumerate(x):
+        # From the tool on, so that a line that crosses itself is not mixed up.
+        part = slice(max(last - 50, 0), last + 300)
+        last = part.start + int(np.argmin(np.sum((path[part] - tool[k]) ** 2, axis=1)))
+        near = slice(max(last - 50, 0), last + 250)
+        i = near.start + int(np.argmin(np.sum((path[near] - point) ** 2, axis=1)))
+        inside[k] = 0 < i < len(path) - 1
+        s[k] = s_path[i]
+        for _ in range(3):
+            foot = np.array([np.interp(s[k], s_path, path[:, a]) for a in range(3)])
+            direction = np.array([np.interp(s[k], s_path, tangents[:, a]) for a in range(3)])
+            direction /= np.linalg.norm(direction)
+            s[k] += float(direction @ (point - foot))
+        tangent[k], d[k] = direction, float(np.cross(up, direction) @ (point - foot))
+    return s, d, tangent, inside
+
+
+def _curve(s: Array, d: Array) -> tuple[Array, Array, np.ndarray]:
+    """Columns of a smooth curve ``(m, p)``, its slope at the points ``(m,)``, and which points are no outliers."""
+    kept = np.arange(len(s))
+    for last in (False, True):
+        low, high = float(s[kept].min()), float(s[kept].max())
+        grid = np.linspace(low, high, max(int((high - low) / KNOTS), 2) + 1)
+        # Where nothing was seen there is nothing to bend.
+        filled = np.histogram(s[kept], grid)[0] >= 3
+        knots = tuple(float(v) for v in np.concatenate([[low], grid[1:-1][filled[:-1] & filled[1:]], [high]]))
+        W = spline_basis(s[kept], knots, 0.1)
+        W = W[:, np.any(np.abs(W) > 1e-6, axis=0)]
+        c = np.linalg.lstsq(W, d[kept], rcond=None)[0]
+        left = d[kept] - W @ c
+        limit = _OUTLIER * max(float(np.median(np.abs(left))), 1e-7) / 0.6745
+        if not last:
+            kept = kept[np.abs(left) < limit]
+    order = np.linspace(low, high, 4 * len(knots) + 1)
+    values = np.interp(order, np.sort(s[kept]), (W @ c)[np.argsort(s[kept])])
+    return W, np.interp(s[kept], order, np.gradient(values, order)), kept
+
+
+def _axis(recording: Recording, points: Array) -> Array:
+    """Where the optical axis meets the surface in the tool frame ``(3,)``: as noted, else the middle of the points."""
+    noted = recording.meta.get("camera")
+    if noted and "axis" in noted:
+        return np.asarray(noted["axis"], dtype=float)
+    return np.asarray(0.5 * (points.min(axis=0) + points.max(axis=0)))

@@ -1,0 +1,228 @@
+"""Weighted least squares on blocks of time, and what one more candidate would win on blocks it has not seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, stats
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.statistics.cross_products import Columns, Data
+
+_RIDGE = 3e-5
+"""Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
+_SMOOTH = 3e-3
+"""The same for the coefficients of a candidate with many columns, some of which a fold may hardly show."""
+
+
+class Design:
+    """Named groups of columns and their cross-products, each computed once."""
+
+    def __init__(self, data: Data) -> None:
+        self.data = data
+        self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
+        self._cross: dict[tuple[str, str], Array] = {}
+
+    def add(self, key: str, columns: Columns) -> None:
+        """Adds or replaces a group."""
+        self.groups[key] = columns
+        self._cross = {pair: value for pair, value in self._cross.items() if key not in pair}
+
+    def drop(self, key: str) -> None:
+        """Forgets a group."""
+        self.groups.pop(key, None)
+        self._cross = {pair: value for pair, value in self._cross.items() if key not in pair}
+
+    def cross(self, a: str, b: str) -> Array:
+        """``a' b`` for each block and channel ``(B, c, m_a, m_b)``."""
+        if (a, b) in self._cross:
+            return self._cross[a, b]
+        if (b, a) in self._cross:
+            return np.swapaxes(self._cross[b, a], 2, 3)
+        self._cross[a, b] = self.data.cross(self.groups[a], self.groups[b])
+        return self._cross[a, b]
+
+    def gram(self, rows: list[str], columns: list[str]) -> Array:
+        """Cross-products of several groups side by side ``(B, c, m, m')``."""
+        return np.concatenate([np.concatenate([self.cross(a, b) for b in columns], axis=3) for a in rows], axis=2)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a candidate would win.
+
+    Attributes:
+        gain: weighted squares it takes away in sample, after everything else is refitted.
+        coefficients: its coefficients on all selecting blocks ``(m,)``.
+        won: weighted squares won on each block that had no part in the fit ``(B,)``; nan where none was tried.
+        won_by_channel: their sum for each channel ``(c,)``.
+        p_value: one-sided, of the alignment of what it predicts with the residual of blocks it has not seen.
+    """
+
+    gain: float
+    coefficients: Array
+    won: Array
+    won_by_channel: Array
+    p_value: float
+
+    @property
+    def total(self) -> float:
+        """Weighted squares won on held-out folds."""
+        return float(np.nansum(self.won))
+
+
+class Fit:
+    """Least squares of ``y`` on the groups ``keys`` over the selecting blocks, with one refit for each fold left out.
+
+    Args:
+        design: groups and cross-products.
+        keys: the groups that are fitted, ``W`` first.
+        weights: 1/σ² of each channel ``(c,)``.
+        prior: precision of the parameters ``(P,)`` about zero, in the same weighted units; padded with zeros.
+    """
+
+    def __init__(self, design: Design, keys: list[str], weights: Array, prior: Array | None = None) -> None:
+        self.design, self.keys, self.weights = design, keys, weights
+        blocks = design.data.blocks
+        self.fold, self.folds = blocks.fold, blocks.folds
+        self.G = design.gram([*keys, "y"], [*keys, "y"])
+        self.P = self.G.shape[2] - 1
+        weighted = np.einsum("c,bcij->bij", weights, self.G)
+        precision = np.zeros((self.P, self.P))
+        if prior is not None:
+            q = len(prior)
+            precision[:q, :q] = prior if prior.ndim == 2 else np.diag(prior)
+        self._inverse: list[Array] = []
+        self._beta: list[Array] = []
+        self._training: list[Array] = []
+        for k in range(-1, self.folds):
+            training = (self.fold >= 0) & (self.fold != k)
+            H = weighted[training].sum(axis=0)
+            A = H[: self.P, : self.P] + precision
+            A = A + _RIDGE * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
+            scale = 1.0 / np.sqrt(np.diag(A))
+            inverse = linalg.pinvh(A * np.outer(scale, scale), atol=1e-12, rtol=1e-11) * np.outer(scale, scale)
+            self._training.append(training)
+            self._inverse.append(inverse)
+            self._beta.append(inverse @ H[: self.P, self.P])
+        self._precision = precision
+
+    @property
+    def beta(self) -> Array:
+        """Parameters fitted on all selecting blocks ``(P,)``."""
+        return self._beta[0]
+
+    def squares(self, beta: Array | None = None) -> Array:
+        """Squares of the residual per block and channel ``(B, c)``, unweighted."""
+        v = np.append(-(self.beta if beta is None else beta), 1.0)
+        return np.maximum(_quadratic(self.G, v), 0.0)
+
+    def held_out_squares(self) -> Array:
+        """As ``squares``, each block predicted by the fit without its fold; report blocks by the fit on all others."""
+        result = self.squares()
+        for k in range(self.folds):
+            mine = self.fold == k
+            v = np.append(-self._beta[k + 1], 1.0)
+            result[mine] = np.maximum(_quadratic(self.G[mine], v), 0.0)
+        return result
+
+    def covariance(self) -> Array:
+        """Covariance of ``beta (P, P)`` from the scatter of the blocks' scores, so that coloured noise counts."""
+        selecting = self._training[0]
+        v = np.append(-self.beta, 1.0)
+        scores = np.einsum("c,bcij,j->bi", self.weights, self.G[selecting][:, :, : self.P], v, optimize=True)
+        B = len(scores)
+        middle = scores.T @ scores * (B / max(B - 1, 1))
+        bread = self._inverse[0]
+        # Few blocks cannot fill a large matrix; the model-based covariance is the floor.
+        dof = max(float(self.design.data.count[selecting].sum()) - self.P, 1.0)
+        plain = bread * float(np.sum(self.squares()[selecting] * self.weights)) / dof
+        robust = bread @ middle @ bread
+        inflation = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
+        return plain * np.outer(inflation, inflation)
+
+    def gain(self, key: str) -> tuple[float, Array]:
+        """In-sample gain and coefficients of one more group."""
+        CX, Cy, CC = self._candidate(key)
+        return self._joined(0, CX, Cy, CC)[:2]
+
+    def trial(self, key: str) -> Trial:
+        """Held-out gain of one more group, everything refitted without each fold in turn."""
+        full = (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key))
+        CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights, part) for part in full)
+        gain, coefficients = self._joined(0, CX, Cy, CC)[:2]
+        B, c = self.G.shape[:2]
+        won, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
+        for k in range(self.folds):
+            _, gamma, beta = self._joined(k + 1, CX, Cy, CC)
+            mine = self.fold == k
+            G = self.G[mine]
+            before = np.append(-self._beta[k + 1], 1.0)
+            after = np.append(-beta, 1.0)
+            step = np.append(beta - self._beta[k + 1], 0.0)
+            CX_gamma = np.swapaxes(full[0][mine], 2, 3) @ gamma
+            Cy_gamma = full[1][mine][..., 0] @ gamma
+            CC_gamma = _quadratic(full[2][mine], gamma)
+            L0 = _quadratic(G, before)
+            # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
+            L1 = _quadratic(G, after) + 2.0 * CX_gamma @ beta - 2.0 * Cy_gamma + CC_gamma
+            size = _quadratic(G, step) + 2.0 * CX_gamma @ step[:-1] + CC_gamma
+            won[mine] = (L0 - L1) * self.weights
+            # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
+            score[mine] = ((L0 - L1 + size) * self.weights).sum(axis=1) / 2.0
+            left[mine] = ((L0 - L1 - size) * self.weights).sum(axis=1) / 2.0
+        return Trial(gain, coefficients, won.sum(axis=1), np.nansum(won, axis=0), _one_sided(score, left))
+
+    def _candidate(self, key: str) -> tuple[Array, Array, Array]:
+        weighted = []
+        for part in (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key)):
+            weighted.append(np.einsum("c,bcij->bij", self.weights, part))
+        return weighted[0], weighted[1], weighted[2]
+
+    def _joined(self, k: int, CX: Array, Cy: Array, CC: Array) -> tuple[float, Array, Array]:
+        """Schur complement: gain, coefficients of the group, and the refitted other parameters."""
+        training = self._training[k]
+        CX, Cy, CC = CX[training].sum(axis=0), Cy[training].sum(axis=0)[:, 0], CC[training].sum(axis=0)
+        Z = CX @ self._inverse[k]
+        S = CC - Z @ CX.T
+        # A column that the others explain all but a hundred-thousandth of has nothing of its own.
+        own = np.diag(S) > 1e-5 * np.diag(CC)
+        if len(Cy) > 6:
+            S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
+        m = len(Cy)
+        gamma = np.zeros(m)
+        right = Cy - CX @ self._beta[k]
+        if own.any():
+            index = np.flatnonzero(own)
+            scale = 1.0 / np.sqrt(np.diag(S)[index])
+            inner = S[np.ix_(index, index)] * np.outer(scale, scale)
+            gamma[index] = scale * (linalg.pinvh(inner, rtol=1e-6) @ (scale * right[index]))
+        return float(right @ gamma), gamma, self._beta[k] - Z.T @ gamma
+
+
+def _quadratic(G: Array, v: Array) -> Array:
+    """``v' G v`` for stacked matrices ``(…, m, m)``."""
+    return np.asarray((G @ v) @ v)
+
+
+def _one_sided(score: Array, left: Array) -> float:
+    """p-value of a positive sum of ``score`` over blocks, by Student's t.
+
+    The scatter is that of ``left``, the same products with the residual that remains, so that an effect that shows in
+    few blocks only is not taken for scatter; under the null hypothesis the two scatter alike, coloured noise included.
+    """
+    values, rest = score[np.isfinite(score)], left[np.isfinite(score)]
+    B = len(values)
+    spread = float(np.sqrt(np.sum((rest - rest.mean()) ** 2) * B / max(B - 1, 1)))
+    if B < 4 or spread == 0.0:
+        return 1.0
+    return float(stats.t.sf(float(values.sum()) / spread, B - 1))
+
+
+def channel_weights(squares: Array, count: Array) -> Array:
+    """1/σ² of each channel from squares ``(B, c)`` over as many samples ``(B, c)``; zero for an empty channel."""
+    total, number = squares.sum(axis=0), count.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        weights = np.where((number > 0) & (total > 0), number / np.maximum(total, 1e-300), 0.0)
+    return np.asarray(weights)

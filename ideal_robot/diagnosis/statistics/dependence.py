@@ -1,0 +1,164 @@
+"""What a residual depends on: splines over each signal, against a null distribution from the residual itself.
+
+Under the null hypothesis the sign of the residual in a block of time has nothing to do with the signal. Flipping the
+signs of whole blocks at random leaves all correlation within blocks as it is, and gives the distribution of the
+explained squares without dependence; also where the motion repeats itself, where shifting in time would fail.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects import Signals
+from ideal_robot.effects.learned import Unknown, signal_of, spline_basis
+
+_FLIPS = 400
+_SLOW = (6, 14)
+"""Intervals of a curve over time: so few that each is many blocks long, and a block can be told from its neighbours."""
+
+
+@dataclass(frozen=True)
+class Dependence:
+    """Dependence of one channel's residual on one curve.
+
+    Attributes:
+        channel: index of the channel.
+        term: the spline over the signals it was tried on.
+        share: share of the residual's squares that the curve explains.
+        expected: share it explains by chance, from the flipped blocks.
+        p_value: of ``share`` under the null hypothesis.
+    """
+
+    channel: int
+    term: Unknown
+    share: float
+    expected: float
+    p_value: float
+
+    @property
+    def names(self) -> list[str]:
+        """Signals it depends on, ``sign(qd_j)`` among them for a directed curve."""
+        extra = [f"sign(qd_{self.channel + 1})"] if self.term.directed else []
+        return [*self.term.depends_on, *extra]
+
+
+def signal_names(signals: Signals, channel: int) -> list[str]:
+    """Signals of one channel's residual that are worth looking at, those that hardly vary left out."""
+    n = signals.n
+    names = ["t"]
+    for kind in ("q", "qd", "qdd"):
+        names += [f"{kind}_{i + 1}" for i in range(n)]
+    own = min(channel, n - 1) + 1
+    names += [f"load_{own}"]
+    if signals.temperature is not None:
+        names += [f"temp_{own}"]
+    names += list(signals.extra)
+    return [name for name in names if _varies(signal_of(signals, name))]
+
+
+def terms(signals: Signals, channel: int, pairs: bool, head: str = "tau") -> list[Unknown]:
+    """Curves to try on a channel: single signals, directed ones, and with ``pairs`` products of two."""
+    names = signal_names(signals, channel)
+    result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), head=head)
+              for name in names for intervals in (_SLOW if name == "t" else (9,))]
+    directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
+    if head == "tau":
+        result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
+    if pairs:
+        j = channel + 1
+        own = [f"{kind}_{j}" for kind in ("q", "qd")]
+        smooth = [name for name in names if name.startswith(("q_", "qd_"))]
+        both = {tuple(sorted((a, b))) for a in own for b in smooth if a != b and a in names}
+        both |= {tuple(sorted((a, b))) for a in smooth for b in smooth
+                 if a != b and a.split("_")[0] == b.split("_")[0]}
+        result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair), head=head)
+                   for pair in sorted(both)]
+    return result
+
+
+class Sieve:
+    """Tests many curves on residuals at the same samples; bases are computed once.
+
+    Args:
+        signals: at the samples.
+        edges: first sample of each block of time, and the end.
+        rng: for the flips.
+    """
+
+    def __init__(self, signals: Signals, edges: tuple[int, ...], rng: np.random.Generator) -> None:
+        self.signals, self.starts = signals, np.asarray(edges[:-1])
+        self._flips = rng.choice([-1.0, 1.0], size=(_FLIPS, len(self.starts)))
+        self._bases: dict[tuple[object, ...], Array] = {}
+        self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
+
+    def test(self, residual: Array, use: np.ndarray, channel: int, term: Unknown) -> Dependence:
+        """Tests one curve on one channel's residual ``(N,)``; ``use (N,)`` says which samples count."""
+        columns = self._basis(term, channel) * use[:, None]
+        r = np.where(use, residual, 0.0)
+        count = max(float(use.sum()), 1.0)
+        # About the mean, as a constant is in every model; the columns too, as a residual with flipped blocks has one.
+        columns -= use[:, None] * (columns.sum(axis=0) / count)
+        s, U = np.linalg.eigh(columns.T @ columns)
+        keep = s > 1e-6 * max(s[-1], 1e-300)
+        if s[-1] <= 0.0:
+            return Dependence(channel, term, 0.0, 0.0, 1.0)
+        T = U[:, keep] / np.sqrt(s[keep])
+        r = np.where(use, r - r.sum() / count, 0.0)
+        parts = np.add.reduceat(columns * r[:, None], self.starts, axis=0) @ T
+        total = max(float(r @ r), 1e-300)
+        observed = float(np.sum(parts.sum(axis=0) ** 2))
+        null = np.sum((self._flips @ parts) ** 2, axis=1)
+        # A gamma distribution of the same mean and variance carries the p-value below one in ``_FLIPS``.
+        mean_null, var_null = float(null.mean()), float(null.var()) + 1e-300
+        p = float(special.gammaincc(mean_null**2 / var_null, observed * mean_null / var_null))
+        return Dependence(channel, term, observed / total, mean_null / total, p)
+
+    def _basis(self, term: Unknown, channel: int) -> Array:
+        key = (term.depends_on, term.knots, term.frequency, channel if term.directed else -1)
+        if key not in self._bases:
+            if term.frequency:
+                basis = term.basis(self.signals)
+            else:
+                parts = [self._curve(name, knots, term.margin)
+                         for name, knots in zip(term.depends_on, term.knots, strict=True)]
+                basis = parts[0] if len(parts) == 1 else \
+                    (parts[0][:, :, None] * parts[1][:, None, :]).reshape(len(parts[0]), -1)
+            if term.directed:
+                basis = basis * self.signals.sliding_direction(channel + 1)[:, None]
+            self._bases[key] = basis
+        return self._bases[key]
+
+    def _curve(self, name: str, knots: tuple[float, ...], margin: float) -> Array:
+        if (name, knots) not in self._curves:
+            self._curves[name, knots] = spline_basis(signal_of(self.signals, name), knots, margin)
+        return self._curves[name, knots]
+
+
+def time_period(residual: Array, use: np.ndarray, t: Array, head: str) -> Unknown | None:
+    """The strongest oscillation over time of a residual as a candidate term; None for a short recording."""
+    r = np.where(use, residual, 0.0)
+    N = len(r)
+    if N < 64:
+        return None
+    dt = float(t[1] - t[0])
+    power = np.abs(np.fft.rfft(r, 4 * N)) ** 2
+    f = np.fft.rfftfreq(4 * N, dt)
+    power[f < 3.0 / (N * dt)] = 0.0
+    best = float(f[int(np.argmax(power))])
+    return Unknown(("t",), False, ((float(t[0]), float(t[-1])),), 2.0 * np.pi * best, head=head)
+
+
+def _varies(x: Array) -> bool:
+    spread = float(np.percentile(x, 99) - np.percentile(x, 1))
+    return bool(np.all(np.isfinite(x)) and spread > 1e-9 * (1.0 + float(np.max(np.abs(x)))))
+
+
+def _knots(x: Array, intervals: int) -> tuple[float, ...]:
+    """Evenly spread knots over the range that holds all but the outermost percent."""
+    low, high = np.percentile(x, [0.5, 99.5]) if intervals > 2 else (float(x.min()), float(x.max()))
+    count = 2 if intervals <= 2 else intervals + 1
+    return tuple(float(v) for v in np.linspace(low, high, count))

@@ -1,0 +1,81 @@
+"""What a diagnosis found, taken into the model for another motion as far as a recording of that motion bears it out.
+
+Effects of the torque are fitted together with the friction of their joint: a dry friction that rises towards
+standstill leaves less to the Coulomb term, and a model's curve may have imitated the effect. So a joint's effects
+and its friction are one package: they are taken together or not at all. An effect on top of the friction of before
+counts twice what both describe.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ideal_robot.diagnosis.channels.arm import arm_experiment
+from ideal_robot.diagnosis.channels.motor_torque import experiment
+from ideal_robot.diagnosis.validation.result import Diagnosis
+from ideal_robot.effects import FittedEffect
+from ideal_robot.friction import PerJointFriction
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+_LESS = 0.99
+"""What does not lower an error by a hundredth is not taken for an improvement."""
+
+
+def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Model:
+    """The known model with the joints, changed as the diagnosis says, that predict another recording better.
+
+    Args:
+        known: the model that the diagnosis was given.
+        found: what it found in one recording.
+        run: another recording of the same arm; only what was measured is looked at.
+        robot: the arm.
+    """
+    kept = dataclasses.replace(known, effects=known.effects + _behind_gears(known, found, run, robot))
+    if found.model is None:
+        return kept
+    at_torque = [f.fitted for f in (*found.effects, *found.unknown) if f.fitted.channel.startswith("tau")]
+    error = kept.predict(run).relative_error_percent
+    for joint in sorted({effect.joint for effect in at_torque}):
+        own = tuple(effect for effect in at_torque if effect.joint == joint)
+        tried = with_joint(kept, found.model, joint, own)
+        after = tried.predict(run).relative_error_percent
+        if np.all(after[joint - 1 : joint or None] < _LESS * error[joint - 1 : joint or None]):
+            kept, error = tried, after
+    return kept
+
+
+def with_joint(model: Model, fitted: Model, joint: int, effects: tuple[FittedEffect, ...]) -> Model:
+    """The model with the friction that one joint has in a joint fit, and the effects that were in that fit.
+
+    Args:
+        model: what keeps all else.
+        fitted: the joint fit.
+        joint: from 1; 0 leaves all friction as it is.
+        effects: of this joint.
+    """
+    laws = list(model.friction.laws)
+    if joint:
+        laws[joint - 1] = fitted.friction.laws[joint - 1]
+    return dataclasses.replace(model, friction=PerJointFriction(laws), effects=model.effects + effects)
+
+
+def _behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> tuple[FittedEffect, ...]:
+    """Effects of the measured arm angles that also lower the error of those of the run."""
+    behind = [f.fitted for f in found.effects if f.fitted.channel.startswith("qa")]
+    arm = arm_experiment(run, robot, experiment(run, robot, known), known.stiffness) if behind else None
+    if arm is None:
+        return ()
+    left, kept = arm.y - arm.y.mean(axis=0), []
+    for effect in behind:
+        j = effect.joint - 1
+        tried = left[:, j] - arm.decimate(effect.contribution(arm.signals))[:, j]
+        # A constant difference of the measuring devices says nothing about gears.
+        tried -= tried.mean()
+        if np.linalg.norm(tried) < _LESS * np.linalg.norm(left[:, j]):
+            left[:, j] = tried
+            kept.append(effect)
+    return tuple(kept)

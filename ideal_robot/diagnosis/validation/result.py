@@ -1,0 +1,195 @@
+"""What a diagnosis found, as plain values; plots are made elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects import FittedEffect
+from ideal_robot.model.model import Model
+
+_LOUD = 3.0
+"""Error over noise floor from which on something remains that the floor's own uncertainty does not account for."""
+
+
+@dataclass(frozen=True)
+class ChannelResult:
+    """Error of one channel on held-out data.
+
+    Attributes:
+        channel, unit: e.g. ``tau_1``, ``N m``.
+        rms_before: of the model as it was given or, without one, of the baseline identified from the same recording.
+        rms_refit: of the same model with its parameters fitted to this recording.
+        rms_after: with what was added.
+        noise_floor: level of the measurement's own noise in the same band.
+        rms_signal: of what was measured.
+    """
+
+    channel: str
+    unit: str
+    rms_before: float
+    rms_refit: float
+    rms_after: float
+    noise_floor: float
+    rms_signal: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON, relative errors 100·‖y − ŷ‖/‖y‖ included."""
+        scale = 100.0 / self.rms_signal if self.rms_signal > 0 else float("nan")
+        return {"channel": self.channel, "unit": self.unit, "rms_before": self.rms_before, "rms_after": self.rms_after,
+                "noise_floor": self.noise_floor, "rms_refit": self.rms_refit, "rms_signal": self.rms_signal,
+                "relative_error_percent_before": scale * self.rms_before,
+                "relative_error_percent_refit": scale * self.rms_refit,
+                "relative_error_percent_after": scale * self.rms_after}
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """One effect, in the order in which it was taken.
+
+    Attributes:
+        fitted: the effect with its numbers.
+        rms_before, rms_after: of its channel on held-out data without and with it, those before it being in the model.
+        p_value: paid for all values of theta that were tried.
+        indistinguishable_from: effects that these data cannot tell from it.
+        would_tell: what motion would tell them apart.
+        transfers: whether it also lowers the error on the validation recording; None without one.
+        depends_on: for a learned term, the signals it is a curve of.
+    """
+
+    fitted: FittedEffect
+    rms_before: float
+    rms_after: float
+    p_value: float
+    indistinguishable_from: tuple[str, ...] = ()
+    would_tell: str = ""
+    transfers: bool | None = None
+    depends_on: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"effect": self.fitted.name, "joint": self.fitted.joint, "channel": self.fitted.channel,
+                "rms_before": self.rms_before, "rms_after": self.rms_after, "p_value": self.p_value,
+                "parameters": [p.to_dict() for p in self.fitted.parameters],
+                "indistinguishable_from": list(self.indistinguishable_from), "would_tell": self.would_tell,
+                "transfers": self.transfers}
+
+
+@dataclass(frozen=True)
+class NotTransferred:
+    """An effect that was found but makes the error on the other recording worse, and is therefore not added.
+
+    Attributes:
+        effect, joint, channel, p_value: as in ``FoundEffect``.
+        rms_without, rms_with: of its channel on the blocks of the other recording that decide.
+    """
+
+    effect: str
+    joint: int
+    channel: str
+    p_value: float
+    rms_without: float
+    rms_with: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"effect": self.effect, "joint": self.joint, "channel": self.channel, "p_value": self.p_value,
+                "rms_without": self.rms_without, "rms_with": self.rms_with}
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A dependence left in the residual, or none.
+
+    Attributes:
+        channel: where.
+        depends_on: the signals.
+        share, expected: share of the squares explained, and by chance.
+        p_value: under the null hypothesis.
+    """
+
+    channel: str
+    depends_on: tuple[str, ...]
+    share: float
+    expected: float
+    p_value: float
+
+
+@dataclass(frozen=True)
+class Traces:
+    """Series for plots, all at the same times ``(N,)`` and channels ``(N, c)``."""
+
+    t: Array
+    measured: Array
+    residual_before: Array
+    residual_after: Array
+    use: np.ndarray
+    held_out: np.ndarray
+    q: Array
+    qd: Array
+    added: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The whole answer.
+
+    Attributes:
+        verdict: ``effects``, ``none``, ``unknown``, or ``undecided`` where the recording moves too little.
+        channels: errors before and after.
+        effects: effects of the library, in the order in which they were taken.
+        unknown: learned terms.
+        held_out: how the reported data were kept apart, and how many seconds they are.
+        undecided: joints that move too little, with the reason.
+        remaining: dependences that are left, strongest first.
+        before: dependences of the residual at the start.
+        warnings: for people.
+        model: the extended model.
+        traces: series for plots, one per domain.
+        not_transferred: effects that were found but are a habit of the recording.
+    """
+
+    verdict: str
+    channels: tuple[ChannelResult, ...]
+    effects: tuple[FoundEffect, ...]
+    unknown: tuple[FoundEffect, ...]
+    held_out_how: str
+    held_out_seconds: float
+    undecided: dict[int, str] = field(default_factory=dict)
+    before: tuple[Structure, ...] = ()
+    remaining: tuple[Structure, ...] = ()
+    warnings: tuple[str, ...] = ()
+    model: Model | None = None
+    traces: tuple[tuple[tuple[str, ...], Traces], ...] = ()
+    not_transferred: tuple[NotTransferred, ...] = ()
+
+    @property
+    def unexplained(self) -> tuple[ChannelResult, ...]:
+        """Channels whose error is still several times the noise of the measurement."""
+        return tuple(c for c in self.channels if c.rms_after > _LOUD * c.noise_floor > 0.0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON: the keys that were promised, and a few more."""
+        return {
+            "verdict": self.verdict,
+            "channels": [c.to_dict() for c in self.channels],
+            "effects": [e.to_dict() for e in self.effects],
+            "unknown": [{"joint": u.fitted.joint, "depends_on": list(u.depends_on), "rms_before": u.rms_before,
+                         "rms_after": u.rms_after, "channel": u.fitted.channel, "p_value": u.p_value,
+                         "transfers": u.transfers} for u in self.unknown],
+            "held_out": {"how": self.held_out_how, "seconds": self.held_out_seconds},
+            "not_transferred": [d.to_dict() for d in self.not_transferred],
+            "undecided": [{"joint": joint, "reason": reason} for joint, reason in sorted(self.undecided.items())],
+            "residual_before": [_structure(s) for s in self.before],
+            "residual_after": [_structure(s) for s in self.remaining],
+            "warnings": list(self.warnings),
+            "unexplained": [c.channel for c in self.unexplained],
+        }
+
+
+def _structure(s: Structure) -> dict[str, Any]:
+    return {"channel": s.channel, "depends_on": list(s.depends_on), "share": s.share, "share_by_chance": s.expected,
+            "p_value": s.p_value}

@@ -1,0 +1,24 @@
+"""An arm or TCP measurement that is late against the motor's."""
+
+from __future__ import annotations
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import ARM_POSITION, Effect, Signals
+
+
+class ArmDeadTime(Effect):
+    """``q_a(t) = q(t - delta)``: to first order ``-delta qd``."""
+
+    name = "dead_time"
+    domain = ARM_POSITION
+    coefficient_names = ("delay",)
+    coefficient_units = ("s",)
+    source = "first-order expansion of a pure delay"
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, -signals.qd[:, joint - 1])
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """Milliseconds, not tenths of a second."""
+        return bool(abs(coefficients[0]) < 0.1)

@@ -1,0 +1,22 @@
+"""A gear that does not turn evenly."""
+
+from __future__ import annotations
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import ARM_POSITION, EffectParameter
+from ideal_robot.effects.torque.torque_ripple import TorqueRipple
+
+
+class TransmissionError(TorqueRipple):
+    """``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, of the position instead of the torque."""
+
+    name = "transmission_error"
+    domain = ARM_POSITION
+    coefficient_units = ("rad", "rad")
+    source = "kinematic error of gears, k a multiple of the gear ratio"
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """Amplitude in radians."""
+        size, phase, order = super().parameters(coefficients, std, theta, theta_std)
+        return [EffectParameter(size.name, size.value, size.std, "rad"), phase, order]

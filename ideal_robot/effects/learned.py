@@ -1,0 +1,107 @@
+"""A cause that the library does not have: a smooth curve over the signals the residual depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BSpline
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, Signals
+
+
+@dataclass(frozen=True)
+class Unknown(Effect):
+    """A cubic spline over one signal, or products of two, on one channel, optionally times ``sign(qd)`` of its joint.
+
+    Outside the range it was fitted in it goes to zero within ``margin`` of the range: nothing is claimed there.
+
+    Attributes:
+        depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
+        directed: whether the curve is multiplied by the sign of the joint's velocity.
+        knots: knots of each signal's spline, ends included.
+        head: first part of the name of the channel it acts on.
+        frequency: for a term periodic in the signal: its angular frequency instead of a spline.
+    """
+
+    depends_on: tuple[str, ...]
+    directed: bool
+    knots: tuple[tuple[float, ...], ...]
+    frequency: float = 0.0
+    margin: float = 0.1
+    head: str = "tau"
+
+    name = "unknown"
+    source = "learned from the residual"
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Unknown:
+        """Reads what ``to_data`` wrote."""
+        return cls(tuple(str(s) for s in data["depends_on"]), bool(data["directed"]),
+                   tuple(tuple(float(v) for v in k) for k in data["knots"]), float(data.get("frequency", 0.0)),
+                   head=str(data.get("head", "tau")))
+
+    def to_data(self) -> dict[str, Any]:
+        """What the model file has to remember."""
+        return {"depends_on": list(self.depends_on), "directed": self.directed,
+                "knots": [list(k) for k in self.knots], "frequency": self.frequency, "head": self.head}
+
+    def channel(self, joint: int) -> str:
+        """Name of the channel it acts on."""
+        return f"{self.head}_{joint}"
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, m)``: the basis functions on the joint's channel."""
+        basis = self.basis(signals)
+        if self.directed:
+            basis = basis * signals.sliding_direction(joint)[:, None]
+        if self.head == "tcp":
+            result = np.zeros((len(signals.t), 3, basis.shape[1]))
+            result[:, joint - 1] = basis
+            return result
+        return signals.on_joint(joint, *basis.T)
+
+    def basis(self, signals: Signals) -> Array:
+        """Basis functions ``(N, m)`` of the signals."""
+        values = [signal_of(signals, name) for name in self.depends_on]
+        if self.frequency:
+            inside = _inside(values[0], self.knots[0], self.margin)
+            phase = self.frequency * values[0]
+            return np.column_stack([np.cos(phase), np.sin(phase)]) * inside[:, None]
+        parts = [spline_basis(v, k, self.margin) for v, k in zip(values, self.knots, strict=True)]
+        if len(parts) == 1:
+            return parts[0]
+        return np.asarray((parts[0][:, :, None] * parts[1][:, None, :]).reshape(len(parts[0]), -1))
+
+
+def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
+    """Cubic B-splines on ``knots`` (ends included) at ``x (N,)``, fading to zero outside: ``(N, len(knots) + 2)``."""
+    inner = np.asarray(knots)
+    full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    basis = BSpline.design_matrix(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)), full, 3).toarray()
+    return np.asarray(basis * _inside(x, knots, margin)[:, None])
+
+
+def _inside(x: Array, knots: tuple[float, ...], margin: float) -> Array:
+    """One inside the knots, falling linearly to zero over ``margin`` times their range outside."""
+    low, high = knots[0], knots[-1]
+    outside = np.maximum(np.maximum(low - x, x - high), 0.0) / max(margin * (high - low), 1e-12)
+    return np.clip(1.0 - outside, 0.0, 1.0)
+
+
+def signal_of(signals: Signals, name: str) -> Array:
+    """The signal ``(N,)`` of a name such as ``q_2``, ``qd_1``, ``qdd_3``, ``load_2``, ``temp_1``, ``t``."""
+    if name == "t":
+        return signals.t
+    head, _, tail = name.rpartition("_")
+    table = {"q": signals.q, "qd": signals.qd, "qdd": signals.qdd, "load": signals.load, "temp": signals.temperature}
+    if tail.isdigit() and head in table:
+        values = table[head]
+        # A temperature that one recording has and another has not: then the term says nothing.
+        return np.zeros_like(signals.t) if values is None else np.asarray(values[:, int(tail) - 1])
+    if name in signals.extra:
+        return np.asarray(signals.extra[name])
+    return np.zeros_like(signals.t)

@@ -1,0 +1,53 @@
+"""A force sensor that shows something when nothing touches the tool."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import SENSOR, Effect, EffectParameter, Signals
+
+MOMENTS = "moments"
+"""Signal that says whether the sensor measures moments (1) or only forces (0)."""
+
+
+class ForceBias(Effect):
+    """A constant in the sensor's own frame, ``delta w = b``, whatever the tool's orientation.
+
+    The tool's weight turns with the orientation, ``f = m R' g``, ``m = (m c) × R' g``, and is fitted beside it.
+    """
+
+    name = "force_bias"
+    domain = SENSOR
+    coefficient_names = ("fx", "fy", "fz", "mx", "my", "mz")
+    coefficient_units = ("N", "N", "N", "N m", "N m", "N m")
+    source = "[L] 4.4: bias and weight of the tool from several orientations"
+
+    def acts_on(self, channel: str) -> bool:
+        """The wrench."""
+        return channel == "force"
+
+    def channel(self, joint: int) -> str:
+        """The wrench."""
+        return "force"
+
+    def joints(self, signals: Signals) -> Iterator[int]:
+        """The sensor."""
+        yield 0
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """A wrench in free motion has to be there."""
+        return MOMENTS in signals.extra
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, 6, 6)``, or ``(N, 3, 3)`` for a sensor of forces alone."""
+        count = 6 if MOMENTS in signals.extra and bool(np.all(signals.extra[MOMENTS] > 0.5)) else 3
+        return np.tile(np.eye(count), (len(signals.t), 1, 1))
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """The components of the wrench that the sensor has."""
+        return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
+                zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]

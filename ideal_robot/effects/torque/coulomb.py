@@ -1,0 +1,19 @@
+"""Dry friction: the second term of [G] (1)."""
+
+from __future__ import annotations
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, Signals
+
+
+class Coulomb(Effect):
+    """``tau = a_2 sign(qd)`` ([G] (1)): more, or less, dry friction than the model has."""
+
+    name = "coulomb"
+    coefficient_names = ("change of Coulomb friction",)
+    in_base = True
+    source = "[G] (1)"
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, signals.sliding_direction(joint))

@@ -1,0 +1,21 @@
+"""A constant error of the current measurement or of the zero of a torque."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, Signals
+
+
+class CurrentOffset(Effect):
+    """``tau = o``: a constant the model does not have."""
+
+    name = "current_offset"
+    coefficient_names = ("offset",)
+    in_base = True
+    source = "[J] section 3: offset of the current sensors"
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, np.ones_like(signals.t))

@@ -1,0 +1,54 @@
+"""A spring that balances gravity, mounted between two links."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, EffectParameter, Signals
+
+
+class GravitySpring(Effect):
+    """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
+
+    With lever ratio ``rho`` of the two attachment points and the angle ``phi`` at which they are in line, the length
+    in units of the longer lever is ``l = sqrt(1 + rho^2 + 2 rho cos(q - phi))`` and the torque
+
+        tau = c_1 sin(q - phi) + c_2 sin(q - phi) / l ,
+
+    the first term from the stiffness, the second from the preload; the first alone is like gravity.
+    """
+
+    name = "gravity_spring"
+    theta_names = ("phi", "rho")
+    theta_units = ("rad", "1")
+    coefficient_names = ("stiffness term", "preload term")
+    coefficient_units = ("N m", "N m")
+    source = "[J] section 2"
+
+    def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
+        """Eight directions, two lever ratios."""
+        return [(float(phi), rho) for phi in np.arange(8) * np.pi / 4 for rho in (0.35, 0.7)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Any direction; levers neither equal (the spring would vanish) nor one of them zero (no torque)."""
+        return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """Below a range of half a radian the shape is a straight line."""
+        return bool(np.ptp(signals.q[:, joint - 1]) > 0.5)
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 2)``."""
+        phi, rho = theta
+        angle = signals.q[:, joint - 1] - phi
+        length = np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle))
+        return signals.on_joint(joint, np.sin(angle), np.sin(angle) / length)
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """As they are, with the angle within one turn."""
+        found = super().parameters(coefficients, std, theta, theta_std)
+        angle = found[2]
+        return [*found[:2], EffectParameter(angle.name, float(np.angle(np.exp(1j * angle.value))), angle.std,
+                                            angle.unit), found[3]]

@@ -1,0 +1,104 @@
+"""A gear that gives: the arm is not where the motor is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import ARM_POSITION, Effect, EffectParameter, Signals
+from ideal_robot.signals.preprocess import lowpass
+
+_MOTION = 5.0
+"""The position filter lets pass ten times the motion's bandwidth; the load is looked at up to twice of it."""
+
+
+class JointElasticity(Effect):
+    """Seen in the motor torque: the arm moves on ``q_a = q - tau_load/K``, so that
+
+        delta tau = tau_rigid(q - tau_load/K, …) - tau_rigid(q, …) ,
+
+    on all joints, taken to first order in the compliance ``1/K``. Its trace is the second derivative of the load.
+    """
+
+    name = "joint_elasticity"
+    coefficient_names = ("compliance",)
+    coefficient_units = ("rad/(N m)",)
+    source = "[J] (1), (2): elastic joint"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The rigid body has to be at hand as a function, and there has to be a load."""
+        return signals.rigid is not None and float(np.std(signals.load[:, joint - 1])) > 0.0
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        if signals.rigid is None or len(signals.t) < 3:
+            return np.zeros((len(signals.t), signals.n, 1))
+        j = joint - 1
+        bend = self.bend(signals, joint, theta)
+        if signals.cutoff is not None:
+            # The bend is in the recorded position, and of that the filter let pass only the slow part.
+            bend = lowpass(bend, signals.dt, signals.cutoff)
+        # A step so small that the rigid body is linear in it, so large that rounding does not matter.
+        h = 1e-4 / (float(np.std(bend)) + 1e-12)
+        rate = signals.rate(bend)
+        acceleration = signals.rate(rate)
+        sides = []
+        for sign in (1.0, -1.0):
+            q, qd, qdd = signals.q.copy(), signals.qd.copy(), signals.qdd.copy()
+            q[:, j] -= sign * h * bend
+            qd[:, j] -= sign * h * rate
+            qdd[:, j] -= sign * h * acceleration
+            sides.append(signals.rigid(q, qd, qdd))
+        return np.asarray((sides[0] - sides[1])[:, :, None] / (2.0 * h))
+
+    def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """What a unit coefficient bends the gear by ``(N,)``."""
+        return self.slow_load(signals, joint)
+
+    def slow_load(self, signals: Signals, joint: int) -> Array:
+        """Load as far as the motion asks for it ``(N,)``.
+
+        It is computed from the motor's position, which holds the bend: where the bend sets in, the motor's acceleration
+        jumps, and that jump is no load of the arm. In recorded motions it is filtered out.
+        """
+        load = signals.load[:, joint - 1]
+        return load if signals.cutoff is None else lowpass(load, signals.dt, signals.cutoff / _MOTION)
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """A spring holds, and bends by less than a twentieth of a radian in use."""
+        bend = float(np.max(np.abs(signals.load[:, joint - 1])))
+        return bool(0.0 < coefficients[0] * bend < 0.05) if bend else False
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """The stiffness."""
+        c = float(coefficients[0])
+        return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
+
+
+class ArmElasticity(Effect):
+    """Seen in the arm's position: ``q_a - q = -tau_load/K``."""
+
+    name = "joint_elasticity"
+    domain = ARM_POSITION
+    coefficient_names = ("compliance",)
+    coefficient_units = ("rad/(N m)",)
+    source = "[J] (2)"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """Without a load nothing bends."""
+        return float(np.std(signals.load[:, joint - 1])) > 0.0
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, -signals.load[:, joint - 1])
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """A spring gives way, it does not push back."""
+        return bool(coefficients[0] > 0.0)
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """The stiffness."""
+        c = float(coefficients[0])
+        return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]

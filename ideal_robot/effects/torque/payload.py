@@ -1,0 +1,51 @@
+"""A body on the flange that the model does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, EffectParameter, Signals
+
+
+class Payload(Effect):
+    """Mass, first moments and inertias added to the last link, [G] (5) with that link's columns only.
+
+    It acts on all joints, so it belongs to the whole arm (joint 0).
+    """
+
+    name = "payload"
+    coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+    coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
+    in_base = True
+    source = "[G] (5)"
+
+    def joints(self, signals: Signals) -> Iterator[int]:
+        """The whole arm."""
+        yield 0
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The regressor of the last link has to be at hand."""
+        return signals.payload is not None
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 10)``."""
+        if signals.payload is None:
+            return np.zeros((len(signals.t), signals.n, 10))
+        return signals.payload
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """A body has mass, or one has been taken off: its first moments then share the sign of a plausible lever."""
+        mass, first = float(coefficients[0]), float(np.linalg.norm(coefficients[1:4]))
+        return abs(mass) > 1e-9 and first < 3.0 * abs(mass) + 1e-9
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """Mass, and the centre in the frame of the last joint."""
+        m = float(coefficients[0])
+        centre = [EffectParameter(f"c_{axis}", float(coefficients[i + 1]) / m,
+                                  float(np.hypot(std[i + 1] / m, coefficients[i + 1] * std[0] / m**2)), "m")
+                  for i, axis in enumerate("xyz")]
+        return [EffectParameter("mass", m, float(std[0]), "kg"), *centre]

@@ -1,0 +1,20 @@
+"""Inertia on the motor side, as the joint feels it."""
+
+from __future__ import annotations
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, Signals
+
+
+class RotorInertia(Effect):
+    """``tau = I_a qdd``: rotor, brake or coupling inertia times the gear ratio squared, missing in the model."""
+
+    name = "rotor_inertia"
+    coefficient_names = ("change of rotor inertia",)
+    coefficient_units = ("kg m²",)
+    in_base = True
+    source = "[J] (1): I_a"
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, signals.qdd[:, joint - 1])

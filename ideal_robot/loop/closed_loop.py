@@ -1,0 +1,171 @@
+"""Simulation of the *identified* closed loop: rigid body, friction, rotors, elastic gears, controller, command path.
+
+It is what the ideal robot can try things on before the arm moves ([G] Fig. 15 with identified numbers). It knows
+nothing of the simulated world in ``sim``; it is another program with other formulas.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.loop.loop_model import Drives, LoopModel, ripple_torque
+
+
+@dataclass(frozen=True)
+class LoopMotion:
+    """What the simulated loop did, at the instants ``t_k = k t_ipo`` at which commands are handed over.
+
+    Attributes:
+        t: ``(N,)`` [s]; row 0 is the start.
+        q_a, q_m: arm and motor angles ``(N, n)`` [rad].
+        tau: motor torque ``(N, n)`` [N m].
+    """
+
+    t: Array
+    q_a: Array
+    q_m: Array
+    tau: Array
+
+
+def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
+    """The command as the position loop gets it before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
+
+    ``q_c (N, n)`` are the commands of the cycles 0 … N-1; row ``j`` belongs to the time ``j t_position``.
+    """
+    s, N = loop.steps_ipo, len(q_c)
+    knots = np.vstack([np.tile(q0, (loop.delay + 1, 1)), q_c])[: N + 1]
+    weight = (np.arange(s) / s)[None, :, None]
+    return np.asarray((knots[:-1, None] * (1 - weight) + knots[1:, None] * weight).reshape(N * s, -1))
+
+
+def low_passed(command: Array, q0: Array, taps: Array) -> Array:
+    """Convolves the interpolated command ``(M, n)`` with the low-pass ``taps (L, n)``, at rest at ``q0`` before."""
+    out = np.empty_like(command)
+    for i in range(command.shape[1]):
+        out[:, i] = np.convolve(command[:, i] - q0[i], taps[:, i])[: len(command)] + q0[i]
+    return out
+
+
+def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> LoopMotion:
+    """Plays the commands ``q_c (N, n)`` [rad] on the identified loop, from rest at ``q_c[0]``.
+
+    At rest at the start means: arm and motor in equilibrium with gravity, integrators carrying it, the motor where
+    ``q_c[0]`` says. ``tau_ext (N, n)`` [N m] acts on the arm during the cycles.
+
+    Raises:
+        InputError: wrong shape or non-finite commands.
+        IdealRobotError: the loop is unstable.
+    """
+    q_c = np.ascontiguousarray(q_c, dtype=float)
+    if q_c.ndim != 2 or q_c.shape[1] != loop.n or not np.all(np.isfinite(q_c)):
+        raise InputError(f"expected finite commands of shape (N, {loop.n})", field="q_c", value=q_c.shape)
+    q0 = q_c[0]
+    reference = low_passed(interpolated(q_c, q0, loop), q0, loop.command_filter)
+    external = np.zeros_like(q_c) if tau_ext is None else np.ascontiguousarray(tau_ext, dtype=float)
+    elastic = np.isfinite(loop.stiffness)
+    # Rigid gears are played as gears whose own oscillation (80 Hz, well damped) nobody sees at the arm.
+    R, p, M = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty((loop.n, loop.n))
+    joint_frames(loop.chain, q0, R, p)
+    mass_matrix(loop.chain, R, p, M)
+    stiffness = np.where(elastic, loop.stiffness, (2 * np.pi * 80) ** 2 * np.diag(M))
+    damping = np.where(elastic, loop.damping, 2 * 0.5 * np.sqrt(stiffness * np.diag(M)))
+    tau0 = np.empty(loop.n)
+    torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
+    q_a, q_m, tau = _play(loop.chain, loop.drives(stiffness, damping), reference, external, tau0, q0, loop.t_position,
+                          loop.t_velocity, loop.steps_ipo)
+    if not np.isfinite(q_m).all():
+        raise IdealRobotError("the identified loop is unstable in simulation; check its gains, rotor inertias and "
+                              "stiffness (a very stiff gear counts as rigid when it is given as infinite)")
+    return LoopMotion(np.asarray(np.arange(len(q_a)) * loop.t_ipo, dtype=float), q_a, q_m, tau)
+
+
+@numba.njit(cache=True)
+def _play(chain: Chain, drives: Drives, reference: Array, external: Array, tau0: Array, q0: Array, t_position: float,
+          dt: float, steps_ipo: int) -> tuple[Array, Array, Array]:
+    n = len(q0)
+    stiffness, damping, k_p, k_i = drives.stiffness, drives.damping, drives.k_p, drives.k_i
+    substeps = round(t_position / dt)
+    cycles = len(reference) // steps_ipo
+    out_a, out_m, out_tau = np.empty((cycles + 1, n)), np.empty((cycles + 1, n)), np.empty((cycles + 1, n))
+    q_m, v_m = q0.copy(), np.zeros(n)
+    q_a, v_a = q0 - tau0 / stiffness, np.zeros(n)
+    integral = tau0 + drives.offset
+    filtered, previous, v_ref = np.zeros(n), q_m.copy(), np.zeros(n)
+    reference_before = q0.copy()
+    preslide = np.zeros(n)
+    tau, load, bias, acceleration = integral.copy(), np.empty(n), np.empty(n), np.empty(n)
+    R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
+    out_a[0], out_m[0], out_tau[0] = q_a, q_m, tau
+    for cycle in range(cycles):
+        for step in range(steps_ipo):
+            r = reference[cycle * steps_ipo + step]
+            for i in range(n):
+                v_ref[i] = drives.k_v[i] * (r[i] - q_m[i]) + drives.k_ff[i] * (r[i] - reference_before[i]) / t_position
+                reference_before[i] = r[i]
+            joint_frames(chain, q_a, R, p)
+            mass_matrix(chain, R, p, M)
+            for i in range(n):
+                # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
+                M[i, i] += 0.5 * dt * damping[i] + 0.25 * dt * dt * stiffness[i]
+            L = np.linalg.cholesky(M)
+            for sub in range(substeps):
+                if sub > 0:
+                    joint_frames(chain, q_a, R, p)
+                torque_at(chain, R, p, v_a, zero, 1.0, bias)
+                for i in range(n):
+                    # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
+                    speed = (q_m[i] - previous[i]) / dt
+                    previous[i] = q_m[i]
+                    filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - filtered[i])
+                    u = v_ref[i] - filtered[i]
+                    wanted = k_p[i] * u + integral[i] + k_i[i] * u * dt
+                    tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
+                    if wanted == tau[i]:
+                        integral[i] += k_i[i] * u * dt
+                    load[i] = stiffness[i] * (q_m[i] - q_a[i]) + damping[i] * (v_m[i] - v_a[i])
+                    net = tau[i] - drives.offset[i] - load[i] - ripple_torque(drives.ripple, i, q_m[i])
+                    side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
+                    friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i],
+                                         drives.friction_torque[side, :, i])
+                                + drives.friction_load[i] * abs(load[i]))
+                    v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives.friction_bend[i],
+                                      preslide, i)
+                    acceleration[i] = (load[i] - bias[i] + external[cycle, i]
+                                       + 0.5 * dt * stiffness[i] * (v_m[i] - v_a[i]))
+                # (M + dt/2 D + dt²/4 K) a = load half a step on - bias, by the Cholesky factor of this position cycle.
+                for i in range(n):
+                    for j in range(i):
+                        acceleration[i] -= L[i, j] * acceleration[j]
+                    acceleration[i] /= L[i, i]
+                for i in range(n - 1, -1, -1):
+                    for j in range(i + 1, n):
+                        acceleration[i] -= L[j, i] * acceleration[j]
+                    acceleration[i] /= L[i, i]
+                for i in range(n):
+                    v_a[i] += acceleration[i] * dt
+                    q_a[i] += (v_a[i] - 0.5 * acceleration[i] * dt) * dt
+                    q_m[i] += v_m[i] * dt
+        out_a[cycle + 1], out_m[cycle + 1], out_tau[cycle + 1] = q_a, q_m, tau
+    return out_a, out_m, out_tau
+
+
+@numba.njit(cache=True)
+def _sliding(v: float, torque: float, inertia: float, dt: float, friction: float, bend: float, preslide: Array,
+             i: int) -> float:
+    """Velocity after one step under ``torque`` and friction, which stops a joint but never drives it."""
+    if bend > 0.0:
+        # Dahl: friction turns over the angle `bend` after a reversal; exact over one step of constant velocity.
+        side = np.sign(v)
+        preslide[i] = side + (preslide[i] - side) * np.exp(-abs(v) * dt / bend)
+        return v + (torque - friction * preslide[i]) / inertia * dt
+    free = v + torque / inertia * dt
+    slow = friction / inertia * dt
+    if abs(free) <= slow:
+        return 0.0
+    return free - np.sign(free) * slow

@@ -1,0 +1,98 @@
+"""From an identified model to the flat arrays that the feedforward and the simulation of the loop compute with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import chain_of
+from ideal_robot.errors import InputError
+from ideal_robot.loop.effects_in_loop import with_effects
+from ideal_robot.loop.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+
+_LAG_MAX = 0.01
+"""Largest lag of the measured velocity that is believed [s]."""
+_FASTEST = 150.0
+"""A gear on which the rotor would oscillate faster than this counts as rigid [Hz]."""
+
+
+def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopModel:
+    """The identified closed loop of an arm.
+
+    Args:
+        model: identified model; its controller is needed, its stiffness is optional (rigid gears without).
+        robot: cycle times and limits.
+        delay: cycles between hand-over of a command and the start of its interpolation, where it is known better than
+            identified (the standard path planner in force or not, [G] 5.2.3).
+
+    Raises:
+        InputError: model and robot do not belong together, or the model has no controller.
+    """
+    if model.n != robot.n:
+        raise InputError(f"the model has {model.n} joints, the robot {robot.name} has {robot.n}", field="model")
+    controller = model.controller
+    if controller is None:
+        raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
+                         field="controller")
+    n, laws = model.n, model.friction.laws
+    grid = velocity_grid(robot.v_max)
+    # At speed 0 the table holds the limit from above: what the joint has to overcome.
+    speeds = np.maximum(grid, 1e-9)
+    unloaded = np.stack([model.friction.torque(speeds), -model.friction.torque(-speeds)])
+    k_v, k_ff, k_p, k_i = cascade_gains(controller)
+    whole = round(controller.delay / robot.t_ipo) if delay is None else delay
+    # What the delay has beyond whole cycles, and the low-pass, make the command filter.
+    rest = max(0.0, controller.delay - round(controller.delay / robot.t_ipo) * robot.t_ipo)
+    loop = LoopModel(
+        chain=chain_of(model.dynamics),
+        rotor_inertia=np.maximum(model.rotor_inertia, 1e-6),
+        friction_velocity=grid,
+        friction_torque=np.maximum(unloaded, 0.0),
+        friction_load=np.array([law.coefficients[-1, 0] if law.loaded else 0.0 for law in laws]),
+        friction_bend=np.array([law.shape[-1, 0] if law.presliding else 0.0 for law in laws]),
+        offset=np.array(model.offset),
+        stiffness=_elastic(model),
+        damping=np.zeros(n) if model.damping is None else np.array(model.damping),
+        k_v=k_v, k_ff=k_ff, k_p=k_p, k_i=k_i,
+        t_filter=np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX),
+        command_filter=low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, n,
+                                     dead_time=rest),
+        delay=whole,
+        t_ipo=robot.t_ipo, t_position=robot.t_position, t_velocity=robot.t_velocity,
+        tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
+        v_max=np.array(robot.v_max), ripple=_ripple(model),
+    )
+    return with_effects(loop, model.effects) if model.effects else loop
+
+
+def _elastic(model: Model) -> Array:
+    """Stiffness ``(n,)`` [N m/rad]; ``inf`` where none is known or the gear cannot be told from a rigid one."""
+    if model.stiffness is None:
+        return np.full(model.n, np.inf)
+    rigid = model.stiffness > (2 * np.pi * _FASTEST) ** 2 * np.maximum(model.rotor_inertia, 1e-6)
+    return np.where(rigid, np.inf, model.stiffness)
+
+
+def _ripple(model: Model) -> Array:
+    """Effects ``torque_ripple`` of the model as ``(m, 3, n)``, see ``LoopModel``."""
+    effects = [effect for effect in model.effects if effect.name == "torque_ripple" and effect.joint > 0]
+    rows = np.zeros((len(effects), 3, model.n))
+    for row, effect in zip(rows, effects, strict=True):
+        row[:, effect.joint - 1] = (effect.theta[0], *effect.coefficients)
+    return rows
+
+
+def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Array]:
+    """``k_v``, ``k_ff``, ``k_p``, ``k_i`` of the cascade ``u = k_v e + k_ff ė + (k_ff - 1) q̇``, ``τ = k_p u + k_i ∫u``.
+
+    Comparing it with [G] (16), (17): ``k_D - k_1 = k_p``, ``k_D = k_p k_ff``, ``k_P = k_p k_v``. The term ``k_2 q̈`` of
+    (16) is the first-order lag of the measured velocity, ``k_2 = k_p t_filter``.
+    """
+    k_p = controller.k_d - controller.k_1
+    if np.any(k_p <= 0):
+        raise InputError("the controller has no positive velocity gain k_d - k_1; identify it with faster motions",
+                         field="controller", value=np.round(k_p, 3).tolist())
+    return controller.k_p / k_p, controller.k_d / k_p, k_p, controller.k_i * k_p / controller.t_cycle

@@ -1,0 +1,174 @@
+"""Everything the model side knows of one closed loop: rigid body, friction, gears, controller and command path.
+
+Flat arrays only, made for compiled code; :func:`ideal_robot.loop.from_model.loop_model` builds one from an
+identified model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import Chain
+from ideal_robot.errors import InputError
+
+
+def velocity_grid(v_max: Array, points: int = 161) -> Array:
+    """Velocities ``(points, n)`` at which friction is tabled: dense near zero, up to 1.2 × the limit."""
+    v = np.where(np.isfinite(v_max), v_max, 10.0)
+    return np.asarray(1.2 * v * np.linspace(0.0, 1.0, points)[:, None] ** 3)
+
+
+class Drives(NamedTuple):
+    """What compiled code needs of the drives; the fields are those of ``LoopModel``."""
+
+    rotor_inertia: Array
+    friction_velocity: Array
+    friction_torque: Array
+    friction_load: Array
+    friction_bend: Array
+    offset: Array
+    stiffness: Array
+    damping: Array
+    k_v: Array
+    k_ff: Array
+    k_p: Array
+    k_i: Array
+    t_filter: Array
+    tau_max: Array
+    ripple: Array
+
+
+@dataclass(frozen=True)
+class LoopModel:
+    """The identified closed loop of ``n`` joints, [G] Fig. 15.
+
+    The controller is [G] (16), (17) at its own cycles: position loop ``u = k_v (r - q) + k_ff ṙ - q̇`` and velocity
+    loop ``τ = k_p u + k_i ∫u``, with the command ``r`` behind interpolation and low-pass. (16) in these terms:
+    ``k_P = k_v``, ``k_D = k_ff``, ``k_1 = k_ff - 1``.
+
+    Attributes:
+        chain: rigid body of the arm side.
+        rotor_inertia: reflected to the joint side ``(n,)`` [kg m²].
+        friction_velocity: speeds ≥ 0 at which friction is tabled ``(m, n)`` [rad/s].
+        friction_torque: what sliding friction brakes with at them, forward and backward ``(2, m, n)`` [N m]; at speed 0
+            the dry friction.
+        friction_load: friction in proportion to the torque the gear transmits ``(n,)`` [-].
+        friction_bend: angle over which friction turns after a reversal ``(n,)`` [rad]; 0 for a jump.
+        offset: constant torque of the drive ``(n,)`` [N m].
+        stiffness: of the gears ``(n,)`` [N m/rad]; ``inf`` where they count as rigid.
+        damping: of the gears ``(n,)`` [N m s/rad].
+        k_v, k_ff: position loop ``(n,)`` [1/s], [-].
+        k_p, k_i: velocity loop ``(n,)`` [N m s/rad], [N m/rad].
+        t_filter: time constant of the low-pass differentiator ``(n,)`` [s].
+        command_filter: impulse response of the command low-pass at the position loop's cycle ``(L, n)``, sums to 1.
+        delay: cycles between hand-over of a command and the start of the interpolation towards it (0 or 1).
+        t_ipo, t_position, t_velocity: cycle times [s].
+        tau_max: torque limit ``(n,)`` [N m].
+        q_min, q_max, v_max: limits ``(n,)``.
+        ripple: torque the motor needs for its ripple, ``a cos(k q) + b sin(k q)``: ``(m, 3, n)`` of k [1/rad], a and b
+            [N m]; ``m = 0`` for none.
+    """
+
+    chain: Chain
+    rotor_inertia: Array
+    friction_velocity: Array
+    friction_torque: Array
+    friction_load: Array
+    friction_bend: Array
+    offset: Array
+    stiffness: Array
+    damping: Array
+    k_v: Array
+    k_ff: Array
+    k_p: Array
+    k_i: Array
+    t_filter: Array
+    command_filter: Array
+    delay: int
+    t_ipo: float
+    t_position: float
+    t_velocity: float
+    tau_max: Array
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    ripple: Array = field(default_factory=lambda: np.zeros((0, 3, 1)))
+
+    def __post_init__(self) -> None:
+        for name in ("k_v", "k_p", "rotor_inertia", "stiffness"):
+            values = getattr(self, name)
+            if np.any(~(values > 0)) and not (name == "rotor_inertia" and np.all(values >= 0)):
+                raise InputError("must be positive for every joint; identify the closed loop first", field=name,
+                                 value=np.round(values, 6).tolist())
+        steps = self.t_ipo / self.t_position, self.t_position / self.t_velocity
+        if any(abs(ratio - round(ratio)) > 1e-6 or ratio < 0.999 for ratio in steps):
+            raise InputError("cycle times must be whole multiples of each other", field="t_ipo",
+                             value=(self.t_ipo, self.t_position, self.t_velocity))
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.rotor_inertia)
+
+    @property
+    def steps_ipo(self) -> int:
+        """Position-loop cycles in one interpolation cycle."""
+        return round(self.t_ipo / self.t_position)
+
+    @property
+    def compliance(self) -> Array:
+        """1/stiffness ``(n,)`` [rad/(N m)]; 0 for rigid gears."""
+        return np.where(np.isfinite(self.stiffness), 1.0 / self.stiffness, 0.0)
+
+    def drives(self, stiffness: Array, damping: Array) -> Drives:
+        """The drives with gears of finite ``stiffness`` and ``damping (n,)``."""
+        limit = np.where(np.isfinite(self.tau_max), self.tau_max, 1e12)
+        given = {"stiffness": stiffness, "damping": damping, "tau_max": limit}
+        return Drives(**{name: given.get(name, getattr(self, name)) for name in Drives._fields})
+
+    def replace(self, **changes: Any) -> LoopModel:
+        """A copy with some fields changed."""
+        return replace(self, **changes)
+
+
+@numba.njit(cache=True)
+def ripple_torque(ripple: Array, i: int, q: float) -> float:
+    """Ripple of joint ``i`` (from 0) at motor angle ``q`` [N m]."""
+    torque = 0.0
+    for m in range(ripple.shape[0]):
+        phase = ripple[m, 0, i] * q
+        torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
+    return torque
+
+
+def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n: int, *,
+                  dead_time: float = 0.0) -> Array:
+    """Impulse response ``(L, n)`` of ``order`` equal first-order stages ``r += (1 - a)(x - r)``, ``a = exp(-T/time)``.
+
+    Args:
+        time_constant: of each stage, for all joints or per joint ``(n,)`` [s]; 0 for none.
+        order: number of stages.
+        t_position: cycle at which the filter runs [s].
+        n: number of joints.
+        dead_time: before it, spread over two taps where it is no whole number of cycles [s].
+    """
+    times = np.broadcast_to(np.asarray(time_constant, dtype=float), (n,))
+    length = 2 + int(np.ceil(dead_time / t_position) + np.ceil((12 + 3 * order) * max(times.max(), 0) / t_position))
+    taps = np.zeros((length, n))
+    whole, part = divmod(dead_time / t_position, 1.0)
+    taps[int(whole)] = 1 - part
+    taps[int(whole) + 1] = part
+    for i, time in enumerate(times):
+        for _ in range(order if time > 0 else 0):
+            a = np.exp(-t_position / time)
+            taps[:, i] = np.convolve(taps[:, i], (1 - a) * a ** np.arange(length))[:length]
+    # The tail that is cut off is below 1e-5; the static gain must be 1 exactly.
+    return np.asarray(taps / taps.sum(axis=0))

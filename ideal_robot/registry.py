@@ -1,0 +1,86 @@
+"""A seam's implementations by name: those of this project, and those that other packages add.
+
+A package outside adds one by ``register`` or, without being imported by anybody, by an entry point:
+
+    [project.entry-points."ideal_robot.feedforward"]
+    my_method = "my_package.my_module:MyFeedforward"
+
+Built-in implementations are given as ``"module:attribute"`` and imported when they are asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from importlib import metadata
+from typing import Generic, TypeVar, cast
+
+from ideal_robot.errors import InputError
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """Implementations of one seam by name.
+
+    Args:
+        seam: what is registered, in the singular, for messages (``"effect"``).
+        group: entry-point group of other packages.
+        built_in: name → ``"module:attribute"``, in the order of tables.
+    """
+
+    def __init__(self, seam: str, group: str, built_in: dict[str, str]) -> None:
+        self.seam, self.group = seam, group
+        self._known: dict[str, T | str] = dict(built_in)
+        self._read_entry_points = False
+
+    def register(self, name: str, implementation: T) -> None:
+        """Adds an implementation.
+
+        Raises:
+            InputError: another one has that name.
+        """
+        self._read()
+        if name in self._known and self._known[name] is not implementation:
+            raise InputError(f"there is a {self.seam} of that name already; choose another name", field=self.seam,
+                             value=name)
+        self._known[name] = implementation
+
+    def unregister(self, name: str) -> None:
+        """Takes out what ``register`` added; nothing happens if there is none."""
+        self._known.pop(name, None)
+
+    def names(self) -> tuple[str, ...]:
+        """All names, the built-in ones first."""
+        self._read()
+        return tuple(self._known)
+
+    def get(self, name: str) -> T:
+        """The implementation of that name.
+
+        Raises:
+            InputError: there is none; the message lists the names there are.
+        """
+        self._read()
+        if name not in self._known:
+            raise InputError(f"expected one of {', '.join(self._known)}", field=self.seam, value=name)
+        found = self._known[name]
+        if isinstance(found, str):
+            module, _, attribute = found.partition(":")
+            found = cast(T, getattr(importlib.import_module(module), attribute))
+            self._known[name] = found
+        return found
+
+    def __iter__(self) -> Iterator[tuple[str, T]]:
+        return ((name, self.get(name)) for name in self.names())
+
+    def __contains__(self, name: object) -> bool:
+        self._read()
+        return name in self._known
+
+    def _read(self) -> None:
+        if self._read_entry_points:
+            return
+        self._read_entry_points = True
+        for point in metadata.entry_points(group=self.group):
+            self._known.setdefault(point.name, point.value)

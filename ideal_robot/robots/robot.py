@@ -1,0 +1,181 @@
+"""A robot as its maker describes it: kinematics and nominal inertias (URDF) and drive data (one TOML file).
+
+Nothing here is identified and nothing comes from the simulator: it is what stands in the data sheet.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+
+SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
+
+
+def _frozen(values: Any) -> Array:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Kinematics, nominal rigid body and drive data of a serial arm with ``n`` joints.
+
+    Attributes:
+        name: key of the robot.
+        urdf: path of the URDF.
+        model: Pinocchio model with the URDF's (nominal, never identified) inertias.
+        tool_frame: name of the frame that is the TCP.
+        q_min, q_max: joint limits ``(n,)`` [rad or m].
+        v_max, a_max: velocity and acceleration limits ``(n,)`` [rad/s, rad/s² or m/s, m/s²].
+        gear_ratio: motor turns per joint turn ``(n,)``; 1 where unknown.
+        rotor_inertia: rotor inertia reflected to the joint side ``(n,)`` [kg m²]; 0 where unknown.
+        drive_gain: joint-side torque per ampere ``(n,)`` [N m/A]; 1 where unknown.
+        tau_max: joint-side motor torque limit ``(n,)`` [N m]; inf where unknown.
+        t_ipo, t_position, t_velocity: cycle times of interpolation, position and velocity loop [s].
+        home: a posture for demos ``(n,)``.
+        data: everything in the data file, for what only some readers need.
+    """
+
+    name: str
+    urdf: Path
+    model: pin.Model = field(repr=False, compare=False)
+    tool_frame: str
+    q_min: Array
+    q_max: Array
+    v_max: Array
+    a_max: Array
+    gear_ratio: Array
+    rotor_inertia: Array
+    drive_gain: Array
+    tau_max: Array
+    t_ipo: float
+    t_position: float
+    t_velocity: float
+    home: Array
+    data: dict[str, Any] = field(repr=False, compare=False)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.model.nv)
+
+    @property
+    def urdf_hash(self) -> str:
+        """SHA-256 of the URDF file, first 16 hex digits."""
+        return hashlib.sha256(self.urdf.read_bytes()).hexdigest()[:16]
+
+    @property
+    def tool_id(self) -> int:
+        """Pinocchio's index of the TCP frame."""
+        return int(self.model.getFrameId(self.tool_frame))
+
+    @classmethod
+    def load(cls, name_or_urdf: str | Path, data: str | Path | None = None) -> Robot:
+        """Loads a shipped robot by name, or any serial URDF by path.
+
+        Args:
+            name_or_urdf: one of ``SHIPPED``, or a path of a URDF file (meshes are not needed).
+            data: path of the drive data (TOML). For a shipped robot, and for a URDF with a ``.toml`` of the
+                same stem beside it, found by itself; otherwise optional, with neutral values.
+
+        Raises:
+            InputError: unknown name, missing or broken file, a joint that is not one-degree-of-freedom, a list
+                whose length is not the joint count.
+        """
+        urdf, data_path = _locate(name_or_urdf, data)
+        try:
+            model = pin.buildModelFromUrdf(str(urdf))
+        except Exception as error:
+            raise InputError(f"not a readable URDF ({error})", file=urdf) from error
+        if model.nv < 1:
+            raise InputError("the URDF has no moving joint", file=urdf)
+        if model.nq != model.nv:
+            raise InputError("only revolute (with limits) and prismatic joints are supported; "
+                             "replace continuous joints by revolute ones with limits", file=urdf)
+        values: dict[str, Any] = {}
+        if data_path is not None:
+            try:
+                values = tomllib.loads(data_path.read_text(encoding="utf-8"))
+            except (OSError, tomllib.TOMLDecodeError) as error:
+                raise InputError(f"not a readable robot data file ({error})", file=data_path) from error
+        joints = values.get("joints", {})
+        controller = values.get("controller", {})
+
+        def per_joint(key: str, default: Any) -> Array:
+            array = np.asarray(joints.get(key, default), dtype=float)
+            if array.ndim == 0:
+                array = np.full(model.nv, float(array))
+            if array.shape != (model.nv,):
+                raise InputError(f"expected {model.nv} numbers, one per joint", file=data_path, field=f"joints.{key}",
+                                 value=joints.get(key))
+            return _frozen(array)
+
+        gear_ratio = per_joint("gear_ratio", 1.0)
+        v_max = np.where(model.velocityLimit > 0, model.velocityLimit, np.inf)
+        tau_max = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
+        return cls(
+            name=str(values.get("name", urdf.stem)),
+            urdf=urdf,
+            model=model,
+            tool_frame=_tool_frame(model, values.get("tool_frame"), data_path),
+            q_min=_frozen(model.lowerPositionLimit),
+            q_max=_frozen(model.upperPositionLimit),
+            v_max=_frozen(v_max),
+            a_max=per_joint("a_max", np.inf),
+            gear_ratio=gear_ratio,
+            # The file gives rotor inertia and torque constant on the motor side, as data sheets do.
+            rotor_inertia=_frozen(per_joint("rotor_inertia", 0.0) * gear_ratio**2),
+            drive_gain=_frozen(per_joint("torque_constant", 1.0) * gear_ratio),
+            tau_max=_frozen(tau_max),
+            t_ipo=float(controller.get("t_ipo", 0.012)),
+            t_position=float(controller.get("t_position", 0.002)),
+            t_velocity=float(controller.get("t_velocity", 0.0005)),
+            home=per_joint("home", 0.0),
+            data=values,
+        )
+
+    def fk(self) -> Callable[[Array], pin.SE3]:
+        """Returns a function from joint angles ``(n,)`` to the TCP pose in the base frame (copied)."""
+        data = self.model.createData()
+        tool = self.tool_id
+
+        def pose(q: Array) -> pin.SE3:
+            pin.framesForwardKinematics(self.model, data, q)
+            return data.oMf[tool].copy()
+
+        return pose
+
+
+def _locate(name_or_urdf: str | Path, data: str | Path | None) -> tuple[Path, Path | None]:
+    if str(name_or_urdf) in SHIPPED:
+        folder = Path(str(resources.files("ideal_robot"))) / "robots" / str(name_or_urdf)
+        return folder / f"{name_or_urdf}.urdf", Path(data) if data else folder / f"{name_or_urdf}.toml"
+    urdf = Path(name_or_urdf)
+    if not urdf.is_file():
+        raise InputError(f"no such URDF file, nor a shipped robot; shipped are {', '.join(SHIPPED)}",
+                         field="urdf", value=str(name_or_urdf))
+    if data is not None and not Path(data).is_file():
+        raise InputError("no such robot data file", field="robot", value=str(data))
+    beside = urdf.with_suffix(".toml")
+    return urdf, Path(data) if data else (beside if beside.is_file() else None)
+
+
+def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None) -> str:
+    if wanted is not None:
+        if not model.existFrame(wanted):
+            raise InputError("no frame of that name in the URDF", file=file, field="tool_frame", value=wanted)
+        return wanted
+    # Without a word from the user: the last body frame, which is the end of a serial chain.
+    return str([frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1])

@@ -1,0 +1,206 @@
+"""From a raw recording to signals a least-squares fit can use ([J] 3).
+
+Position is low-passed without phase, velocity and acceleration are central differences of it, and the torque and
+every column of the regressor go through the same decimation filter ("parallel decimation"), which takes away what
+the model does not claim to explain. Both cut-offs are chosen from the data unless given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from scipy import interpolate, signal
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+
+ORDER = 4
+"""Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
+
+_MINIMUM_SAMPLES = 100
+_GAP = 5.0
+"""A pause longer than this many sampling steps is a hole; nothing near it is trusted."""
+
+
+@dataclass(frozen=True)
+class FilteredSignals:
+    """Uniformly sampled, filtered signals of one recording.
+
+    Attributes:
+        t: ``(N,)`` [s].
+        q, qd, qdd: filtered position and its central differences ``(N, n)`` [rad, rad/s, rad/s²].
+        tau: motor torque, not yet decimated, ``(N, n)`` [N m]; NaN where the recording has none.
+        factor: decimation factor.
+        cutoff: of the position filter [Hz].
+        cutoff_decimation: half-power frequency of the decimation filter [Hz].
+        keep: mask ``(ceil(N / factor),)`` of decimated samples away from edges and holes.
+        source: where the recording came from.
+        columns: further columns of the recording on the same time grid, ``(N,)`` each (unfiltered).
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    tau: Array
+    factor: int
+    cutoff: float
+    cutoff_decimation: float
+    keep: np.ndarray
+    source: str
+    columns: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    @property
+    def dt(self) -> float:
+        """Sampling step [s]."""
+        return float(self.t[1] - self.t[0])
+
+    def decimate(self, values: Array) -> Array:
+        """Filters and decimates ``(N, …)`` along the first axis and drops edges: ``(M, …)``, all columns alike."""
+        return decimated(values, self.factor)[self.keep]
+
+    def decimate_of(self, columns: Callable[[slice], Array], block: int = 20_000) -> Array:
+        """As ``decimate``, of columns made piece by piece: long recordings need little more memory than short ones.
+
+        Args:
+            columns: makes the rows of a slice of samples ``(k, …)``.
+            block: samples a piece.
+        """
+        count, overlap = len(self.t), 12 * self.factor
+        block = max(1, block // self.factor) * self.factor
+        parts = []
+        for start in range(0, count, block):
+            first, last = max(0, start - overlap), min(count, start + block + overlap)
+            piece = decimated(columns(slice(first, last)), self.factor)
+            skip = (start - first) // self.factor
+            parts.append(piece[skip: skip + -(-(min(start + block, count) - start) // self.factor)])
+        return np.concatenate(parts)[self.keep]
+
+    @property
+    def t_decimated(self) -> Array:
+        """Times of the decimated samples ``(M,)`` [s]."""
+        return self.t[:: self.factor][self.keep]
+
+
+def preprocess(recording: Recording, *, cutoff: float | None = None,
+               cutoff_decimation: float | None = None) -> FilteredSignals:
+    """Filters and differentiates a recording.
+
+    Args:
+        recording: needs ``t`` and ``q_i``; ``tau_i`` may be missing (then ``tau`` is NaN).
+        cutoff: of the position filter [Hz]; chosen from the data if None.
+        cutoff_decimation: half-power frequency of the decimation filter [Hz]; half of ``cutoff`` if None.
+
+    Raises:
+        InputError: too few samples, or a cut-off the sampling rate does not allow.
+    """
+    t, hole = uniform_time(recording)
+    if len(t) < _MINIMUM_SAMPLES:
+        raise InputError(f"too short: at least {_MINIMUM_SAMPLES} samples are needed", file=recording.source, field="t",
+                         value=len(t))
+    dt = float(t[1] - t[0])
+    rate = 1.0 / dt
+    q_raw = resampled(recording.t, recording.joints("q"), t, smooth=True)
+    tau = (resampled(recording.t, recording.joints("tau"), t) if recording.has("tau")
+           else np.full_like(q_raw, np.nan))
+    cutoff = chosen_cutoff(q_raw, dt) if cutoff is None else float(cutoff)
+    if not 0 < cutoff < 0.5 * rate:
+        raise InputError(f"cut-off must lie between 0 and {0.5 * rate:.4g} Hz, half the sampling rate",
+                         file=recording.source, field="cutoff", value=cutoff)
+    q = lowpass(q_raw, dt, cutoff)
+    qd = np.gradient(q, dt, axis=0)
+    qdd = np.gradient(qd, dt, axis=0)
+    wanted = 0.5 * cutoff if cutoff_decimation is None else float(cutoff_decimation)
+    factor = max(1, round(0.5 * rate / wanted))
+    keep = _kept(hole, factor, edge=_edge_samples(rate, cutoff, factor))
+    if keep.sum() < 10:
+        raise InputError("too short: after filtering and removing the edges fewer than 10 samples are left",
+                         file=recording.source, field="t", value=f"{t[-1] - t[0]:.3g} s")
+    others = {name: resampled(recording.t, values[:, None], t)[:, 0] for name, values in recording.columns.items()
+              if name != "t"}
+    return FilteredSignals(t, q, qd, qdd, tau, factor, cutoff, 0.5 * rate / factor, keep, recording.source, others)
+
+
+def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
+    """A uniform time grid at the recording's median step, and a mask of grid points that lie in holes."""
+    t = recording.t
+    steps = np.diff(t)
+    if len(steps) == 0 or np.any(steps <= 0):
+        raise InputError("time must increase from sample to sample", file=recording.source, field="t")
+    # The mean of the ordinary steps, not the median, so that jittering stamps do not stretch the grid.
+    dt = float(np.mean(steps[steps < _GAP * np.median(steps)]))
+    count = int(np.floor((t[-1] - t[0]) / dt + 1e-6)) + 1
+    grid = t[0] + dt * np.arange(count)
+    hole = np.zeros(count, dtype=bool)
+    for k in np.flatnonzero(steps > _GAP * dt):
+        hole |= (grid > t[k]) & (grid < t[k + 1])
+    return grid, hole
+
+
+def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Array:
+    """Values ``(N, m)`` at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly."""
+    if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
+        return np.array(values, dtype=float)
+    if smooth:
+        return np.asarray(interpolate.CubicSpline(t, values, axis=0)(grid))
+    return np.column_stack([np.interp(grid, t, values[:, j]) for j in range(values.shape[1])])
+
+
+def lowpass(values: Array, dt: float, cutoff: float) -> Array:
+    """Zero-phase Butterworth low-pass along the first axis."""
+    sos = signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
+    # Padding as long as the filter remembers; the default is too short for low cut-offs.
+    pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
+    return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=pad))
+
+
+def decimated(values: Array, factor: int) -> Array:
+    """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
+    if factor == 1:
+        return np.asarray(values, dtype=float)
+    return np.asarray(signal.resample_poly(values, 1, factor, axis=0, window=_taps(factor)))
+
+
+@cache
+def _taps(factor: int) -> Array:
+    """Hamming-windowed low-pass with half power at the new half sampling rate: what ``scipy.signal.decimate`` uses."""
+    return np.asarray(signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
+
+
+def chosen_cutoff(q: Array, dt: float) -> float:
+    """Cut-off of the position filter [Hz] from the data: ten times the bandwidth of the motion.
+
+    The bandwidth holds 99.9 % of a joint's velocity power; the median over joints counts. Ten times as much keeps
+    what reversals of friction add. Never more than the noise allows (where the acceleration still stands clear of
+    the noise floor), nor a fifth of the sampling rate, where central differences lose a tenth of the amplitude.
+    """
+    rate = 1.0 / dt
+    qd = np.gradient(q, dt, axis=0)
+    f, power = signal.welch(qd, fs=rate, nperseg=min(len(q), max(256, int(4.0 * rate))), axis=0)
+    moves = np.std(qd, axis=0) > 1e-2 * np.max(np.std(qd, axis=0))
+    share = np.cumsum(power[:, moves], axis=0) / np.sum(power[:, moves], axis=0)
+    bandwidth = float(np.median(f[np.argmax(share > 0.999, axis=0)]))
+    # White position noise is flat in position and grows with f^4 in acceleration.
+    level = power[1:, moves] / (2.0 * np.pi * f[1:, None]) ** 2
+    floor = np.median(level[f[1:] > 0.35 * rate], axis=0)
+    clear = f[1:][np.any(level > 10.0 * floor, axis=1)]
+    noise_limit = float(clear[-1]) if len(clear) else rate
+    return float(np.clip(10.0 * bandwidth, 2.0, max(2.0, min(noise_limit, 0.2 * rate))))
+
+
+def _edge_samples(rate: float, cutoff: float, factor: int) -> int:
+    """Samples that feel the ends of the recording: the memory of both filters."""
+    return int(np.ceil(max(1.0 * rate / cutoff, 5.0 * factor)))
+
+
+def _kept(hole: np.ndarray, factor: int, edge: int) -> np.ndarray:
+    bad = hole.copy()
+    if hole.any():
+        bad = np.convolve(hole, np.ones(2 * edge + 1), mode="same") > 0
+    bad[:edge] = True
+    bad[len(bad) - edge :] = True
+    return ~bad[::factor]

@@ -1,0 +1,79 @@
+"""What is wanted of a contact, what the arm is about, and what is known of a surface before it was felt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from ideal_robot.errors import InputError
+from planning.line.deviation_model import PathDeviation
+from planning.path.reference import ReferencePath
+
+FORCE_ERRORS = (0.3, 0.002)
+"""Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant
+of damping or stamps [s]."""
+
+
+class Phase(Enum):
+    """What the arm is about."""
+
+    APPROACH = "approach"
+    SETTLE = "settle"
+    TRAVEL = "travel"
+    LIFT = "lift"
+    DONE = "done"
+
+
+@dataclass(frozen=True)
+class ContactSettings:
+    """What is wanted of the contact, and how far the sensor is trusted.
+
+    Attributes:
+        force: F_r, wanted normal force [N].
+        elasticity: E that is assumed, from calibration [N/m].
+        descent: speed of the approach [m/s].
+        reach: distance the approach may take before there has to be contact [m].
+        touch: force from which there is contact [N].
+        settle: time for which the force has to be near F_r before the travel begins [s].
+        clearance: how far the tip is lifted at the end [m].
+        noise: standard deviation of a force sample [N].
+        position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
+        frozen: cycles from now on that a new sample does not change any more.
+        cutoff: frequency up to which the estimate is followed [Hz].
+        correction: acceleration that corrections may cost [m/s²].
+    """
+
+    force: float = 20.0
+    elasticity: float = 5000.0
+    descent: float = 0.03
+    reach: float = 0.05
+    touch: float = 3.0
+    settle: float = 0.15
+    clearance: float = 0.01
+    noise: float = 0.3
+    position_noise: float = 3e-5
+    frozen: int = 1
+    cutoff: float = 25.0
+    correction: float = 4.0
+
+    def __post_init__(self) -> None:
+        for key in ("force", "elasticity", "descent", "reach", "touch", "cutoff", "correction", "clearance"):
+            if not getattr(self, key) > 0:
+                raise InputError("expected a positive number", field=key, value=getattr(self, key))
+
+
+def surface_model(
+    reference: ReferencePath, ahead: float, *, shape: float = 0.006, length: float = 0.08
+) -> PathDeviation:
+    """What is known of a surface before it was felt: somewhere near its plane, and smooth."""
+    return PathDeviation(
+        reference,
+        directions=2,
+        ahead=ahead,
+        behind=0.04,
+        knot=0.02,
+        displacement=0.02,
+        rotation=0.05,
+        shape=shape,
+        length=length,
+    )

@@ -1,0 +1,293 @@
+r"""Following a contour without a reference path ([L] 4.4).
+
+"Such a reference may be degenerated to a single point, a working point or starting point of motion. Contour following
+needs no reference trajectory. Instead, the local velocity is computed using only the actual sensor values." Every force
+sample says where the contour is, at the instant it was felt: :math:`\hat x_a + \Delta x_a` with [L] (3). The last ones
+give a local parabola; the tip moves along its tangent at the wanted speed and keeps the distance that makes the force.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.force.contact import Phase
+from planning.path.kinematics import InverseKinematics
+from planning.path.pose_history import PoseHistory
+from planning.path.smoothing import Smoother
+
+
+@dataclass(frozen=True)
+class ContourSettings:
+    """What is wanted, and how the contour is believed to bend.
+
+    Attributes:
+        force: F_r [N].
+        elasticity: E that is assumed [N/m].
+        speed: along the contour [m/s].
+        acceleration: up to that speed and down again [m/s²].
+        length: way after which the motion ends [m].
+        approach: speed towards the contour [m/s].
+        reach: distance the approach may take before there has to be contact [m].
+        clearance: unused here; the tip stays where it ends [m].
+        touch: force from which there is contact [N].
+        settle: time of contact before the motion along the contour begins [s].
+        window: length of contour that the parabola is fitted to [m].
+        ahead: of the newest point that the parabola is trusted to, then it goes on straight [m].
+        friction: coefficient that is assumed while the arm has not moved far enough to see the tangent.
+        cutoff: frequency up to which the estimate is followed [Hz].
+        correction: acceleration that corrections may cost [m/s²].
+    """
+
+    force: float = 20.0
+    elasticity: float = 4000.0
+    speed: float = 0.1
+    acceleration: float = 0.3
+    length: float = 0.5
+    approach: float = 0.03
+    reach: float = 0.05
+    touch: float = 3.0
+    clearance: float = 0.01
+    settle: float = 0.25
+    window: float = 0.03
+    ahead: float = 0.03
+    friction: float = 0.15
+    cutoff: float = 15.0
+    correction: float = 4.0
+
+    def __post_init__(self) -> None:
+        for key in ("force", "elasticity", "speed", "acceleration", "length", "approach", "window", "ahead"):
+            if not getattr(self, key) > 0:
+                raise InputError("expected a positive number", field=key, value=getattr(self, key))
+
+
+class ContourFollower:
+    """Desired joint positions along a contour that only the force sensor knows.
+
+    Args:
+        robot: the arm.
+        start: pose at which the arm rests, near the contour; the tool keeps its orientation and its height.
+        towards: direction in which the contour is looked for ``(3,)``.
+        up: normal of the plane in which the contour lies ``(3,)``.
+        side: 1 to go round with the contour on the right hand, -1 on the left (seen against ``up``).
+        q_start: joint angles at the start ``(n,)`` [rad].
+        n_d: desired positions a call of ``horizon`` gives.
+        settings: what is wanted.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        start: pin.SE3,
+        towards: Array,
+        up: Array,
+        side: int,
+        q_start: Array,
+        n_d: int,
+        settings: ContourSettings,
+    ) -> None:
+        self.robot, self.settings, self.n_d, self.q_start = robot, settings, n_d, q_start
+        self.history = PoseHistory(robot)
+        self._start = start
+        # Plane coordinates: x towards the contour, y along the first motion.
+        x = towards / np.linalg.norm(towards)
+        self._axes = np.stack([x, side * np.cross(up, x)])
+        self._T = robot.t_ipo
+        self._kinematics = InverseKinematics(robot)
+        self._samples = n_d + 6
+        self._smoother = Smoother(self._samples, self._T, settings.cutoff, settings.correction)
+        self._plan = np.zeros((3, self._samples + 2, 2))
+        self._q = np.tile(q_start, (self._samples + 2, 1))
+        self._points: deque[tuple[float, Array]] = deque()
+        self._cycle = 0
+        self._contact_since: float | None = None
+        self.force = 0.0
+        self.travelled = 0.0
+        """Way along the contour [m]."""
+        self.last_touch = -np.inf
+        self._normal = np.array([-1.0, 0.0])
+        self._moving_from: float | None = None
+
+    @property
+    def phase(self) -> Phase:
+        """What the arm is about; there is no lift at the end of a contour."""
+        if not self.in_contact:
+            return Phase.APPROACH
+        if self._moving_from is None:
+            return Phase.SETTLE
+        return Phase.TRAVEL if self.moving else Phase.DONE
+
+    @property
+    def descended(self) -> float:
+        """How far the approach has come [m]."""
+        return float(self._plan[0, 0, 0])
+
+    def s_at(self, t: float) -> float:
+        """Way along the contour at ``t`` [m]."""
+        return float(self._way(t))
+
+    def speed_at(self, t: float) -> float:
+        """Speed along the contour at ``t`` [m/s]."""
+        return float(self._way(t + 1e-3) - self._way(t - 1e-3)) / 2e-3
+
+    def planned(self) -> Array:
+        """Desired position in the plane at the current cycle ``(2,)`` [m]."""
+        return self._plan[0, 0].copy()
+
+    @property
+    def in_contact(self) -> bool:
+        """Whether the contour has been found."""
+        return self._contact_since is not None
+
+    @property
+    def moving(self) -> bool:
+        """Whether the motion along the contour has begun and not ended."""
+        return self._moving_from is not None and self.travelled < self.settings.length - 1e-5
+
+    def observe(self, t: float, q_a: Array) -> None:
+        """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]."""
+        self.history.add(t, q_a)
+
+    def update_force(self, t: Array, contact: Array) -> None:
+        """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]."""
+        for at, force_tool in zip(t, contact, strict=True):
+            pose = self.history.pose(max(float(at), self.history.first))
+            force = self._axes @ (pose.rotation @ force_tool)
+            here = self._axes @ (pose.translation - self._start.translation)
+            normal = self._felt_normal(force)
+            self.force = float(force @ normal)
+            if self.force < self.settings.touch:
+                continue
+            if self._contact_since is None:
+                self._contact_since = float(at)
+            self.last_touch = max(self.last_touch, float(at))
+            # [L] (3) along the normal: where the tip would have to be for F_r.
+            wanted = here + normal * (self.force - self.settings.force) / self.settings.elasticity
+            self._points.append((float(at), wanted))
+        newest = self._points[-1][1] if self._points else None
+        while (
+            newest is not None
+            and len(self._points) > 12
+            and (np.linalg.norm(self._points[0][1] - newest) > self.settings.window or len(self._points) > 400)
+        ):
+            self._points.popleft()
+
+    def _felt_normal(self, force: Array) -> Array:
+        """Out of the contour: square to the tangent that was felt; until it is known, the force less its friction."""
+        points = np.array([point for _, point in self._points])
+        if len(points) > 12 and np.linalg.norm(points[-1] - points[0]) > 0.4 * self.settings.window:
+            tangent, _, _ = self._parabola(points)
+            normal = np.array([-tangent[1], tangent[0]])
+            normal = normal if normal @ force > 0 else -normal
+        elif np.linalg.norm(force) > self.settings.touch:
+            angle = np.arctan(self.settings.friction) if self._moving_from is not None else 0.0
+            c, s = np.cos(angle), np.sin(angle)
+            rotated = np.array([c * force[0] - s * force[1], s * force[0] + c * force[1]])
+            normal = rotated / np.linalg.norm(rotated)
+        else:
+            normal = self._normal
+        self._normal = normal
+        return normal
+
+    def _parabola(self, points: Array) -> tuple[Array, float, Array]:
+        """Unit tangent, curvature (positive towards the left of the tangent) and foot at the newest end."""
+        chord = points[-1] - points[0]
+        along = chord / np.linalg.norm(chord)
+        left = np.array([-along[1], along[0]])
+        u, w = (points - points[-1]) @ along, (points - points[-1]) @ left
+        scale = max(float(np.ptp(u)), 1e-6)
+        A = np.column_stack([np.ones(len(u)), u / scale, (u / scale) ** 2])
+        # A weak preference for straight keeps short windows from bending.
+        A_ridge = np.vstack([A, [0.0, 0.0, 0.3 * np.sqrt(len(u)) * 0.02]])
+        c = np.linalg.lstsq(A_ridge, np.append(w, 0.0), rcond=None)[0]
+        slope, bend = c[1] / scale, 2 * c[2] / scale**2
+        tangent = along + slope * left
+        tangent = tangent / np.linalg.norm(tangent)
+        if self._moving_from is not None and tangent @ self._forward() < 0:
+            tangent, bend = -tangent, -bend
+        return tangent, float(bend / (1 + slope**2) ** 1.5), points[-1] + c[0] * left
+
+    def _forward(self) -> Array:
+        """Direction of travel: along the contour, square to the last normal."""
+        return np.array([self._normal[1], -self._normal[0]])
+
+    def horizon(self, t: float) -> Array:
+        """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on ``(n_d, n)`` [rad].
+
+        Raises:
+            OutOfReachError: the contour leads out of the arm's reach.
+        """
+        k = round(t / self._T)
+        shift = k - self._cycle
+        if shift > 0:
+            self._plan = np.concatenate([self._plan[:, shift:], np.repeat(self._plan[:, -1:], shift, axis=1)], axis=1)
+            self._q = np.concatenate([self._q[shift:], np.repeat(self._q[-1:], shift, axis=0)])
+            self._cycle = k
+        if self._moving_from is None and self.in_contact and t - float(self._contact_since or 0) > self.settings.settle:
+            self._moving_from = t
+        keep = 1
+        estimate = self._estimate(t, keep)
+        for axis in (0, 1):
+            one = slice(axis, axis + 1)
+            planned = self._smoother.plan(self._plan[:, keep, one], estimate[:, one])
+            self._plan[:, keep + 1 : keep + 1 + self._samples, one] = planned
+        self.travelled = float(self._way(t))
+        rows = slice(keep + 1, self.n_d)
+        positions = self._start.translation + self._plan[0, rows] @ self._axes
+        targets = [pin.SE3(self._start.rotation, p) for p in positions]
+        self._q[rows] = self._kinematics.refine(targets, self._q[rows])
+        return self._q[: self.n_d].copy()
+
+    def _way(self, t: npt.ArrayLike) -> Array:
+        """Way along the contour at ``t``: a trapezoid of speed."""
+        if self._moving_from is None:
+            return np.zeros_like(np.asarray(t, dtype=float))
+        s = self.settings
+        ramp = s.speed / s.acceleration
+        tau = np.maximum(np.asarray(t, dtype=float) - self._moving_from, 0.0)
+        up = np.where(tau < ramp, 0.5 * s.acceleration * tau**2, s.speed * (tau - 0.5 * ramp))
+        braking = s.length - 0.5 * s.speed * ramp
+        late = np.maximum(tau - (braking / s.speed + 0.5 * ramp), 0.0)
+        down = braking + s.speed * np.minimum(late, ramp) - 0.5 * s.acceleration * np.minimum(late, ramp) ** 2
+        return np.where(up < braking, up, down)
+
+    def _estimate(self, t: float, keep: int) -> Array:
+        """Wanted positions ``(samples, 2)`` of the coming cycles in the plane."""
+        ahead = (keep + 1 + np.arange(self._samples)) * self._T
+        if not self.in_contact:
+            return np.column_stack([self.settings.approach * (t + ahead), np.zeros(len(ahead))])
+        points = np.array([point for _, point in self._points])
+        if self._moving_from is None:
+            return np.tile(points[-20:].mean(axis=0), (len(ahead), 1))
+        if len(points) > 12 and np.linalg.norm(points[-1] - points[0]) > 0.3 * self.settings.window:
+            tangent, bend, foot = self._parabola(points)
+        else:
+            tangent, bend, foot = self._forward(), 0.0, points[-12:].mean(axis=0)
+        # The newest point was felt at its own instant; from there on the way goes along the parabola.
+        way = self._way(t + ahead) - self._way(self._points[-1][0])
+        bent = np.minimum(way, self.settings.ahead)
+        straight = way - bent
+        left = np.array([-tangent[1], tangent[0]])
+        angle = bend * bent
+        end = np.cos(angle)[:, None] * tangent + np.sin(angle)[:, None] * left
+        curve = (bent * np.sinc(angle / (2 * np.pi)) * np.cos(angle / 2))[:, None] * tangent + (
+            bent * np.sinc(angle / (2 * np.pi)) * np.sin(angle / 2)
+        )[:, None] * left
+        return np.asarray(foot + curve + straight[:, None] * end)
+
+    def contact_torque(self, q_d: Array) -> Array:
+        """Expected joint torques of the contact over the horizon ``(n_d, n)`` [N m], [L] 2.2."""
+        if not self.in_contact:
+            return np.zeros_like(q_d)
+        force = self.settings.force * (self._normal @ self._axes)
+        jacobian = pin.computeFrameJacobian(
+            self.robot.model, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
+        )
+        return np.tile(jacobian[:3].T @ force, (len(q_d), 1))

@@ -1,0 +1,296 @@
+"""Keeping a contact force along a surface of unknown shape, and a line on it at the same time ([L] 4.2, 4.3)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, surface_model
+from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.path.kinematics import InverseKinematics
+from planning.path.pose_history import PoseHistory
+from planning.path.reference import ReferencePath
+from planning.path.smoothing import Smoother
+from planning.path.speed_profile import JointPath, SpeedProfile
+from planning.planning_error import PlanningError
+from sensing.force.force_deviation import force_deviation
+
+STEEPEST = 0.5
+"""Largest slope of the surface against its nominal plane that is believed."""
+KNOWN_LATERAL = 0.001
+"""Standard deviation of the lateral deviation below which the line counts as known [m]."""
+KNOWN_AFTER = 0.03
+"""Way after which the slope along the path is known from the map [m]."""
+
+
+class SurfaceFollower:
+    r"""Desired joint positions over a horizon from a reference path, wrenches and, with a camera, line points.
+
+    Both sensors measure the same thing, the deviation :math:`\Delta x_r` of the path from its reference, in directions
+    that are neither the same nor orthogonal: the camera across the path in the nominal plane, the force along the
+    surface's own normal. One filter holds a map of the deviation in two directions over arc length; late samples belong
+    to where the arm was ([L] (5)), so they are as good as others.
+
+    Args:
+        robot: the arm.
+        reference: the reference path; ``up`` points out of the nominal surface.
+        profile: the travel along it.
+        n_d: desired positions a call of ``horizon`` gives.
+        settings: what is wanted.
+        fusion: the filter over a model with two directions.
+        force_errors: standard deviations of the force sensor's own errors in the filter that is made if none is given.
+        lateral: whether a sensor shows the lateral deviation, too; without one the path is the reference's there.
+        start_height: of the tip over the reference when the approach begins [m].
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reference: ReferencePath,
+        profile: SpeedProfile,
+        n_d: int,
+        settings: ContactSettings,
+        *,
+        fusion: DeviationFilter | None = None,
+        lateral: bool = False,
+        force_errors: tuple[float, float] = FORCE_ERRORS,
+        start_height: float = 0.01,
+    ) -> None:
+        self.robot, self.reference, self.profile, self.n_d, self.settings = robot, reference, profile, n_d, settings
+        self.history = PoseHistory(robot)
+        self._T = robot.t_ipo
+        self._kinematics = InverseKinematics(robot)
+        self._samples = n_d + 6
+        ahead = self._samples * self._T * profile.top_speed + 0.03
+        self.fusion = fusion or DeviationFilter(surface_model(reference, ahead), biases={"force": force_errors})
+        if self.fusion.model.directions != 2:
+            raise InputError(
+                "the filter's model needs two directions, across the path and out of the surface",
+                field="fusion",
+                value=self.fusion.model.directions,
+            )
+        self._smoother = Smoother(self._samples, self._T, settings.cutoff, settings.correction)
+        self.phase = Phase.APPROACH
+        self._lateral = lateral
+        self._height = start_height
+        self._contact_since: float | None = None
+        self._near_since: float | None = None
+        self._t_travel = np.inf
+        self._t_lift = np.inf
+        self.last_touch = -np.inf
+        """Last instant at which there was contact [s]."""
+        self.force = 0.0
+        """Normal force of the last sample [N]."""
+        self.slope = np.zeros(2)
+        """Slopes of the surface along and across the path, as the map and the force vector show them."""
+        self._tabulate(JointPath.of(robot, reference))
+
+    def _tabulate(self, path: JointPath) -> None:
+        cycles = int(np.ceil(self.profile.duration / self._T)) + 2 * self._samples
+        self._s = self.profile.s(self._T * np.arange(cycles))
+        self._frames = self.reference.frames(self._s)
+        self._rotations = self.reference.rotation(self._s)
+        guess = np.column_stack([np.interp(self._s, path.s, column) for column in path.q.T])
+        start = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
+        self._q_reference = self._kinematics.refine(start, guess, tolerance=1e-12)
+        # Plan per absolute cycle: position, velocity, acceleration in (lateral, up).
+        self._plan = np.zeros((3, self._samples + 2, 2))
+        self._plan[0, :, 1] = self._height
+        self._plan_from = 0
+        first = pin.SE3(self._rotations[0], self._frames.position[0] + self._height * self._frames.up[0])
+        self._q_start = self._kinematics.solve(first, self._q_reference[0])
+        self._q = np.tile(self._q_start, (self._samples + 2, 1))
+
+    @property
+    def q_start(self) -> Array:
+        """Joint angles ``(n,)`` [rad] above the start of the reference, where the arm has to rest."""
+        return self._q_start.copy()
+
+    @property
+    def t_travel(self) -> float:
+        """Instant at which the travel began; infinite before [s]."""
+        return self._t_travel
+
+    def observe(self, t: float, q_a: Array) -> None:
+        """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before samples are handed in."""
+        self.history.add(t, q_a)
+
+    def speed_at(self, t: float) -> float:
+        """Speed of the travel at ``t`` [m/s]."""
+        return float(self.profile.speed(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
+
+    def s_at(self, t: float) -> float:
+        """Arc length of the travel at ``t`` [m]."""
+        return float(self.profile.s(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
+
+    def update_force(self, t: Array, contact: Array) -> Fused | None:
+        """Fuses the contact forces that arrived since the last cycle.
+
+        Args:
+            t: instants they belong to ``(m,)`` [s].
+            contact: forces of the environment on the tool ``(m, 3)`` in the tool frame [N], bias and weight taken away.
+
+        Returns:
+            what became of them, or None while there is no contact yet.
+        """
+        poses = [self.history.pose(max(float(at), self.history.first)) for at in t]
+        points = np.array([pose.translation for pose in poses])
+        forces = np.array([pose.rotation @ f for pose, f in zip(poses, contact, strict=True)])
+        s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=0.06)
+        frames = self.reference.frames(s)
+        middle = len(t) // 2
+        up, across, along = frames.up[middle], frames.normal[middle], frames.tangent[middle]
+        normal = self._normal(float(s[middle]), forces.mean(axis=0), along, across, up)
+        self.force = float(np.mean(forces @ normal))
+        if self.force > self.settings.touch:
+            self.last_touch = max(self.last_touch, float(np.max(t)))
+            if self._contact_since is None:
+                self._contact_since = float(t[-1])
+                self.phase = Phase.SETTLE
+        if self._contact_since is None or self.phase in (Phase.LIFT, Phase.DONE):
+            return None
+        settings = self.settings
+        seen = [
+            force_deviation(f, up, settings.force, settings.elasticity, sigma=settings.noise, normal=normal)
+            for f in forces
+        ]
+        covariance = np.diag([one.sigma**2 for one in seen]) + settings.position_noise**2
+        value = np.array([one.value for one in seen])
+        if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
+            # With a camera the force says how far to go along the surface's normal, not along the reference's. While
+            # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
+            direction = np.tile([normal @ across, normal @ up], (len(t), 1))
+            value = direction[:, 0] * lateral + direction[:, 1] * height + value * float(normal @ up)
+        else:
+            direction = np.tile([0.0, 1.0], (len(t), 1))
+            value = height + value
+        # With E assumed r times too large a deviation Δ is felt as Δ/r: (1 - r) Δ is missing. A tip with damping, or
+        # a wrong time stamp, adds a share of the velocity.
+        rising = float(self._velocity(float(t[middle])) @ up)
+        wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
+        return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
+
+    def _velocity(self, t: float) -> Array:
+        """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""
+        t = max(t, self.history.first + 2e-3)
+        try:
+            return self.history.velocity(t)[0]
+        except PlanningError:
+            return np.zeros(3)
+
+    def _lateral_sigma(self, s: Array) -> float:
+        return float(np.sqrt(self.fusion.deviation(s)[1][0, 0]))
+
+    def _normal(self, s: float, force: Array, along: Array, across: Array, up: Array) -> Array:
+        """Surface normal: slope along the path from the map, since friction falsifies it, across from the force.
+
+        A slope that was only just felt would be taken from the very force it is to correct, so it counts by the way
+        travelled.
+        """
+        if self._contact_since is not None:
+            step = 0.006
+            d, _ = self.fusion.deviation(np.array([s - 2 * step, s]))
+            known = min(max(s - 2 * step, 0.0) / KNOWN_AFTER, 1.0)
+            self.slope[0] = known * float(np.clip((d[1, 1] - d[0, 1]) / (2 * step), -STEEPEST, STEEPEST))
+            if force @ up > self.settings.touch:
+                across_now = float(np.clip(-(force @ across) / (force @ up), -STEEPEST, STEEPEST))
+                self.slope[1] += 0.1 * (across_now - self.slope[1])
+        normal = up - self.slope[0] * along - self.slope[1] * across
+        return np.asarray(normal / np.linalg.norm(normal))
+
+    @property
+    def descended(self) -> float:
+        """How far the approach has come down [m]."""
+        return self._height - float(self._plan[0, 0, 1])
+
+    def horizon(self, t: float) -> Array:
+        """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
+
+        Raises:
+            OutOfReachError: the surface leads out of the arm's reach.
+        """
+        self.advance(t)
+        k = self._plan_from
+        keep = self.settings.frozen
+        rows = self._rows(k + keep + 1 + np.arange(self._samples))
+        estimate = self._estimate(t, keep, rows)
+        for direction in (0, 1):
+            # Each on its own: a large correction along one must not make the other one slow.
+            one = slice(direction, direction + 1)
+            planned = self._smoother.plan(self._plan[:, keep, one], estimate[:, one])
+            self._plan[:, keep + 1 : keep + 1 + self._samples, one] = planned
+        self._solve(k, keep)
+        return self._q[: self.n_d].copy()
+
+    def _rows(self, cycles: NDArray[np.int_]) -> NDArray[np.int_]:
+        """Rows of the tables for absolute cycles: the first one before the travel, the last one behind it."""
+        travel = round(self._t_travel / self._T) if np.isfinite(self._t_travel) else np.iinfo(np.int64).max // 2
+        return np.clip(cycles - travel, 0, len(self._s) - 1).astype(int)
+
+    def advance(self, t: float) -> None:
+        """Goes on to the cycle ``t`` [s]: looks whether the next phase begins; part of ``horizon``."""
+        k = round(t / self._T)
+        self.fusion.travel(self.s_at(t))
+        shift = k - self._plan_from
+        if shift > 0:
+            self._plan = np.concatenate([self._plan[:, shift:], np.repeat(self._plan[:, -1:], shift, axis=1)], axis=1)
+            self._plan[1:, -shift:] = 0.0
+            self._q = np.concatenate([self._q[shift:], np.repeat(self._q[-1:], shift, axis=0)])
+            self._plan_from = k
+        if self.phase is Phase.SETTLE:
+            near = abs(self.force - self.settings.force) < 0.15 * self.settings.force
+            self._near_since = (self._near_since if self._near_since is not None else t) if near else None
+            if self._near_since is not None and t - self._near_since >= self.settings.settle:
+                self.phase = Phase.TRAVEL
+                self._t_travel = (k + self.settings.frozen + 1) * self._T
+        elif self.phase is Phase.TRAVEL and t > self._t_travel + self.profile.duration + self.settings.settle:
+            self.phase = Phase.LIFT
+            self._t_lift = t
+            self._lift_from = self._plan[0, 0].copy()
+        elif self.phase is Phase.LIFT and self._plan[0, 0, 1] > self._lift_from[1] + 0.95 * self.settings.clearance:
+            self.phase = Phase.DONE
+
+    def _estimate(self, t: float, keep: int, rows: NDArray[np.int_]) -> Array:
+        """Wanted deviation ``(samples, 2)`` of the coming cycles: descending, on the map, or lifting."""
+        ahead = (keep + 1 + np.arange(self._samples)) * self._T
+        estimate, _ = self.fusion.deviation(self._s[rows], t)
+        if self._contact_since is None:
+            estimate[:, 1] = self._height - self.settings.descent * (t + ahead)
+        elif self.phase in (Phase.LIFT, Phase.DONE):
+            rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
+            estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])
+        return np.asarray(estimate)
+
+    def _solve(self, k: int, keep: int) -> None:
+        first, end = keep + 1, self.n_d
+        if first >= end:
+            return
+        rows = self._rows(k + np.arange(first, end))
+        d = self._plan[0, first:end]
+        frames = self._frames
+        positions = frames.position[rows] + d[:, :1] * frames.normal[rows] + d[:, 1:] * frames.up[rows]
+        targets = [pin.SE3(R, p) for R, p in zip(self._rotations[rows], positions, strict=True)]
+        self._q[first:end] = self._kinematics.refine(targets, self._q[first:end])
+
+    def planned(self) -> Array:
+        """Desired deviation (lateral, up) at the current cycle ``(2,)`` [m]."""
+        return self._plan[0, 0].copy()
+
+    def contact_torque(self, q_d: Array) -> Array:
+        """Expected joint torques τ_d of the contact over the horizon ``(n_d, n)`` [N m], [L] 2.2.
+
+        Jᵀ F_d with the wanted force along the surface's normal; zero without contact.
+        """
+        if self._contact_since is None or self.phase in (Phase.LIFT, Phase.DONE):
+            return np.zeros_like(q_d)
+        frames = self.reference.frames(np.array([self.s_at(self._plan_from * self._T)]))
+        normal = frames.up[0] - self.slope[0] * frames.tangent[0] - self.slope[1] * frames.normal[0]
+        force = self.settings.force * normal / np.linalg.norm(normal)
+        jacobian = pin.computeFrameJacobian(
+            self.robot.model, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
+        )
+        return np.tile(jacobian[:3].T @ force, (len(q_d), 1))

@@ -1,0 +1,199 @@
+"""How the deviation Δx_r between the reference path and what the sensors show may look ([L] 4.3).
+
+A model says which state stands for the deviation, how the deviation at an arc length follows linearly from that state,
+what is known beforehand, and how the state changes while the arm travels and time goes by.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from planning.path.path_kernels import deviation_basis
+from planning.path.reference import ReferencePath
+
+
+class DeviationModel(ABC):
+    """Seam of the deviation models.
+
+    Attributes:
+        directions: number of sensed directions: 1 lateral (along the path's ``normal``), 2 also height (``up``).
+        size: number of states.
+        drifts: whether the state changes with time, so that the order of measurements matters.
+    """
+
+    directions: int
+    size: int
+    drifts: bool = False
+
+    @abstractmethod
+    def prior(self) -> tuple[Array, Array]:
+        """State ``(size,)`` and covariance ``(size, size)`` before anything was measured."""
+
+    @abstractmethod
+    def basis(self, s: Array) -> Array:
+        """Deviation per state at arc lengths ``s (m,)``: shape ``(m, directions, size)``."""
+
+    def travel(self, s: float) -> tuple[Array, Array] | None:
+        """Transition ``(F, Q)`` of the state when the arm has come to arc length ``s``; None if there is none (yet)."""
+        del s
+        return None
+
+    def drift(self, dt: float) -> Array:
+        """Covariance ``(size, size)`` by which the state becomes uncertain in ``dt`` seconds."""
+        del dt
+        return np.zeros((self.size, self.size))
+
+
+@dataclass(frozen=True)
+class ConstantDeviation(DeviationModel):
+    """The same deviation everywhere and always: [L] (5), averaged.
+
+    Args:
+        sigma: what it is expected to be, standard deviation [m].
+        directions: 1 or 2.
+    """
+
+    sigma: float = 0.02
+    directions: int = 1
+
+    @property
+    def size(self) -> int:  # type: ignore[override]
+        """One state a direction."""
+        return self.directions
+
+    def prior(self) -> tuple[Array, Array]:
+        """Zero, with the expected variance."""
+        return np.zeros(self.size), self.sigma**2 * np.eye(self.size)
+
+    def basis(self, s: Array) -> Array:
+        """The identity everywhere."""
+        return np.broadcast_to(np.eye(self.directions), (len(s), self.directions, self.size)).copy()
+
+
+@dataclass(frozen=True)
+class SlowlyVaryingDeviation(ConstantDeviation):
+    """A deviation that wanders with time, whatever the place: [L] 4.3, *time-invariant or slowly varying*.
+
+    Args:
+        rate: standard deviation of the change in one second [m/√s].
+    """
+
+    rate: float = 0.005
+    drifts: bool = True
+
+    def drift(self, dt: float) -> Array:
+        """Random walk: variance grows with time."""
+        return self.rate**2 * dt * np.eye(self.size)
+
+
+class PathDeviation(DeviationModel):
+    r"""A displacement and rotation of the whole line, plus a smooth change of its shape along the path.
+
+    .. math::
+        \Delta x_r(s) = g(s)^T \left(\tau + \varphi \times (p(s) - p_0)\right) + \sum_j B_j(s)\, c_j
+
+    with the direction ``g`` sensed, a rigid motion ``(τ, φ)`` common to all places, and cubic B-splines on even
+    knots. The coefficients ``c`` are a stationary random process (Matérn 7/2) with a standard deviation and a length:
+    well-seen places are drawn to their measurements, places ahead of what was seen to the rigid motion, with a variance
+    that grows. Only the coefficients around the arm are states: when it has passed a knot, the oldest one is dropped
+    and a new one is predicted ahead from its neighbours. This window is the object's only changing part: one object
+    serves one filter.
+
+    Args:
+        reference: the path.
+        directions: 1 lateral, 2 also height.
+        ahead: how far in front of the arm the deviation is needed [m].
+        behind: how far behind the arm it is kept [m].
+        knot: spacing of the knots [m].
+        displacement, rotation: expected rigid motion, standard deviations [m], [rad].
+        shape: expected change of shape, standard deviation [m].
+        length: distance over which the change of shape becomes another [m].
+    """
+
+    def __init__(
+        self,
+        reference: ReferencePath,
+        *,
+        directions: int = 1,
+        ahead: float = 0.4,
+        behind: float = 0.05,
+        knot: float = 0.025,
+        displacement: float = 0.02,
+        rotation: float = 0.05,
+        shape: float = 0.003,
+        length: float = 0.1,
+    ) -> None:
+        self.directions, self.reference = directions, reference
+        self._knot, self._behind = knot, behind
+        self._count = int(np.ceil((ahead + behind) / knot)) + 4
+        self._start = -behind
+        self._rigid = 3 if directions == 1 else 6
+        self.size = self._rigid + directions * self._count
+        self._centre = reference.position(np.linspace(0.0, reference.length, 50)).mean(axis=0)
+        distance = knot * np.abs(np.subtract.outer(np.arange(self._count), np.arange(self._count)))
+        process = shape**2 * _matern(distance, length)
+        self._prior = np.zeros((self.size, self.size))
+        plane = [displacement] * 2 + [rotation]
+        self._prior[: self._rigid, : self._rigid] = np.diag(
+            np.square(plane if directions == 1 else [displacement] * 3 + [rotation] * 3)
+        )
+        for block in self._blocks():
+            self._prior[block, block] = process
+        # The new coefficient given its predecessors, of the same process.
+        old, new = process[:-1, :-1], process[-1, :-1]
+        gain = np.linalg.solve(old + 1e-10 * shape**2 * np.eye(self._count - 1), new)
+        self._F, self._Q = np.eye(self.size), np.zeros((self.size, self.size))
+        for block in self._blocks():
+            shift = np.eye(self._count, k=1)
+            shift[-1, 1:] = gain
+            self._F[block, block] = shift
+            last = block.stop - 1
+            self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * shape**2)
+        # Axes of the surface at the path's start span the rigid motion.
+        start = reference.frames(0.0)
+        self._axes = np.stack([start.tangent, start.normal, start.up])
+
+    def prior(self) -> tuple[Array, Array]:
+        """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
+        return np.zeros(self.size), self._prior.copy()
+
+    def basis(self, s: Array) -> Array:
+        """Rigid part and B-splines; outside the window the splines stay at its edge."""
+        s = np.asarray(s, dtype=float)
+        frames = self.reference.frames(s)
+        return np.asarray(
+            deviation_basis(
+                frames.position,
+                (frames.normal, frames.up),
+                self.directions,
+                self._centre,
+                self._axes,
+                self._rigid,
+                s,
+                self._start,
+                self._knot,
+                self._count,
+            )
+        )
+
+    def travel(self, s: float) -> tuple[Array, Array] | None:
+        """Shifts the window by one knot once the arm has left it behind."""
+        if s - self._behind < self._start + self._knot:
+            return None
+        self._start += self._knot
+        return self._F, self._Q
+
+    def _blocks(self) -> list[slice]:
+        return [
+            slice(self._rigid + i * self._count, self._rigid + (i + 1) * self._count) for i in range(self.directions)
+        ]
+
+
+def _matern(distance: Array, length: float) -> Array:
+    """Correlation of the Matérn process with ν = 7/2 at a distance."""
+    r = np.sqrt(7.0) * distance / length
+    return np.asarray((1.0 + r + 0.4 * r**2 + r**3 / 15.0) * np.exp(-r))

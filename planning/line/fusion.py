@@ -1,0 +1,274 @@
+"""Fusion of asynchronous, late and unordered measurements of the deviation from the reference ([L] 4.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+from scipy.stats import chi2
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from planning.line.deviation_model import DeviationModel
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Deviations from the reference that one sensor measured at one instant, whatever the sensor.
+
+    Attributes:
+        t: instant of measurement, not of arrival [s].
+        s: arc lengths of the reference that the values belong to ``(m,)`` [m].
+        value: deviations ``(m,)`` [m]: components of Δx_r along ``direction``.
+        covariance: of the values ``(m, m)`` [m²].
+        direction: sensed directions as components along the path's normal and up, ``(m, directions)``; they need not be
+            orthogonal to each other. None for purely lateral.
+        sensor: name of the sensor, for its own errors and statistics.
+        bias: how much each error of the sensor adds to the values, ``(m, b)``; see ``DeviationFilter``.
+    """
+
+    t: float
+    s: Array
+    value: Array
+    covariance: Array
+    direction: Array | None = None
+    sensor: str = "camera"
+    bias: Array | None = None
+
+
+@dataclass(frozen=True)
+class Fused:
+    """What became of a measurement.
+
+    Attributes:
+        used: which values went in ``(m,)``.
+        innovation: values minus their predictions ``(m,)`` [m].
+        nis: normalised innovation squared of the values that went in; ``dof`` on average if all is consistent.
+        dof: number of values that went in.
+        reason: why values were left out; empty if none were.
+    """
+
+    used: Array
+    innovation: Array
+    nis: float
+    dof: int
+    reason: str = ""
+
+
+@dataclass
+class _Track:
+    """One hypothesis: a filter, and how often it agreed with the sensor in a row."""
+
+    kf: KalmanFilter
+    agreed: int = 0
+
+
+@dataclass
+class _Memory:
+    t: float
+    x: Array
+    P: Array
+    measurement: Measurement = field(repr=False)
+
+
+class DeviationFilter:
+    r"""Kalman filter over a deviation model.
+
+    Measurement equation, for each value :math:`z_i` at arc length :math:`s_i` in direction :math:`g_i`:
+
+    .. math:: z_i = g_i^T \left(\Delta x_r(s_i) \right) + b_i^T \beta + v_i
+
+    with :math:`\Delta x_r` linear in the model's state, errors :math:`\beta` of the sensor itself (constant, e.g. a
+    wrong mounting angle) and noise :math:`v` with the covariance stated by the measurement. A point of the path that is
+    seen several times from different places tells :math:`\beta` and :math:`\Delta x_r` apart.
+
+    A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if most of its
+    values are, or if its normalised innovation squared is beyond the ``significance`` bound. Measurements left out feed
+    a rival hypothesis that starts from the prior; after ``confirm`` of them in a row that agree with one another it
+    takes over: then the map was wrong, not the sensor.
+
+    Args:
+        model: what the deviation looks like.
+        biases: for each sensor the standard deviations of its errors :math:`\beta`.
+        gate: bound for single values, in standard deviations.
+        significance: probability with which a good measurement is left out.
+        confirm: measurements until a rival hypothesis takes over; 0 for never.
+        memory: how late a measurement may be with a model that drifts in time [s].
+    """
+
+    def __init__(
+        self,
+        model: DeviationModel,
+        *,
+        biases: Mapping[str, tuple[float, ...]] | None = None,
+        gate: float = 4.0,
+        significance: float = 1e-4,
+        confirm: int = 10,
+        memory: float = 0.5,
+    ) -> None:
+        self.model, self._gate, self._confirm, self._memory_length = model, gate, confirm, memory
+        self._bias_at: dict[str, slice] = {}
+        size, variances = model.size, []
+        for sensor, sigmas in (biases or {}).items():
+            self._bias_at[sensor] = slice(size, size + len(sigmas))
+            size += len(sigmas)
+            variances += [sigma**2 for sigma in sigmas]
+        self._size, self._bias_variances = size, variances
+        self._bounds = np.concatenate([[0.0], chi2.ppf(1.0 - significance, np.arange(1, 65))])
+        self._track = self._fresh()
+        self._rival: _Track | None = None
+        self._memory: list[_Memory] = []
+        self.t = -np.inf
+        """Instant up to which the state has drifted [s]."""
+
+    def _fresh(self) -> _Track:
+        kf = KalmanFilter(dim_x=self._size, dim_z=1)
+        x, P = self.model.prior()
+        kf.x = np.concatenate([x, np.zeros(len(self._bias_variances))])
+        kf.P = np.zeros((self._size, self._size))
+        kf.P[: len(x), : len(x)] = P
+        kf.P[len(x) :, len(x) :] = np.diag(self._bias_variances)
+        return _Track(kf)
+
+    def travel(self, s: float) -> None:
+        """Tells that the arm is at arc length ``s`` [m]; the state moves along with it."""
+        while (step := self.model.travel(s)) is not None:
+            F, Q = np.eye(self._size), np.zeros((self._size, self._size))
+            F[: self.model.size, : self.model.size], Q[: self.model.size, : self.model.size] = step
+            for track in (self._track, self._rival):
+                if track is not None:
+                    track.kf.predict(F=F, Q=Q)
+
+    def update(self, measurement: Measurement) -> Fused:
+        """Fuses one measurement, which may be older than those before.
+
+        Raises:
+            InputError: shapes that do not fit each other or the model, or values that are not finite.
+        """
+        _check(measurement, self.model.directions)
+        if not self.model.drifts:
+            # Nothing depends on time: late and unordered measurements are as good as any.
+            self.t = max(self.t, measurement.t)
+            return self._fuse(measurement)
+        late = [past for past in self._memory if past.t > measurement.t]
+        if self._memory and measurement.t < self._memory[0].t and len(late) == len(self._memory):
+            return Fused(np.zeros(len(measurement.s), dtype=bool), np.zeros(len(measurement.s)), 0.0, 0, "too late")
+        if late:
+            # Back to before the first one that is younger, then all again in the right order.
+            self._memory = self._memory[: len(self._memory) - len(late)]
+            self._track.kf.x, self._track.kf.P = late[0].x.copy(), late[0].P.copy()
+            self.t = self._memory[-1].t if self._memory else measurement.t
+        fused = self._in_time(measurement)
+        for past in late:
+            self._in_time(past.measurement)
+        return fused
+
+    def deviation(self, s: Array, t: float | None = None) -> tuple[Array, Array]:
+        """The deviation and its variance, also ahead of what was seen: [L] (6) with how sure it is.
+
+        Args:
+            s: arc lengths ``(m,)`` [m].
+            t: instant it is wanted for [s], for models that drift; the last measurement's by default.
+
+        Returns:
+            ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
+        """
+        H = self.model.basis(s)
+        mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size), t)
+        return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2])
+
+    @property
+    def state(self) -> Array:
+        """State of the deviation model ``(size,)``."""
+        return np.asarray(self._track.kf.x[: self.model.size])
+
+    def mean(self, s: Array) -> Array:
+        """The deviation alone, ``(m, directions)`` [m]."""
+        return self.model.basis(s) @ self.state
+
+    def mean_and_variance(self, H: Array, t: float | None = None) -> tuple[Array, Array]:
+        """Mean and variance ``(m,)`` of linear functions ``H (m, size)`` of the state, e.g. rows of a basis."""
+        size, kf = self.model.size, self._track.kf
+        P = kf.P[:size, :size]
+        if t is not None and self.model.drifts and np.isfinite(self.t):
+            P = P + self.model.drift(max(t - self.t, 0.0))
+        return H @ kf.x[:size], np.einsum("ij,ij->i", H @ P, H)
+
+    def bias(self, sensor: str) -> tuple[Array, Array]:
+        """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
+        at = self._bias_at[sensor]
+        return self._track.kf.x[at].copy(), np.sqrt(np.diag(self._track.kf.P)[at])
+
+    def _in_time(self, measurement: Measurement) -> Fused:
+        kf = self._track.kf
+        self._memory.append(_Memory(measurement.t, kf.x.copy(), kf.P.copy(), measurement))
+        self._memory = [past for past in self._memory if past.t >= measurement.t - self._memory_length]
+        Q = np.zeros((self._size, self._size))
+        if np.isfinite(self.t):
+            Q[: self.model.size, : self.model.size] = self.model.drift(max(measurement.t - self.t, 0.0))
+        kf.predict(F=np.eye(self._size), Q=Q)
+        self.t = measurement.t
+        return self._fuse(measurement)
+
+    def _fuse(self, measurement: Measurement) -> Fused:
+        H = self._rows(measurement)
+        fused = self._try(self._track, measurement, H)
+        if fused.dof or not self._confirm:
+            self._rival = None if fused.dof else self._rival
+            return fused
+        if self._rival is None:
+            self._rival = self._fresh()
+        if not self._try(self._rival, measurement, H).dof:
+            self._rival = None
+        elif self._rival.agreed >= self._confirm:
+            self._track, self._rival = self._rival, None
+            return Fused(
+                np.ones(len(measurement.s), dtype=bool), fused.innovation, fused.nis, len(measurement.s), "map replaced"
+            )
+        return fused
+
+    def _rows(self, measurement: Measurement) -> Array:
+        basis = self.model.basis(measurement.s)
+        H = np.zeros((len(measurement.s), self._size))
+        if measurement.direction is None:
+            H[:, : self.model.size] = basis[:, 0]
+        else:
+            H[:, : self.model.size] = np.einsum("md,mdn->mn", measurement.direction, basis)
+        if measurement.bias is not None and measurement.sensor in self._bias_at:
+            H[:, self._bias_at[measurement.sensor]] = measurement.bias
+        return H
+
+    def _try(self, track: _Track, measurement: Measurement, H: Array) -> Fused:
+        """Gates a measurement against a hypothesis and fuses what is left of it."""
+        kf, R = track.kf, measurement.covariance
+        innovation = measurement.value - H @ kf.x
+        S = H @ kf.P @ H.T + R
+        used = innovation**2 <= self._gate**2 * np.diag(S)
+        if 2 * used.sum() < len(used):
+            # Among many wrong values a few pass by chance.
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate")
+        reason = "" if used.all() else "some values beyond the gate"
+        if not used.all():
+            H, R, S = H[used], R[np.ix_(used, used)], S[np.ix_(used, used)]
+        left = innovation[used]
+        nis = float(left @ np.linalg.solve(S, left))
+        dof = len(left)
+        if nis > self._bounds[min(dof, 64)]:
+            return Fused(np.zeros(len(used), dtype=bool), innovation, nis, 0, "innovation beyond its bound")
+        kf.update(measurement.value[used], R=R, H=H)
+        track.agreed += 1
+        return Fused(used, innovation, nis, dof, reason)
+
+
+def _check(measurement: Measurement, directions: int) -> None:
+    m = len(measurement.s)
+    shapes = {"value": (measurement.value.shape, (m,)), "covariance": (measurement.covariance.shape, (m, m))}
+    if measurement.direction is not None:
+        shapes["direction"] = (measurement.direction.shape, (m, directions))
+    for key, (given, expected) in shapes.items():
+        if given != expected:
+            raise InputError(f"expected shape {expected}", field=f"measurement.{key}", value=given)
+    if not (np.isfinite(measurement.value).all() and np.isfinite(measurement.covariance).all()):
+        raise InputError("expected finite numbers", field=f"measurement of {measurement.sensor}")

@@ -1,0 +1,280 @@
+"""Sensor-based path planning along a line that a camera sees ahead of the tool ([L] 4, Fig. 2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.line.deviation_model import PathDeviation
+from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.line.line_view import LineAhead, SeenLine
+from planning.path.desired_path import DesiredPath
+from planning.path.pose_history import PoseHistory
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from planning.path.vectors import cross, dot, unit
+from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
+
+SILENCE = 0.25
+"""Time after which a camera that sends no fields at all counts as one that shows nothing [s]."""
+
+
+@dataclass(frozen=True)
+class FollowerSettings:
+    """How a line follower trusts its sensor and what it allows itself.
+
+    Attributes:
+        frozen: cycles from now on that a new field does not change any more.
+        cutoff: frequency up to which the estimate is followed [Hz].
+        correction: acceleration that corrections may cost [m/s²].
+        noise: lateral error of a point beside what its detection states [m].
+        common: lateral error common to all points of a field, different from field to field [m].
+        yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
+        stamp: error of the time stamps, standard deviation [s]; estimated on the way.
+        view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
+        latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
+        max_blind: distance that may be travelled without seeing the line [m].
+        max_search: distance that may be travelled before the line is seen first [m].
+        follow_tangent: whether the tool turns with the line seen, not only with the reference.
+    """
+
+    frozen: int = 1
+    cutoff: float = 15.0
+    correction: float = 4.0
+    noise: float = 2e-5
+    common: float = 3e-5
+    yaw: float = 0.003
+    stamp: float = 0.0005
+    view: tuple[float, float] = (0.02, 0.17)
+    latency: float = 0.04
+    max_blind: float = 0.15
+    max_search: float = 0.3
+    follow_tangent: bool = False
+
+    def __post_init__(self) -> None:
+        for key in ("cutoff", "correction", "max_blind", "max_search"):
+            if not getattr(self, key) > 0:
+                raise InputError("expected a positive number", field=key, value=getattr(self, key))
+        for key in ("frozen", "noise", "common", "yaw", "stamp", "latency"):
+            if not getattr(self, key) >= 0:
+                raise InputError("expected zero or a positive number", field=key, value=getattr(self, key))
+        if not 0 <= self.view[0] < self.view[1]:
+            raise InputError("expected the nearer distance first", field="view", value=self.view)
+
+
+class LineFollower:
+    r"""Desired joint positions over a horizon, from a reference path and camera fields that come when they come.
+
+    Each seen point :math:`\hat x_a + \Delta x_a` of a field is compared with the reference *at the same place*:
+    :math:`\Delta x_r = \Delta x_a - (x_r - \hat x_a)`, [L] (5), in the direction of the path's lateral normal, at the
+    pose of the exposure. The deviations are fused into a map over arc length, so it does not matter when and how often
+    a place was seen. The desired path is :math:`x_r(s(t)) + d(t)\, n(s(t))`, [L] (6), with the smoothed deviation
+    ``d``; its speed is the reference's. In directions that are not sensed it is the reference. Other sensors are fused
+    with ``fuse`` ([L] 4.3); with a filter of two directions the desired path also follows the height they measure.
+
+    Args:
+        robot: the arm.
+        reference: the reference path.
+        profile: the travel along it.
+        n_d: desired positions a call of ``horizon`` gives.
+        settings: trust and limits.
+        fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.
+        t_start: controller time at which the travel begins [s].
+        joint_path: the reference in joint space, if it is known already.
+        line_span: arc lengths of the reference between which the line is [m]; all of it by default.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reference: ReferencePath,
+        profile: SpeedProfile,
+        n_d: int = 25,
+        *,
+        settings: FollowerSettings | None = None,
+        fusion: DeviationFilter | None = None,
+        t_start: float = 0.0,
+        joint_path: JointPath | None = None,
+        line_span: tuple[float, float] | None = None,
+    ) -> None:
+        self.robot, self.reference, self.profile, self.n_d = robot, reference, profile, n_d
+        self.settings = settings = settings or FollowerSettings()
+        self.t_start = t_start
+        self.history = PoseHistory(robot)
+        self._T = robot.t_ipo
+        # A little more than the horizon and what the smoothing looks ahead behind it.
+        ahead = max(0.3, (n_d + 12) * self._T * profile.top_speed + 0.05)
+        self.fusion = fusion or DeviationFilter(
+            PathDeviation(reference, ahead=ahead), biases={"camera": (settings.yaw, settings.stamp)}
+        )
+        self.path = DesiredPath(
+            robot,
+            reference,
+            profile,
+            n_d,
+            directions=self.fusion.model.directions,
+            frozen=settings.frozen,
+            cutoff=settings.cutoff,
+            correction=settings.correction,
+            follow_tangent=settings.follow_tangent,
+            t_start=t_start,
+            joint_path=joint_path,
+        )
+        self._line_span = line_span or (0.0, reference.length)
+        self.fields_seen = self.fields_used = 0
+        self._last_seen: tuple[float, float] | None = None
+        self._front = -np.inf
+        self._changed = False
+        self._field_t = -np.inf
+
+    @property
+    def q_start(self) -> Array:
+        """Joint angles ``(n,)`` [rad] at the start of the reference, where the arm has to rest."""
+        return self.path.q_reference[0].copy()
+
+    @property
+    def q_reference(self) -> Array:
+        """The reference in joint space at every cycle from the start on ``(K, n)`` [rad]: method ``none``."""
+        return self.path.q_reference
+
+    @property
+    def duration(self) -> float:
+        """Time from ``t_start`` until the end of the path [s]."""
+        return self.profile.duration
+
+    def finished(self, t: float) -> bool:
+        """Whether the desired path has come to rest at its end."""
+        return t - self.t_start >= self.profile.duration
+
+    def observe(self, t: float, q: Array) -> None:
+        """Takes the joint angles ``q (n,)`` [rad] of the arm at ``t`` [s]; every cycle, before fields are handed in."""
+        self.history.add(t, q)
+
+    def predict(self, t: float, ahead: Array | None = None) -> LineAhead:
+        """Where the line should be in a field exposed at ``t``.
+
+        Args:
+            t: instant of exposure [s].
+            ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will
+                be when the field takes effect.
+        """
+        s_tcp = self.profile.at(t - self.t_start)[0]
+        s = s_tcp + (self._where_to_look(t) if ahead is None else ahead)
+        step, m = 1e-3, len(s)
+        H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))[:, 0]
+        mean, variance = self.fusion.mean_and_variance(H[:m])
+        slope = (H[2 * m :] - H[m : 2 * m]) @ self.fusion.state / (2 * step)
+        frames = self.reference.frames(s)
+        # Derivative of p + d n by arc length: (1 - κ d) t + d' n.
+        stretch = 1.0 - frames.curvature * mean
+        tangents = unit(stretch[:, None] * frames.tangent + slope[:, None] * frames.normal)
+        return LineAhead(s, frames.position + mean[:, None] * frames.normal, tangents, frames.up, np.sqrt(variance))
+
+    def _where_to_look(self, t: float) -> Array:
+        """What the TCP passes before the field has come and gone into the plan need not be looked at."""
+        near, far = self.settings.view
+        passed = self.profile.at(t - self.t_start)[1] * (self.settings.latency + 2 * self._T)
+        first = min(max(near, passed), max(near, far - 0.06))
+        return np.linspace(first, min(far, first + 0.1), 5)
+
+    def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
+        """Fuses one field, whenever it arrives.
+
+        Args:
+            line: the points seen.
+            pose: TCP pose at the exposure; interpolated from ``observe`` by default.
+
+        Returns:
+            what became of the points, or None if the field showed nothing.
+        """
+        self._field_t = max(self._field_t, line.t)
+        if not line.seen:
+            return None
+        self.fields_seen += 1
+        used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
+        if not used.any():
+            return None
+        measurement = self.measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
+        fused = self.fuse(measurement)
+        if fused.dof:
+            self.fields_used += 1
+            seen = (line.t, self.profile.at(line.t - self.t_start)[0])
+            self._last_seen = max(self._last_seen or seen, seen)
+            self._front = max(self._front, float(measurement.s[fused.used].max()))
+        return fused
+
+    def fuse(self, measurement: Measurement) -> Fused:
+        """Fuses a measurement of any sensor, [L] 4.3; camera fields come through ``update``."""
+        fused = self.fusion.update(measurement)
+        self._changed = self._changed or fused.dof > 0
+        return fused
+
+    def measurement(self, t: float, points_tcp: Array, sigma: Array, pose: pin.SE3 | None = None) -> Measurement:
+        """[L] (5): deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``."""
+        pose = self.history.pose(t) if pose is None else pose
+        lever = points_tcp @ pose.rotation.T
+        s, value, _ = self.reference.project(lever + pose.translation, self.profile.at(t - self.t_start)[0] + 0.06)
+        frames = self.reference.frames(s)
+        covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
+        # A turned camera moves a point by up × lever, a wrong time stamp by the velocity it has on the tool.
+        turned = dot(frames.normal, cross(frames.up, lever))
+        try:
+            velocity, rate = self.history.velocity(t)
+        except PlanningError:
+            # Poses given from outside, no history: then time stamps have to be right.
+            velocity, rate = np.zeros(3), np.zeros(3)
+        moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
+        direction = None
+        if self.fusion.model.directions > 1:
+            direction = np.zeros((len(s), self.fusion.model.directions))
+            direction[:, 0] = 1.0
+        return Measurement(t, s, value, covariance, direction, bias=np.column_stack([turned, moved]))
+
+    def deviation(self, s: Array) -> tuple[Array, Array]:
+        """Estimated lateral deviation of the line from the reference at ``s (m,)`` and its standard deviation [m]."""
+        mean, variance = self.fusion.deviation(np.asarray(s, dtype=float))
+        return mean[:, 0], np.sqrt(variance[:, 0])
+
+    def planned(self, t: float) -> tuple[float, float, float]:
+        """Desired lateral deviation at ``t``, its velocity and acceleration [m, m/s, m/s²]."""
+        d, velocity, acceleration = self.path.deviation(t)[:, 0]
+        return float(d), float(velocity), float(acceleration)
+
+    def desired(self, t: float) -> pin.SE3:
+        """Desired TCP pose at ``t``, as planned so far."""
+        return self.path.pose(t)
+
+    def horizon(self, t: float) -> Array:
+        """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
+
+        Raises:
+            LineLostError: nothing was seen for longer than allowed.
+            OutOfReachError: the seen line leads out of the arm's reach.
+        """
+        s = float(self.path.s[self.path.cycle(t)])
+        self.fusion.travel(s)
+        self._check_seen(t, s)
+        q = self.path.horizon(t, self.fusion.mean, self._changed)
+        self._changed = False
+        return q
+
+    def _check_seen(self, t: float, s: float) -> None:
+        """Counts the blind distance from field to field, so that a late camera is not a blind one; a silent one is."""
+        begin, end = self._line_span
+        looked = self.profile.at(max(self._field_t, t - SILENCE) - self.t_start)[0]
+        if self._last_seen is None:
+            if looked - begin > self.settings.max_search:
+                raise LineNeverSeenError(t, s, self.settings.max_search)
+        elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
+            raise LineLostError(t, s, *self._last_seen, self.settings.max_blind)
+
+
+def plan_travel(robot: Robot, reference: ReferencePath, limits: Limits | float) -> tuple[JointPath, SpeedProfile]:
+    """Joint path and speed profile of a reference at once; raises as ``SpeedProfile.plan``."""
+    path = JointPath.of(robot, reference)
+    return path, SpeedProfile.plan(robot, reference, limits, path)

@@ -1,0 +1,193 @@
+r"""A line seen by a camera on a surface of unknown height ([L] 4.3, sensors that are not orthogonal).
+
+A pixel is a ray, not a point. Where the surface is higher than believed, the seen point is displaced along the ray, so
+a field measures the deviation :math:`\Delta x_r` not along the path's lateral normal but across the ray,
+
+.. math:: g = (1,\; -r_n / r_u)
+
+with the components :math:`r_n, r_u` of the ray across the path and out of the surface. The force measures along the
+surface's normal: two sensors whose directions are neither the same nor orthogonal, and one filter for both. A camera
+that looks nearly straight down (``OBLIQUE``) says too little of the height to be believed about it: there the height is
+taken from the map, with its variance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from planning.force.force_follower import SurfaceFollower
+from planning.line.fusion import Fused, Measurement
+from planning.line.line_view import LineAhead, SeenLine
+from planning.path.vectors import cross, dot, unit
+from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
+
+OBLIQUE = 0.1
+"""Slope of the rays across the path from which a field says something of the height, too."""
+
+
+@dataclass(frozen=True)
+class SightSettings:
+    """How far the camera is trusted.
+
+    Attributes:
+        noise: lateral error of a point beside what its detection states [m].
+        common: lateral error common to all points of a field [m].
+        yaw, stamp, scale: standard deviations of mounting angle [rad], time stamps [s] and relative distance (or focal
+            length); all are estimated on the way.
+        view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
+        latency: usual age of a field when it arrives [s].
+        max_blind: distance that may be travelled without seeing the line [m].
+        scatter: largest scatter of a field's points about the line as believed, moved and turned [m].
+        doubt: time without a good field after which one field alone is not believed any more [s].
+        agreement: how well two fields in a row then have to agree [m].
+        distance_ratio: assumed over true distance from camera to surface, 1 unless an error is to be studied.
+    """
+
+    noise: float = 3e-5
+    common: float = 4e-5
+    yaw: float = 0.003
+    stamp: float = 0.0005
+    scale: float = 0.2
+    view: tuple[float, float] = (0.02, 0.17)
+    latency: float = 0.04
+    max_blind: float = 0.2
+    scatter: float = 4e-4
+    doubt: float = 0.12
+    agreement: float = 6e-4
+    distance_ratio: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.distance_ratio > 0 or not self.max_blind > 0:
+            raise InputError("expected positive max_blind and distance_ratio", field="camera")
+
+
+class LineOnSurface:
+    """Where to look for the line, and what a field says of the deviation in both directions.
+
+    Args:
+        follower: whose map is used and updated; made with ``lateral=True``.
+        camera: pose of the camera in the tool frame.
+        settings: trust.
+        line_span: arc lengths of the reference between which the line is [m].
+    """
+
+    def __init__(
+        self, follower: SurfaceFollower, camera: pin.SE3, settings: SightSettings, line_span: tuple[float, float]
+    ) -> None:
+        self.follower, self.settings, self._camera, self._span = follower, settings, camera, line_span
+        # The undeformed tip is F/E below the surface when the force is right.
+        self._sunk = follower.settings.force / follower.settings.elasticity
+        self.seen = self.used = 0
+        self._last_seen: tuple[float, float] | None = None
+        self._front = -np.inf
+        self._candidate: tuple[float, float, Array] | None = None
+
+    def predict(self, t: float) -> LineAhead:
+        """Where the line should be in a field exposed at ``t`` [s]."""
+        follower = self.follower
+        s_now = follower.s_at(t)
+        near, far = self.settings.view
+        passed = float(follower.speed_at(t)) * (self.settings.latency + 2 * follower.robot.t_ipo)
+        first = min(max(near, passed), max(near, far - 0.06))
+        s = s_now + np.linspace(first, min(far, first + 0.1), 5)
+        step, m = 1e-3, len(s)
+        d, variance = follower.fusion.deviation(np.concatenate([s, s - step, s + step]))
+        slope = (d[2 * m :] - d[m : 2 * m]) / (2 * step)
+        frames = follower.reference.frames(s)
+        height = d[:m, 1] + self._sunk
+        tangents = unit(frames.tangent + slope[:, :1] * frames.normal + slope[:, 1:] * frames.up)
+        points = frames.position + d[:m, :1] * frames.normal + height[:, None] * frames.up
+        return LineAhead(s, points, tangents, frames.up, np.sqrt(variance[:m, 0]))
+
+    def update(self, line: SeenLine) -> Fused | None:
+        """Fuses one field, whenever it arrives; None if it showed nothing."""
+        if not line.seen:
+            return None
+        self.seen += 1
+        used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
+        if not used.any():
+            return None
+        measurement = self._measurement(line.t, line.points_tcp[used], line.sigma[used])
+        reason = self._implausible(measurement)
+        if reason:
+            nothing = np.zeros(len(measurement.s), dtype=bool)
+            return Fused(nothing, np.zeros(len(nothing)), float("nan"), 0, reason)
+        fused = self.follower.fusion.update(measurement)
+        if fused.dof:
+            self.used += 1
+            self._last_seen = max(self._last_seen or (-np.inf, 0.0), (line.t, self.follower.s_at(line.t)))
+            self._front = max(self._front, float(measurement.s[fused.used].max()))
+        return fused
+
+    def _measurement(self, t: float, points_tcp: Array, sigma: Array) -> Measurement:
+        follower, settings = self.follower, self.settings
+        pose = follower.history.pose(t)
+        eye = pose.act(self._camera.translation)
+        # A wrongly assumed distance scales what is seen about the optical axis.
+        axis = self._camera.rotation[:, 2]
+        offset = points_tcp - self._camera.translation
+        along = np.outer(offset @ axis, axis)
+        points_tcp = self._camera.translation + along + settings.distance_ratio * (offset - along)
+        lever = points_tcp @ pose.rotation.T
+        points = lever + pose.translation
+        s, lateral, height = follower.reference.project(points, follower.s_at(t) + 0.06)
+        frames = follower.reference.frames(s)
+        ray = points - eye
+        g = np.column_stack([np.ones(len(s)), -dot(ray, frames.normal) / dot(ray, frames.up)])
+        value = g[:, 0] * lateral + g[:, 1] * (height - self._sunk)
+        extra = np.zeros(len(s))
+        if np.max(np.abs(g[:, 1])) < OBLIQUE:
+            # Seen from nearly above the height hardly shows: it is taken from the map, with its variance. Otherwise
+            # every small lateral contradiction would become a large error of the height, which the force knows better.
+            d, variance = follower.fusion.deviation(s)
+            value = value - g[:, 1] * d[:, 1]
+            extra = g[:, 1] ** 2 * variance[:, 1]
+            g = np.column_stack([g[:, 0], np.zeros(len(s))])
+        covariance = np.diag(sigma**2 + settings.noise**2 + extra) + settings.common**2
+        turned = dot(frames.normal, cross(frames.up, lever))
+        try:
+            velocity, rate = follower.history.velocity(t)
+        except PlanningError:
+            velocity, rate = np.zeros(3), np.zeros(3)
+        moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
+        # A wrong distance scales what is beside the optical axis.
+        beside = dot(frames.normal, (offset - along) @ pose.rotation.T)
+        return Measurement(t, s, value, covariance, g, "camera", np.column_stack([turned, moved, beside]))
+
+    def _implausible(self, measurement: Measurement) -> str:
+        """Why a field cannot be of the line; empty if it can.
+
+        The map ahead is sure only as long as the line was seen there. A camera that has lied or been blind for longer
+        than its view reaches ahead finds a map that would believe anything, so what it says must make sense by itself:
+        its points lie on one line, and two fields in a row show the same one.
+        """
+        settings, s = self.settings, measurement.s
+        d, _ = self.follower.fusion.deviation(s)
+        off = measurement.value - np.sum(measurement.direction * d, axis=1)  # type: ignore[operator]
+        trend = np.column_stack([np.ones(len(s)), s - s.mean()])
+        fit = np.linalg.lstsq(trend, off, rcond=None)[0]
+        if len(s) > 2 and float(np.sqrt(np.mean((off - trend @ fit) ** 2))) > settings.scatter:
+            return "points are not on one line"
+        before, self._candidate = self._candidate, (measurement.t, float(s.mean()), fit)
+        if self._last_seen is not None and measurement.t - self._last_seen[0] <= settings.doubt:
+            return ""
+        if before is None or measurement.t - before[0] > 2 * settings.doubt:
+            return "first field after a while, waiting for another one"
+        apart = 0.5 * (float(s.mean()) - before[1])
+        there, here = before[2] @ [1.0, apart], fit @ [1.0, -apart]
+        return "" if abs(there - here) < settings.agreement else "does not agree with the field before"
+
+    def check(self, t: float) -> None:
+        """Raises ``LineLostError`` if the line has not been seen for too long a way."""
+        s, limit = self.follower.s_at(t - self.settings.latency), self.settings.max_blind
+        begin, end = self._span
+        if self._last_seen is None:
+            if s - begin > limit:
+                raise LineNeverSeenError(t, s, limit)
+        elif s - max(self._last_seen[1], begin) > limit and self._front < end - 0.03:
+            raise LineLostError(t, s, *self._last_seen, limit)

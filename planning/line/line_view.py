@@ -1,0 +1,60 @@
+"""What passes between the line follower and the camera: points seen, and where to look for the next ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from sensing.camera.line_detection import PredictedLine
+
+
+class SeenLine(Protocol):
+    """What the follower needs of a camera field; ``sensing.camera.line_detection.LineField`` is one."""
+
+    @property
+    def t(self) -> float:
+        """Instant of exposure [s]."""
+
+    @property
+    def points_tcp(self) -> Array:
+        """Line points in the tool frame ``(m, 3)`` [m]."""
+
+    @property
+    def sigma(self) -> Array:
+        """Their lateral standard deviation ``(m,)`` [m]."""
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which of them are good ``(m,)``."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether there is a measurement at all."""
+
+
+@dataclass(frozen=True)
+class LineAhead:
+    """Where the line should be at some places ahead.
+
+    Attributes:
+        s: arc lengths of the reference ``(m,)`` [m].
+        points: line points in the base frame ``(m, 3)`` [m].
+        tangents: unit tangents ``(m, 3)``.
+        up: unit surface normals ``(m, 3)``.
+        sigma: lateral standard deviations ``(m,)`` [m].
+    """
+
+    s: Array
+    points: Array
+    tangents: Array
+    up: Array
+    sigma: Array
+
+    def seen_from(self, pose: pin.SE3) -> PredictedLine:
+        """The same in the tool frame, for the line detection."""
+        return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose, float(self.sigma.max()))

@@ -1,0 +1,154 @@
+"""The desired path x_d over the horizon, in joint space: reference plus smoothed deviation ([L] 4.1, Fig. 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from planning.path.reference import ReferencePath
+from planning.path.smoothing import Smoother
+from planning.path.speed_profile import JointPath, SpeedProfile
+
+
+class DesiredPath:
+    r"""Desired joint positions of the coming cycles, kept up to date with an estimated deviation from the reference.
+
+    .. math:: x_d(t) = x_r(s(t)) + d_1(t)\, n(s(t)) + d_2(t)\, u(s(t))
+
+    with the lateral normal ``n`` and the surface normal ``u`` of the path ([L] (6)); the orientation is the
+    reference's. All of the reference is tabulated beforehand for every cycle, and what a new estimate does not change
+    is not computed again: a cycle without one costs a single pose.
+
+    Args:
+        robot: the arm.
+        reference: the reference path.
+        profile: the travel along it.
+        n_d: desired positions a call of ``horizon`` gives.
+        directions: 1 lateral, 2 also height.
+        frozen: cycles from now on that a new estimate does not change any more.
+        cutoff: frequency up to which the estimate is followed [Hz].
+        correction: acceleration that corrections may cost [m/s²].
+        follow_tangent: whether the tool turns with the desired path, not only with the reference.
+        t_start: controller time at which the travel begins [s].
+        joint_path: the reference in joint space, if it is known already.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        reference: ReferencePath,
+        profile: SpeedProfile,
+        n_d: int,
+        *,
+        directions: int = 1,
+        frozen: int = 1,
+        cutoff: float = 15.0,
+        correction: float = 4.0,
+        follow_tangent: bool = False,
+        t_start: float = 0.0,
+        joint_path: JointPath | None = None,
+    ) -> None:
+        if n_d < 1:
+            raise InputError("expected at least 1", field="n_d", value=n_d)
+        self.n_d, self.t_start, self._T = n_d, t_start, robot.t_ipo
+        self._frozen, self._follow_tangent = frozen, follow_tangent
+        self._kinematics = InverseKinematics(robot)
+        # Some cycles more than asked for, so that the plan still reaches far enough when a field fails to come.
+        self.samples = n_d + 12
+        self._smoother = Smoother(self.samples, self._T, cutoff, correction)
+        cycles = int(np.ceil(profile.duration / self._T)) + 2 * self.samples
+        self.s = profile.s(self._T * np.arange(cycles))
+        """Arc length of the reference at every cycle ``(K,)`` [m]."""
+        self._frames = reference.frames(self.s)
+        self._rotations = reference.rotation(self.s)
+        path = joint_path or JointPath.of(robot, reference)
+        self._targets = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
+        q = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
+        self.q_reference = self._kinematics.refine(self._targets, q, tolerance=1e-12)
+        """The reference in joint space at every cycle ``(K, n)`` [rad]."""
+        self._q = self.q_reference.copy()
+        self._plan = np.zeros((3, cycles, directions))
+        self._planned_to = self._solved_to = self._ever_solved = -1
+
+    def cycle(self, t: float) -> int:
+        """Number of the cycle at ``t`` [s]; behind the end of the tables everything rests."""
+        k = round((t - self.t_start) / self._T)
+        return min(max(k, 0), len(self.s) - self.samples - 2)
+
+    def horizon(self, t: float, estimate: Callable[[Array], Array], changed: bool) -> Array:
+        """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
+
+        Args:
+            t: now [s].
+            estimate: the estimated deviation ``(m, directions)`` [m] of arc lengths ``(m,)`` [m].
+            changed: whether the estimate is another one than at the last call.
+
+        Raises:
+            OutOfReachError: the desired path leads out of the arm's reach.
+        """
+        k = self.cycle(t)
+        end = k + self.n_d
+        if changed or self._planned_to < end:
+            self._replan(k, estimate)
+        first = max(self._solved_to + 1, k)
+        if first < end:
+            self._solve(first, end)
+        return self._q[k:end].copy()
+
+    def deviation(self, t: float) -> Array:
+        """Desired deviation at ``t``, its velocity and acceleration, ``(3, directions)`` [m, m/s, m/s²]."""
+        return self._plan[:, self.cycle(t)].copy()
+
+    def pose(self, t: float) -> pin.SE3:
+        """Desired TCP pose at ``t``, as planned so far."""
+        return self._targets[self.cycle(t)].copy()
+
+    def _replan(self, k: int, estimate: Callable[[Array], Array]) -> None:
+        """New desired deviation behind the cycles that are being executed."""
+        keep = k + self._frozen if self._planned_to >= k + self._frozen else max(k, 0)
+        keep = min(keep, len(self.s) - self.samples - 1)
+        if self._planned_to < keep:
+            # Cycles that nobody asked for: the deviation stayed where it was.
+            self._plan[0, self._planned_to + 1 : keep + 1] = self._plan[0, max(self._planned_to, 0)]
+        coming = slice(keep + 1, keep + 1 + self.samples)
+        self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate(self.s[coming]))
+        self._planned_to = keep + self.samples
+        self._solved_to = min(self._solved_to, keep)
+
+    def _solve(self, first: int, end: int) -> None:
+        """Inverse kinematics of the cycles ``first … end - 1``."""
+        d = self._plan[0, first:end]
+        positions = self._frames.position[first:end] + d[:, :1] * self._frames.normal[first:end]
+        if d.shape[1] > 1:
+            positions = positions + d[:, 1:] * self._frames.up[first:end]
+        rotations = self._rotations[first:end]
+        if self._follow_tangent:
+            rotations = self._turned(first, end) @ rotations
+        # What was solved before is nearly right; behind it the offset from the reference's joint angles goes on.
+        start = self._q[first:end]
+        new = self._ever_solved + 1
+        if new < end:
+            start = start.copy()
+            offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
+            start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
+        targets = self._targets[first:end]
+        for target, R, p in zip(targets, rotations, positions, strict=True):
+            target.translation = p
+            if self._follow_tangent:
+                target.rotation = R
+        self._q[first:end] = self._kinematics.refine(targets, start)
+        self._solved_to = end - 1
+        self._ever_solved = max(self._ever_solved, end - 1)
+
+    def _turned(self, first: int, end: int) -> Array:
+        """Rotations about the surface normal from the reference's tangent to that of the desired path."""
+        speed = np.gradient(self.s, self._T)[first:end]
+        forward = speed * (1.0 - self._frames.curvature[first:end] * self._plan[0, first:end, 0])
+        angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
+        return np.array([pin.exp3(a * up) for a, up in zip(angle, self._frames.up[first:end], strict=True)])

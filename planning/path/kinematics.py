@@ -1,0 +1,148 @@
+"""Inverse kinematics of single poses and of whole horizons, by Newton's method from a warm start."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+from scipy.linalg.lapack import dgesv
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.planning_error import OutOfReachError
+
+TOLERANCE = 1e-9
+"""Pose error that counts as solved [m and rad]."""
+
+
+class InverseKinematics:
+    r"""Joint angles of TCP poses.
+
+    One Newton step is :math:`q \leftarrow q + J(q)^{-1} \log(T(q)^{-1} T_d)` with the Jacobian in the tool frame;
+    with more or fewer than six joints the damped least-squares inverse takes the place of :math:`J^{-1}`.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._model, self._data, self._tool = robot.model, robot.model.createData(), robot.tool_id
+        self._square = robot.n == 6
+        # computeFrameJacobian leaves the tool's pose in iMf[0]; holding the vector saves a third of the call's time.
+        self._poses = self._data.iMf
+
+    def fk(self, q: Array) -> pin.SE3:
+        """TCP pose in the base frame at ``q (n,)`` [rad]."""
+        pin.framesForwardKinematics(self._model, self._data, q)
+        return self._data.oMf[self._tool].copy()
+
+    def step(self, target: pin.SE3, q: Array) -> tuple[Array, Array]:
+        """One Newton step: the next joint angles ``(n,)`` and the pose error ``(6,)`` before it [m, rad]."""
+        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL)
+        error = pin.log6(self._poses[0].actInv(target)).vector
+        if self._square:
+            _, _, dq, info = dgesv(jacobian, error)
+            if info == 0:
+                return q + dq, error
+        damping = 1e-6 * np.eye(6)
+        return q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error), error
+
+    def solve(self, target: pin.SE3, q: Array, iterations: int = 50) -> Array:
+        """Joint angles ``(n,)`` [rad] of one pose, from the guess ``q (n,)``; steps are cut to 0.3 rad.
+
+        Raises:
+            OutOfReachError: no solution within the joint limits near the guess.
+        """
+        error = np.full(6, np.inf)
+        for _ in range(iterations):
+            q_next, error = self.step(target, q)
+            if np.max(np.abs(error)) < TOLERANCE:
+                return self._within(target, q)
+            dq = q_next - q
+            q = q + dq * min(1.0, 0.3 / max(float(np.max(np.abs(dq))), 1e-12))
+        raise OutOfReachError(_position(target), float(np.linalg.norm(error[:3])))
+
+    def search(self, target: pin.SE3, home: Array, attempts: int = 40) -> Array:
+        """Joint angles ``(n,)`` of one pose without a good guess: the solution nearest to ``home`` that was found.
+
+        Newton's method starts from ``home`` and from postures scattered evenly over the joint ranges around it.
+
+        Raises:
+            OutOfReachError: no start leads to a solution within the joint limits.
+        """
+        lower, upper = np.maximum(self.robot.q_min, home - np.pi), np.minimum(self.robot.q_max, home + np.pi)
+        failures: list[OutOfReachError] = []
+        found: list[Array] = []
+        for attempt in range(attempts):
+            # Additive recurrence with the generalised golden ratio: even, and the same at each run.
+            scatter = (0.5 + attempt * _golden(self.robot.n)) % 1.0
+            guess = home if attempt == 0 else home + 0.5 * (lower + scatter * (upper - lower) - home)
+            try:
+                found.append(self.solve(target, self._wrapped(guess)))
+            except OutOfReachError as error:
+                failures.append(error)
+                continue
+            if attempt == 0 or len(found) > 4:
+                break
+        if not found:
+            raise failures[0]
+        return min(found, key=lambda q: float(np.max(np.abs(q - home))))
+
+    def path(self, targets: Sequence[pin.SE3], q_start: Array) -> Array:
+        """Joint angles ``(N, n)`` along a path of near poses; each starts from the linear continuation of the last two.
+
+        Raises:
+            OutOfReachError: the path leaves the reach or the joint limits, or jumps to another posture of the arm.
+        """
+        q = np.empty((len(targets), self.robot.n))
+        for i, target in enumerate(targets):
+            guess = q_start if i == 0 else (q[i - 1] if i == 1 else 2.0 * q[i - 1] - q[i - 2])
+            q[i] = self.solve(target, guess)
+        return q
+
+    def refine(self, targets: Sequence[pin.SE3], q: Array, tolerance: float = 1e-6) -> Array:
+        """Joint angles ``(N, n)`` of poses whose nearly right solutions ``q (N, n)`` are known, for the real-time path.
+
+        The error after a step is of the order of the square of the error before, so a pose is done as soon as the
+        error *before* a step was below ``sqrt(tolerance)`` [m, rad].
+
+        Raises:
+            OutOfReachError: not solved in ten steps, or outside the joint limits.
+        """
+        solved = np.empty_like(q)
+        for i, target in enumerate(targets):
+            q_i = q[i]
+            for _ in range(10):
+                q_i, error = self.step(target, q_i)
+                if error @ error < tolerance:
+                    break
+            else:
+                raise OutOfReachError(_position(target), float(np.linalg.norm(error[:3])))
+            solved[i] = q_i
+        if (solved > self.robot.q_max).any() or (solved < self.robot.q_min).any():
+            worst = int(np.argmax(np.max(np.maximum(solved - self.robot.q_max, self.robot.q_min - solved), axis=1)))
+            self._within(targets[worst], solved[worst])
+        return solved
+
+    def _within(self, target: pin.SE3, q: Array) -> Array:
+        """``q`` itself if it is within the joint limits."""
+        beyond = np.maximum(q - self.robot.q_max, self.robot.q_min - q)
+        joint = int(np.argmax(beyond))
+        if beyond[joint] > 0:
+            limit = self.robot.q_max[joint] if q[joint] > self.robot.q_max[joint] else self.robot.q_min[joint]
+            raise OutOfReachError(_position(target), 0.0, joint + 1, float(q[joint]), float(limit))
+        return q
+
+    def _wrapped(self, q: Array) -> Array:
+        return np.clip(q, self.robot.q_min, self.robot.q_max)
+
+
+def _golden(n: int) -> Array:
+    root = 2.0
+    for _ in range(40):
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    return np.asarray((1.0 / root) ** np.arange(1, n + 1), dtype=float)
+
+
+def _position(target: pin.SE3) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in target.translation)
+    return x, y, z

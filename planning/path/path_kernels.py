@@ -1,0 +1,145 @@
+"""The arithmetic of path coordinates that runs several times in each cycle, compiled.
+
+A path is given by its pieces: cubics ``(K, 4, 3)`` of the position, highest power first, on even knots from 0 on, with
+one straight piece more at each end; and likewise ``(K - 2, 4, 3)`` of the surface normal, without those.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from ideal_robot.arrays import Array
+
+
+@njit(cache=True)
+def frames_at(
+    cubics: Array, ups: Array, knot: float, s: Array
+) -> tuple[Array, Array, Array, Array, Array]:  # pragma: no cover
+    """Position, tangent, normal, up ``(m, 3)`` and curvature ``(m,)`` at arc lengths ``s (m,)``."""
+    m, last = s.size, cubics.shape[0] - 1
+    length = (last - 1) * knot
+    position, tangent = np.empty((m, 3)), np.empty((m, 3))
+    normal, up = np.empty((m, 3)), np.empty((m, 3))
+    curvature = np.empty(m)
+    velocity, bend, out = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(m):
+        k = min(max(int(np.floor(s[i] / knot)) + 1, 0), last)
+        u = s[i] - max(k - 1, 0) * knot
+        inside = min(max(s[i], 0.0), length)
+        j = min(int(np.floor(inside / knot)), last - 2)
+        w = inside - j * knot
+        for a in range(3):
+            c0, c1, c2, c3 = cubics[k, 0, a], cubics[k, 1, a], cubics[k, 2, a], cubics[k, 3, a]
+            position[i, a] = ((c0 * u + c1) * u + c2) * u + c3
+            velocity[a] = (3.0 * c0 * u + 2.0 * c1) * u + c2
+            bend[a] = 6.0 * c0 * u + 2.0 * c1
+            out[a] = ((ups[j, 0, a] * w + ups[j, 1, a]) * w + ups[j, 2, a]) * w + ups[j, 3, a]
+        square = velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2
+        for a in range(3):
+            tangent[i, a] = velocity[a] / np.sqrt(square)
+        t = tangent[i]
+        n0, n1, n2 = out[1] * t[2] - out[2] * t[1], out[2] * t[0] - out[0] * t[2], out[0] * t[1] - out[1] * t[0]
+        size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+        normal[i, 0], normal[i, 1], normal[i, 2] = n0 / size, n1 / size, n2 / size
+        n = normal[i]
+        up[i, 0] = t[1] * n[2] - t[2] * n[1]
+        up[i, 1] = t[2] * n[0] - t[0] * n[2]
+        up[i, 2] = t[0] * n[1] - t[1] * n[0]
+        curvature[i] = (bend[0] * n[0] + bend[1] * n[1] + bend[2] * n[2]) / square
+    return position, tangent, normal, up, curvature
+
+
+@njit(cache=True)
+def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float) -> Array:  # pragma: no cover
+    """Arc lengths ``(m,)`` of the feet of ``points (m, 3)`` on the path between ``first`` and ``end``.
+
+    The nearest of samples a knot apart, then Newton's method on (x - p(s))·p'(s) = 0; the curvature term is kept away
+    from the centre of curvature.
+    """
+    last = cubics.shape[0] - 1
+    count = max(int((end - first) / knot), 1)
+    s = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        x0, x1, x2 = points[i, 0], points[i, 1], points[i, 2]
+        best, s_best = np.inf, first
+        for j in range(count + 1):
+            at = first + j * knot
+            k = min(max(int(np.floor(at / knot)) + 1, 0), last)
+            u = at - max(k - 1, 0) * knot
+            c = cubics[k]
+            d0 = x0 - (((c[0, 0] * u + c[1, 0]) * u + c[2, 0]) * u + c[3, 0])
+            d1 = x1 - (((c[0, 1] * u + c[1, 1]) * u + c[2, 1]) * u + c[3, 1])
+            d2 = x2 - (((c[0, 2] * u + c[1, 2]) * u + c[2, 2]) * u + c[3, 2])
+            square = d0 * d0 + d1 * d1 + d2 * d2
+            if square < best:
+                best, s_best = square, at
+        for _ in range(4):
+            k = min(max(int(np.floor(s_best / knot)) + 1, 0), last)
+            u = s_best - max(k - 1, 0) * knot
+            miss, slope = 0.0, 0.0
+            for a in range(3):
+                c0, c1, c2 = cubics[k, 0, a], cubics[k, 1, a], cubics[k, 2, a]
+                d = points[i, a] - (((c0 * u + c1) * u + c2) * u + cubics[k, 3, a])
+                v = (3.0 * c0 * u + 2.0 * c1) * u + c2
+                miss += d * v
+                slope += v * v - d * (6.0 * c0 * u + 2.0 * c1)
+            s_best += miss / max(slope, 0.3)
+        s[i] = s_best
+    return s
+
+
+@njit(cache=True)
+def deviation_basis(
+    position: Array,
+    directions: tuple[Array, Array],
+    wanted: int,
+    centre: Array,
+    axes: Array,
+    rigid: int,
+    s: Array,
+    start: float,
+    spacing: float,
+    count: int,
+) -> Array:  # pragma: no cover
+    """Deviation per state, ``(m, wanted, rigid + wanted · count)``: rigid motion and cubic B-splines.
+
+    Args:
+        position: points of the path ``(m, 3)``.
+        directions: normals and ups there, ``(m, 3)`` each; the first ``wanted`` count.
+        wanted: number of directions.
+        centre: point about which the rigid motion turns ``(3,)``.
+        axes: axes of the rigid motion as rows ``(3, 3)``.
+        rigid: 3 for a motion in the plane of the first two axes, 6 for any.
+        s: arc lengths ``(m,)``.
+        start, spacing, count: first knot, spacing and number of the B-splines.
+    """
+    m = s.size
+    H = np.zeros((m, wanted, rigid + wanted * count))
+    for i in range(m):
+        u = min(max((s[i] - start) / spacing, 0.0), count - 3 - 1e-9)
+        j = int(u)
+        u -= j
+        weights = (
+            (1.0 - u) ** 3 / 6.0,
+            (3.0 * u**3 - 6.0 * u**2 + 4.0) / 6.0,
+            (-3.0 * u**3 + 3.0 * u**2 + 3.0 * u + 1.0) / 6.0,
+            u**3 / 6.0,
+        )
+        for d in range(wanted):
+            g = directions[d][i]
+            for b in range(4):
+                H[i, d, rigid + d * count + j + b] = weights[b]
+            l0, l1, l2 = position[i, 0] - centre[0], position[i, 1] - centre[1], position[i, 2] - centre[2]
+            # g·(τ + φ × lever) with τ and φ along the axes, and g·(e × lever) = e·(lever × g).
+            t0, t1, t2 = l1 * g[2] - l2 * g[1], l2 * g[0] - l0 * g[2], l0 * g[1] - l1 * g[0]
+            for a in range(3):
+                move = axes[a, 0] * g[0] + axes[a, 1] * g[1] + axes[a, 2] * g[2]
+                turn = axes[a, 0] * t0 + axes[a, 1] * t1 + axes[a, 2] * t2
+                if rigid == 6:
+                    H[i, d, a], H[i, d, 3 + a] = move, turn
+                elif a < 2:
+                    H[i, d, a] = move
+                else:
+                    H[i, d, 2] = turn
+    return H

@@ -1,0 +1,83 @@
+"""Where the arm was at an instant between the controller's samples: what a late sensor value belongs to ([L] 4.3)."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.planning_error import PlanningError
+
+
+class PoseHistory:
+    """The last joint angles that the controller told, and poses interpolated between them.
+
+    "We compute the camera position of the time instant of sensing and then evaluate the measured sensor data for this
+    time instant" ([L] 4.3). Between samples the joint angles follow the cubic through the four nearest ones.
+
+    Args:
+        robot: the arm.
+        length: how far back one can ask [s].
+        ahead: how far ahead of the last sample one can ask [s].
+    """
+
+    def __init__(self, robot: Robot, length: float = 0.5, ahead: float = 0.05) -> None:
+        self._robot, self._data = robot, robot.model.createData()
+        self._length, self._ahead = length, ahead
+        self._t: deque[float] = deque()
+        self._q: deque[Array] = deque()
+
+    @property
+    def first(self) -> float:
+        """Earliest instant one can ask for [s]."""
+        return self._t[0]
+
+    def add(self, t: float, q: Array) -> None:
+        """Adds one sample ``q (n,)`` [rad] valid at ``t`` [s]; samples come in the order of time."""
+        if self._t and t <= self._t[-1]:
+            raise PlanningError(f"joint angles at t = {t:.4f} s came after those at t = {self._t[-1]:.4f} s")
+        self._t.append(t)
+        self._q.append(np.array(q, dtype=float))
+        while self._t[0] < t - self._length and len(self._t) > 4:
+            self._t.popleft()
+            self._q.popleft()
+
+    def q(self, t: float) -> Array:
+        """Joint angles ``(n,)`` [rad] at ``t`` [s].
+
+        Raises:
+            PlanningError: ``t`` lies before the history or too far after it.
+        """
+        times = self._t
+        if not times or t < times[0] - 1e-9 or t > times[-1] + self._ahead:
+            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if times else "nothing"
+            raise PlanningError(f"no pose at t = {t:.3f} s: the history holds {span}; is a time stamp wrong?")
+        if len(times) < 4:
+            return np.array([np.interp(t, times, column) for column in np.transpose(self._q)])
+        last = len(times) - 1
+        while last > 3 and times[last - 2] > t:
+            last -= 1
+        t0, t1, t2, t3 = (times[last - i] - t for i in (3, 2, 1, 0))
+        # Lagrange's polynomial at t, which is 0 here.
+        w0 = -t1 * t2 * t3 / ((t0 - t1) * (t0 - t2) * (t0 - t3))
+        w1 = -t0 * t2 * t3 / ((t1 - t0) * (t1 - t2) * (t1 - t3))
+        w2 = -t0 * t1 * t3 / ((t2 - t0) * (t2 - t1) * (t2 - t3))
+        w3 = -t0 * t1 * t2 / ((t3 - t0) * (t3 - t1) * (t3 - t2))
+        q = self._q
+        return np.asarray(w0 * q[last - 3] + w1 * q[last - 2] + w2 * q[last - 1] + w3 * q[last])
+
+    def pose(self, t: float) -> pin.SE3:
+        """TCP pose in the base frame at ``t`` [s]; raises as ``q``."""
+        pin.framesForwardKinematics(self._robot.model, self._data, self.q(t))
+        return self._data.oMf[self._robot.tool_id].copy()
+
+    def velocity(self, t: float) -> tuple[Array, Array]:
+        """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``."""
+        step, model, data = 1e-3, self._robot.model, self._data
+        rate = (self.q(t + step) - self.q(t - step)) / (2 * step)
+        pin.forwardKinematics(model, data, self.q(t), rate)
+        motion = pin.getFrameVelocity(model, data, self._robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
+        return motion.linear.copy(), motion.angular.copy()

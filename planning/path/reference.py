@@ -1,0 +1,184 @@
+"""The reference path x_r: position and tool orientation over arc length ([L] 4.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from planning.path.arc_length import averaged, even_steps
+from planning.path.path_kernels import feet_of, frames_at
+from planning.path.vectors import cross, dot, exp, unit
+
+
+@dataclass(frozen=True)
+class PathFrames:
+    """The path's own frame at some arc lengths: right-handed ``(tangent, normal, up)``, each ``(m, 3)``.
+
+    Attributes:
+        position: points of the path [m].
+        tangent: unit vectors of travel.
+        normal: unit vectors to the left in the surface; lateral deviations count along them.
+        up: unit vectors out of the surface.
+        curvature: in the surface, positive to the left ``(m,)`` [1/m]; 0 beyond the ends.
+    """
+
+    position: Array
+    tangent: Array
+    normal: Array
+    up: Array
+    curvature: Array
+
+
+class ReferencePath:
+    """A curve with continuous curvature and a tool orientation that turns smoothly along it.
+
+    Before its start and behind its end it goes on straight, so that a camera may look past the end.
+
+    Args:
+        points: points of the curve in the order of travel ``(N, 3)`` [m], as dense as their shape needs; nothing
+            is assumed about their spacing.
+        up: the surface normal, one for all ``(3,)`` or one a point ``(N, 3)``.
+        turning: share of the tangent's turning that the tool takes part in: 0 keeps the tool's orientation (on a flat
+            surface), 1 keeps the tool's x axis on the tangent.
+        turn_smoothing: length over which the tool's heading is averaged [m].
+        smoothing: length over which the points are averaged [m]; it makes curvature continuous where straight pieces
+            meet arcs, or rounds corners. A curve of radius ``r`` is cut by about ``smoothing²/(12 r)``.
+        rotation: tool orientation ``(3, 3)`` where the tool's heading is the path's mean direction; by default the
+            tool's z axis points into the surface and its x axis ahead.
+
+    Raises:
+        InputError: fewer than two different points, values that are not finite, or a length below 10 mm.
+    """
+
+    def __init__(
+        self,
+        points: Array,
+        *,
+        up: Array | tuple[float, float, float] = (0.0, 0.0, 1.0),
+        turning: float = 0.0,
+        turn_smoothing: float = 0.05,
+        smoothing: float = 0.01,
+        rotation: Array | None = None,
+    ) -> None:
+        points = np.asarray(points, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
+            raise InputError("expected finite points of shape (N, 3)", field="path", value=points.shape)
+        step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        keep = np.concatenate([[True], step > 1e-9])
+        points, chord = points[keep], np.concatenate([[0.0], np.cumsum(step[step > 1e-9])])
+        if len(points) < 2 or chord[-1] < 0.01:
+            raise InputError("the path is shorter than 10 mm", field="path", value=float(chord[-1]))
+        even, knots = even_steps(points, chord, smoothing)
+        self.length = float(knots[-1])
+        self._knot = float(knots[1] - knots[0])
+        spline = CubicSpline(knots, even)
+        # One straight piece more at each end.
+        zero = np.zeros(3)
+        before = [zero, zero, unit(spline(0.0, 1)), even[0]]
+        after = [zero, zero, unit(spline(self.length, 1)), even[-1]]
+        pieces = [np.array(before)[None], spline.c.transpose(1, 0, 2), np.array(after)[None]]
+        self._cubics = np.ascontiguousarray(np.concatenate(pieces))
+        normals = (
+            np.broadcast_to(np.asarray(up, dtype=float), (len(keep), 3)) if np.ndim(up) == 1 else np.asarray(up, float)
+        )
+        if normals.shape != (len(keep), 3):
+            raise InputError("expected one surface normal, or one for each point", field="up", value=normals.shape)
+        normals = normals[keep] / np.linalg.norm(normals[keep], axis=1, keepdims=True)
+        where = np.linspace(0.0, chord[-1], len(knots))
+        ups = CubicSpline(knots, np.column_stack([np.interp(where, chord, normals[:, i]) for i in range(3)]))
+        self._ups = np.ascontiguousarray(ups.c.transpose(1, 0, 2))
+        self._start, self._turn = self._orientation(knots, turning, turn_smoothing, rotation)
+
+    @classmethod
+    def from_formula(cls, formula: Callable[[Array], Array], u0: float, u1: float, **options: object) -> ReferencePath:
+        """The curve ``formula(u)``, ``(N,)`` to ``(N, 3)`` [m], for ``u`` from ``u0`` to ``u1``; options as above."""
+        return cls(np.asarray(formula(np.linspace(u0, u1, 4001)), dtype=float), **options)  # type: ignore[arg-type]
+
+    def frames(self, s: Array | float) -> PathFrames:
+        """Points, tangents, lateral and surface normals and curvature at arc lengths ``s (m,)`` [m], or at one."""
+        at = np.asarray(s, dtype=float)
+        if at.ndim:
+            return PathFrames(*frames_at(self._cubics, self._ups, self._knot, at))
+        return PathFrames(*(values[0] for values in frames_at(self._cubics, self._ups, self._knot, at[None])))
+
+    def position(self, s: Array | float) -> Array:
+        """Points at arc lengths ``s (m,)`` [m], shape ``(m, 3)`` [m]; a single ``s`` gives ``(3,)``."""
+        return self.frames(s).position
+
+    def tangent(self, s: Array | float) -> Array:
+        """Unit vectors of travel at ``s``, shape ``(m, 3)``."""
+        return self.frames(s).tangent
+
+    def up(self, s: Array | float) -> Array:
+        """Unit normals of the surface at ``s``, made square to the tangent, shape ``(m, 3)``."""
+        return self.frames(s).up
+
+    def normal(self, s: Array | float) -> Array:
+        """Unit lateral normals at ``s``: in the surface, to the left of the travel, shape ``(m, 3)``."""
+        return self.frames(s).normal
+
+    def curvature(self, s: Array | float) -> Array:
+        """Curvature in the surface [1/m], positive to the left, shape ``(m,)``; 0 beyond the ends."""
+        return self.frames(s).curvature
+
+    def rotation(self, s: Array | float) -> Array:
+        """Tool orientations at ``s``, shape ``(m, 3, 3)``; constant beyond the ends."""
+        w = self._turn(np.clip(s, 0.0, self.length))
+        return np.asarray(self._start @ exp(w))
+
+    def pose(self, s: float) -> pin.SE3:
+        """TCP pose of the reference at one arc length."""
+        return pin.SE3(self.rotation(s), self.position(s))
+
+    def poses(self, s: Array) -> list[pin.SE3]:
+        """TCP poses of the reference at ``s (m,)``."""
+        return [pin.SE3(R, p) for R, p in zip(self.rotation(s), self.position(s), strict=True)]
+
+    def project(self, points: Array, s_near: float, span: float = 0.3) -> tuple[Array, Array, Array]:
+        """Coordinates of points in the path's frame, nearest foot within ``s_near ± span``.
+
+        Args:
+            points: ``(m, 3)`` [m].
+            s_near: where on the path to look [m]; what keeps crossings apart.
+            span: how far from there [m].
+
+        Returns:
+            arc length of the foot, lateral deviation along ``normal`` and height along ``up``, ``(m,)`` each [m].
+        """
+        s = feet_of(self._cubics, self._knot, points, s_near - span, s_near + span)
+        frames = self.frames(s)
+        away = points - frames.position
+        return s, dot(away, frames.normal), dot(away, frames.up)
+
+    def _orientation(
+        self, knots: Array, turning: float, turn_smoothing: float, rotation: Array | None
+    ) -> tuple[Array, CubicSpline]:
+        """Tool orientation at the start, and the rotation vector from there over arc length."""
+        frames = self.frames(knots)
+        chord = self.position(self.length) - self.position(0.0)
+        closed = np.linalg.norm(chord) < 0.1 * self.length
+        mean = frames.tangent[0] if closed else chord
+        ahead = unit(mean - np.sum(mean * frames.up, axis=1)[:, None] * frames.up)
+        left = cross(frames.up, ahead)
+        heading = np.unwrap(np.arctan2(np.sum(frames.tangent * left, axis=1), np.sum(frames.tangent * ahead, axis=1)))
+        heading = turning * averaged(heading[:, None], round(turn_smoothing / (knots[1] - knots[0])))[:, 0]
+        x = np.cos(heading)[:, None] * ahead + np.sin(heading)[:, None] * left
+        R = np.stack([x, cross(x, frames.up), -frames.up], axis=2)
+        if rotation is not None:
+            # The given orientation holds where the heading is the mean direction; all others turn with the surface.
+            mean_frame = np.column_stack([ahead[0], np.cross(ahead[0], frames.up[0]), -frames.up[0]])
+            R = R @ (mean_frame.T @ np.asarray(rotation, dtype=float))
+        w = np.array([pin.log3(R[0].T @ R_i) for R_i in R])
+        for i in range(1, len(w)):
+            angle = np.linalg.norm(w[i])
+            if angle > 1e-9:
+                # Equivalent rotation vectors differ by full turns about the same axis: stay near the last one.
+                axis = w[i] / angle
+                w[i] = axis * (angle + 2 * np.pi * round((float(w[i - 1] @ axis) - angle) / (2 * np.pi)))
+        return R[0], CubicSpline(knots, w)

@@ -1,0 +1,280 @@
+"""Travel along the reference path over time: from rest to rest, within what path and joints allow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import minimum_filter1d
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from planning.path.reference import ReferencePath
+from planning.planning_error import OutOfReachError
+
+STEP = 0.002
+"""Spacing of the joint path on which limits are checked [m]."""
+TICK = 0.001
+"""Spacing in time of the profile's samples [s]."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the travel has to keep.
+
+    Attributes:
+        speed: top speed [m/s].
+        acceleration: along the path [m/s²].
+        jerk: along the path [m/s³].
+        share: share of the joints' velocity and acceleration limits that the reference may use; the rest is for
+            corrections by sensors.
+    """
+
+    speed: float
+    acceleration: float = 5.0
+    jerk: float = 100.0
+    share: float = 0.85
+
+    def __post_init__(self) -> None:
+        for key in ("speed", "acceleration", "jerk", "share"):
+            value = getattr(self, key)
+            if not np.isfinite(value) or value <= 0:
+                raise InputError("expected a positive number", field=key, value=value)
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """The reference in joint space: angles and their two derivatives by arc length at ``s (K,)``, ``(K, n)`` each."""
+
+    s: Array
+    q: Array
+    dq: Array
+    ddq: Array
+
+    @classmethod
+    def of(cls, robot: Robot, reference: ReferencePath, home: Array | None = None) -> JointPath:
+        """Solves the inverse kinematics along the whole path, in the posture nearest to ``home``.
+
+        Raises:
+            InputError: a part of the path is out of reach; says where, which joint and its limit.
+        """
+        kinematics = InverseKinematics(robot)
+        s = np.linspace(0.0, reference.length, max(round(reference.length / STEP), 10) + 1)
+        poses = reference.poses(s)
+        try:
+            q = kinematics.path(poses, kinematics.search(poses[0], robot.home if home is None else home))
+        except OutOfReachError as error:
+            raise InputError(f"the path cannot be reached by {robot.name}: {error}", field="path") from error
+        spline = CubicSpline(s, q)
+        return cls(s, q, spline(s, 1), spline(s, 2))
+
+
+class SpeedProfile:
+    r"""Arc length over time, :math:`s(t)`, with bounded jerk.
+
+    The speed limit at each place is the smallest of the top speed and of what the joints allow,
+    :math:`|q_i'|\,\dot s \le \dot q_{i,\max}` and :math:`|q_i' \ddot s + q_i'' \dot s^2| \le \ddot q_{i,\max}`; sweeps
+    forwards and backwards bound the acceleration, and an average over time bounds the jerk.
+
+    Attributes:
+        duration: time from rest to rest [s].
+        length: distance travelled [m].
+        top_speed: highest speed that is reached [m/s].
+        slowed: where a joint keeps the speed below the one asked for: ``(from s, to s, lowest speed, joint)``.
+    """
+
+    def __init__(self, s: Array) -> None:
+        """Of samples ``s (K,)`` [m] every ``TICK`` seconds, beginning and ending at rest."""
+        self.duration = TICK * (len(s) - 1)
+        self.length = float(s[-1])
+        self._spline = CubicSpline(TICK * np.arange(len(s)), s, bc_type="clamped")
+        self.top_speed = float(np.max(self.speed(TICK * np.arange(len(s)))))
+        self.slowed: tuple[tuple[float, float, float, int], ...] = ()
+
+    def s(self, t: npt.ArrayLike) -> Array:
+        """Arc length [m] at times ``t`` after the start [s]; at rest before the start and after the end."""
+        return np.asarray(self._spline(np.clip(t, 0.0, self.duration)))
+
+    def speed(self, t: npt.ArrayLike) -> Array:
+        """Path speed [m/s] at times ``t``."""
+        return np.asarray(self._spline(np.clip(t, 0.0, self.duration), 1))
+
+    def at(self, t: float) -> tuple[float, float]:
+        """Arc length [m] and speed [m/s] at one instant, without the overhead of arrays."""
+        t = min(max(t, 0.0), self.duration)
+        i = min(int(t / TICK), self._spline.c.shape[1] - 1)
+        a, b, c, d = self._spline.c[:, i].tolist()
+        u = t - self._spline.x[i]
+        return float(((a * u + b) * u + c) * u + d), float((3.0 * a * u + 2.0 * b) * u + c)
+
+    def acceleration(self, t: npt.ArrayLike) -> Array:
+        """Path acceleration [m/s²] at times ``t``."""
+        inside = np.clip(t, 0.0, self.duration)
+        return np.where(inside == t, self._spline(inside, 2), 0.0)
+
+    def time_at(self, s: float) -> float:
+        """First instant at which the arc length ``s`` [m] is reached [s]; the end's if it lies beyond."""
+        ticks = TICK * np.arange(round(self.duration / TICK) + 1)
+        travelled = np.maximum.accumulate(self.s(ticks))
+        return float(ticks[min(int(np.searchsorted(travelled, s)), len(ticks) - 1)])
+
+    @classmethod
+    def plan(
+        cls, robot: Robot, reference: ReferencePath, limits: Limits | float, joint_path: JointPath | None = None
+    ) -> SpeedProfile:
+        """Plans the travel along the whole reference.
+
+        Args:
+            robot: whose joint limits count.
+            reference: the path.
+            limits: or just the top speed [m/s].
+            joint_path: the reference in joint space, if it is known already.
+
+        Raises:
+            InputError: out of reach, or a speed that cannot be reached anywhere on the path; names joint, value and
+                limit, or the length that is missing.
+        """
+        limits = limits if isinstance(limits, Limits) else Limits(float(limits))
+        path = joint_path or JointPath.of(robot, reference)
+        v_max, a_max = limits.share * robot.v_max, limits.share * robot.a_max
+        by_joint = _speed_by_joint(path, v_max, a_max)
+        profile, limit = _fastest(path, by_joint, limits, v_max, a_max)
+        if profile.top_speed < 0.98 * limits.speed:
+            possible = _possible(path, by_joint, limits, v_max, a_max)
+            raise _unreachable(path, by_joint, limits, robot, possible)
+        profile.slowed = _slowed(path, limit, by_joint, profile, limits.speed)
+        return profile
+
+
+def _fastest(
+    path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array
+) -> tuple[SpeedProfile, Array]:
+    """The travel, and the speed limit at each place of the path ``(K,)`` [m/s] that came of it."""
+    ds = path.s[1] - path.s[0]
+    # Averaging over time raises dips of the speed: keep the limit's smallest value over the averaged distance.
+    window = limits.acceleration / limits.jerk
+    reach = int(np.ceil(0.5 * window * limits.speed / ds))
+    limit = np.minimum(minimum_filter1d(np.min(by_joint, axis=1), size=1 + 2 * reach), limits.speed)
+    for _ in range(20):
+        profile = _travel(path, limit, limits, a_max)
+        excess, places = _excess(profile, path, v_max, a_max)
+        if excess.max() <= 1.0 + 1e-3:
+            return profile, limit
+        lowered = np.ones(len(path.s))
+        near = np.clip(np.round(places / ds).astype(int), 0, len(lowered) - 1)
+        np.minimum.at(lowered, near, 1.0 / np.maximum(excess, 1.0))
+        limit = limit * minimum_filter1d(lowered, size=15)
+    # What lowering the limit here and there does not cure, going slower as a whole does.
+    slower = float(excess.max())
+    ticks = TICK * np.arange(round(profile.duration * slower / TICK) + 1)
+    return SpeedProfile(profile.s(ticks / slower)), limit / slower
+
+
+def _possible(path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array) -> float:
+    """Highest speed that can be asked for [m/s], rounded down."""
+    low, high = 0.0, limits.speed
+    while high - low > 0.005:
+        middle = 0.5 * (low + high)
+        reached = _fastest(path, by_joint, replace(limits, speed=middle), v_max, a_max)[0].top_speed
+        low, high = (middle, high) if reached >= 0.98 * middle else (low, middle)
+    return low
+
+
+def _speed_by_joint(path: JointPath, v_max: Array, a_max: Array) -> Array:
+    """Highest steady speed each joint allows at each place, ``(K, n)``."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        by_velocity = v_max / np.abs(path.dq)
+        by_acceleration = np.sqrt(0.8 * a_max / np.abs(path.ddq))
+    return np.fmin(
+        np.nan_to_num(by_velocity, nan=np.inf, posinf=np.inf), np.nan_to_num(by_acceleration, nan=np.inf, posinf=np.inf)
+    )
+
+
+def _travel(path: JointPath, limit: Array, limits: Limits, a_max: Array) -> SpeedProfile:
+    """Sweeps in both directions over the squared speed, then averages over time."""
+    square = limit**2
+    square[0] = square[-1] = 0.0
+    slope, bend = np.abs(path.dq), np.abs(path.ddq)
+    ds = float(path.s[1] - path.s[0])
+    for order in (range(1, len(square)), range(len(square) - 2, -1, -1)):
+        for i in order:
+            last = i - 1 if order.step > 0 else i + 1
+            with np.errstate(divide="ignore", invalid="ignore"):
+                left = (a_max - bend[last] * square[last]) / slope[last]
+            room = float(np.nanmin(np.maximum(left, 0.1 * limits.acceleration), initial=limits.acceleration))
+            square[i] = min(square[i], square[last] + 2.0 * min(room, limits.acceleration) * ds)
+    v = np.sqrt(square)
+    t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], 1e-9))])
+    # Constant acceleration between the places: the speed is linear in time there.
+    ticks = TICK * np.arange(int(np.ceil(t[-1] / TICK)) + 2)
+    speed = np.interp(ticks, t, v, right=0.0)
+    width = max(int(np.ceil(limits.acceleration / limits.jerk / TICK)), 1)
+    while True:
+        kernel = np.convolve(np.ones(width), np.ones(max(width // 4, 1)))
+        smooth = np.convolve(np.concatenate([np.zeros(3), speed, np.zeros(3)]), kernel / kernel.sum())
+        if width > 2000 or np.max(np.abs(np.diff(smooth, 2))) <= limits.jerk * TICK**2:
+            break
+        width = int(np.ceil(1.2 * width))
+    s = np.concatenate([[0.0], np.cumsum(0.5 * TICK * (smooth[1:] + smooth[:-1]))])
+    return SpeedProfile(s * (path.s[-1] / s[-1]))
+
+
+def _excess(profile: SpeedProfile, path: JointPath, v_max: Array, a_max: Array) -> tuple[Array, Array]:
+    """How far the joints are beyond their limits over time, as a factor of the speed, and where on the path."""
+    t = np.arange(0.0, profile.duration, 4 * TICK)
+    s, v, a = profile.s(t), profile.speed(t), profile.acceleration(t)
+    columns = range(path.q.shape[1])
+    dq = np.column_stack([np.interp(s, path.s, path.dq[:, i]) for i in columns])
+    ddq = np.column_stack([np.interp(s, path.s, path.ddq[:, i]) for i in columns])
+    velocity, acceleration = dq * v[:, None], dq * a[:, None] + ddq * v[:, None] ** 2
+    return np.maximum(
+        np.max(np.abs(velocity) / v_max, axis=1), np.sqrt(np.max(np.abs(acceleration) / a_max, axis=1))
+    ), s
+
+
+def _slowed(
+    path: JointPath, limit: Array, by_joint: Array, profile: SpeedProfile, speed: float
+) -> tuple[tuple[float, float, float, int], ...]:
+    """Pieces of the path where the limit, and not speeding up or braking, decides."""
+    ticks = TICK * np.arange(round(profile.duration / TICK) + 1)
+    travelled = np.interp(path.s, np.maximum.accumulate(profile.s(ticks)), profile.speed(ticks))
+    slow = np.concatenate([[False], (limit < 0.98 * speed) & (travelled > 0.9 * limit), [False]])
+    edges = np.flatnonzero(np.diff(slow.astype(int)))
+    pieces = []
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        lowest = first + int(np.argmin(limit[first:last]))
+        joint = int(np.argmin(by_joint[lowest])) + 1
+        pieces.append((float(path.s[first]), float(path.s[last - 1]), float(limit[lowest]), joint))
+    return tuple(pieces)
+
+
+def _unreachable(path: JointPath, by_joint: Array, limits: Limits, robot: Robot, possible: float) -> InputError:
+    allowed = np.min(by_joint, axis=1)
+    best = int(np.argmax(allowed))
+    if allowed[best] < 0.98 * limits.speed:
+        joint = int(np.argmin(by_joint[best]))
+        velocity, acceleration = abs(path.dq[best, joint]) * limits.speed, abs(path.ddq[best, joint]) * limits.speed**2
+        if velocity > limits.share * robot.v_max[joint]:
+            bound = limits.share * robot.v_max[joint]
+            need = f"{velocity:.2f} rad/s, {limits.share:.0%} of its limit are {bound:.2f} rad/s"
+        else:
+            bound = limits.share * robot.a_max[joint]
+            need = f"{acceleration:.1f} rad/s², {limits.share:.0%} of its limit are {bound:.1f} rad/s²"
+        return InputError(
+            f"cannot be reached anywhere on this path: joint {joint + 1} would need {need}; "
+            f"at most {possible:.2f} m/s are possible, lower the speed or move the path",
+            field="speed",
+            value=limits.speed,
+        )
+    missing = limits.speed**2 / limits.acceleration + limits.speed * limits.acceleration / limits.jerk
+    return InputError(
+        f"cannot be reached: speeding up at {limits.acceleration:g} m/s² and braking again takes about "
+        f"{missing:.2f} m, the path has {path.s[-1]:.2f} m; at most {possible:.2f} m/s are possible, lower "
+        "the speed or lengthen the path",
+        field="speed",
+        value=limits.speed,
+    )

@@ -1,0 +1,133 @@
+"""Stiffness of an arm from any mix of clamped and payload recordings: what ``stiffness`` and clamped scenes compute."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from ideal_robot.elasticity.clamp_compliance import without_clamp_give
+from ideal_robot.elasticity.clamped_signals import ClampedSignals, clamped_signals
+from ideal_robot.elasticity.payload_stiffness import identify_from_payloads
+from ideal_robot.elasticity.stiffness import (
+    WORST_CONDITION,
+    JointStiffness,
+    Method,
+    Tolerances,
+    condition_number,
+    identify_stiffness,
+)
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+CLAMPED_METHODS: tuple[Method, ...] = ("motor", "wrench")
+
+
+@dataclass(frozen=True)
+class StiffnessAnalysis:
+    """Results of all methods that the recordings allow.
+
+    Attributes:
+        robot: the arm.
+        joints: one entry per joint and method.
+        signals: the clamped recordings as they were used.
+        clamp_estimated: whether the give of clamp and links was estimated, and taken away from the motor angles.
+        warnings: what the user should know.
+    """
+
+    robot: Robot
+    joints: tuple[JointStiffness, ...]
+    signals: tuple[ClampedSignals, ...]
+    clamp_estimated: bool
+    warnings: tuple[str, ...]
+
+    def by(self, method: str) -> dict[int, JointStiffness]:
+        """Joint (from 1) → result of one method."""
+        return {one.joint: one for one in self.joints if one.method == method}
+
+    def differences(self) -> list[dict[str, Any]]:
+        """[J] table 7: how far the motor method is from the wrench method, joint by joint [%]."""
+        motor, wrench = self.by("motor"), self.by("wrench")
+        return [{"joint": joint,
+                 "difference_percent": 100 * abs(motor[joint].stiffness - wrench[joint].stiffness)
+                 / wrench[joint].stiffness}
+                for joint in sorted(set(motor) & set(wrench))]
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        return {
+            "robot": self.robot.name,
+            "urdf": self.robot.urdf,
+            "joints": [
+                {"joint": one.joint, "method": one.method, "stiffness": one.stiffness, "offset": one.offset,
+                 "std_percent": one.std_percent, "offset_std_percent": one.offset_std_percent,
+                 "relative_error_percent": one.relative_error_percent, "interval_95": list(one.interval),
+                 "condition": one.condition, "recordings": list(one.recordings)}
+                for one in self.joints],
+            "differences": self.differences(),
+            "clamp_estimated": self.clamp_estimated,
+            "recordings": [
+                {"source": one.source, "q_0": one.q_0, "measured": list(one.measured),
+                 "clock_offset": one.clock.offset, "clock_drift": one.clock.drift,
+                 "condition": condition_number(self.robot, one.q_0)} for one in self.signals],
+            "warnings": list(self.warnings),
+        }
+
+
+def analyse(recordings: Sequence[Recording], robot: Robot, method: str = "both", *, clamp: bool | None = None,
+            drive_gain: float = 0.03) -> StiffnessAnalysis:
+    """Identifies stiffness by every method asked for.
+
+    Args:
+        recordings: clamped ones, and such with a column ``payload``.
+        robot: geometry and data-sheet drive gains.
+        method: ``motor``, ``wrench`` or ``both``.
+        clamp: estimate the give of clamp and links, too; None: where the recordings allow it (two or more clamped
+            configurations with all six wrench components).
+        drive_gain: relative standard deviation of the data sheet's drive gains.
+
+    Raises:
+        InputError: unknown method, or a recording that does not have what it takes.
+    """
+    if method not in (*CLAMPED_METHODS, "both"):
+        raise InputError("expected motor, wrench or both", field="--method", value=method)
+    hung = [one for one in recordings if "payload" in one.columns]
+    signals = tuple(clamped_signals(one, robot) for one in recordings if "payload" not in one.columns)
+    wanted = [one for one in CLAMPED_METHODS if method in (one, "both")]
+    if method == "both":
+        # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
+        wanted = [one for one in wanted if all(_allows(signal, one) for signal in signals)]
+    if clamp is None:
+        clamp = len(signals) > 1 and all(len(signal.measured) == 6 for signal in signals)
+    joints: list[JointStiffness] = []
+    if signals and not wanted:
+        raise InputError("the recordings share no method: some lack currents, others the wrench", field="recordings")
+    clamp = clamp and bool(signals)
+    standing = without_clamp_give(signals, robot) if clamp else signals
+    # Told apart, the give of clamp and links leaves a third of the uncertainty.
+    tolerances = Tolerances(drive_gain=drive_gain, model=0.01 if clamp else Tolerances.model)
+    for one in wanted if signals else []:
+        joints.extend(identify_stiffness(standing, robot, one, tolerances))
+    if hung:
+        joints.extend(identify_from_payloads(hung, robot))
+    return StiffnessAnalysis(robot, tuple(joints), standing, bool(clamp), _warnings(signals, robot, joints))
+
+
+def _allows(signals: ClampedSignals, method: Method) -> bool:
+    return (signals.tau if method == "motor" else signals.wrench) is not None
+
+
+def _warnings(signals: Sequence[ClampedSignals], robot: Robot, joints: Sequence[JointStiffness]) -> tuple[str, ...]:
+    found = []
+    for one in signals:
+        condition = condition_number(robot, one.q_0)
+        if condition > WORST_CONDITION:
+            found.append(f"{one.source}: the Jacobian's condition number is {condition:.0f}; joint torques from the "
+                         "wrench are unreliable there, clamp in another configuration")
+        if 0 < len(one.measured) < 6:
+            found.append(f"{one.source}: only {', '.join(one.measured)} measured, the rest counts as zero")
+    missing = sorted(set(range(1, robot.n + 1)) - {one.joint for one in joints})
+    if missing:
+        found.append(f"not loaded, so not identified: joint {', '.join(map(str, missing))}")
+    return tuple(found)

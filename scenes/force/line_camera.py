@@ -1,0 +1,150 @@
+"""The camera of a ``glue`` scene: fields of the drawn line on the curved surface, and what can go wrong with them."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from planning.force.contact import FORCE_ERRORS
+from planning.line.deviation_model import PathDeviation
+from planning.line.fusion import DeviationFilter
+from planning.line.line_on_surface import LineOnSurface, SightSettings
+from scenes.force.cell import N_D, Cell
+from scenes.force.scene import ForceScene
+from scenes.line.scene import calibration_sizes
+from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.camera.field import Field
+from sensing.camera.line_detection import DetectionSettings, LineField, detect_line, search_windows
+from sim.arm.arm import SimulatedArm
+from sim.camera.camera import CameraSettings
+from sim.camera.relief_camera import ReliefCamera
+from sim.camera.surface import DrawnLine
+
+KNOWN = 1e-6
+"""Standard deviation of a relative error that is not estimated."""
+CONFIRM = 0
+"""No rival hypotheses: with two sensors one that agrees would always outvote the other."""
+
+
+def glue_fusion(cell: Cell) -> DeviationFilter:
+    """One filter for both sensors: a map in two directions, and the camera's own errors."""
+    sight = SightSettings()
+    assumed = cell.scene.assumed
+    camera = (sight.yaw, sight.stamp, sight.scale if assumed.distance_estimated else KNOWN)
+    force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
+    ahead = (N_D + 6) * cell.world.t_ipo * cell.profile.top_speed + 0.2
+    model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
+                          rotation=0.05, shape=0.01, length=0.1)
+    return DeviationFilter(model, biases={"camera": camera, "force": force}, confirm=CONFIRM)
+
+
+class GlueCamera:
+    """The camera in the loop of a ``glue`` scene.
+
+    Args:
+        cell: the scene set up.
+        follower: whose map the fields go into.
+    """
+
+    def __init__(self, cell: Cell, follower: Any) -> None:
+        scene: ForceScene = cell.scene
+        table = scene.camera
+        self._rng, calibration = cell.camera_streams
+        believed = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
+                                       default_mount(table.mount_height, table.mount_ahead))
+        true = believed.perturbed(**CalibrationError(**calibration_sizes(scene.calibration)).signed(calibration))
+        self.camera, self.follower, self._trouble = believed, follower, scene.trouble
+        where = cell.geometry
+        self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
+                              background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
+        settings = CameraSettings(**{key: getattr(table, key) for key in CameraSettings.__dataclass_fields__
+                                     if key != "phase"})
+        self._rendered = ReliefCamera(true, self.line, cell.surface, settings, self._rng)
+        self.detection = DetectionSettings(line_width=self.line.width, dark=scene.line.gray < scene.line.background)
+        reference = cell.reference
+        span = (scene.reference.run_up, reference.length - scene.reference.run_out)
+        sight = SightSettings(latency=table.latency, distance_ratio=scene.assumed.distance_ratio)
+        self.sight = LineOnSurface(follower, believed.T_tool_camera, sight, span)
+        self._under_way: list[Field] = []
+        self.fields: list[tuple[float, int, str]] = []
+        self.first_used = float("nan")
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self._rendered.close()
+
+    def __enter__(self) -> GlueCamera:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def windows(self, t0: float, t1: float) -> list[tuple[float, Any]]:
+        """Exposures of the coming cycle with the windows that are to be read out."""
+        wanted = []
+        for exposure in self._rendered.due(t0, t1):
+            if not self._during(self._trouble.loss, exposure):
+                ahead = self.sight.predict(exposure).seen_from(self.follower.history.pose(exposure))
+                wanted.append((exposure, search_windows(self.camera, ahead, self.detection)))
+        return wanted
+
+    def expose(self, wanted: list[tuple[float, Any]], arm: SimulatedArm) -> None:
+        """Takes the pictures of a cycle that is over."""
+        self._under_way += [self._rendered.windows(t, arm.tcp_at, windows) for t, windows in wanted]
+
+    def sense(self, t: float) -> None:
+        """Evaluates the fields that have arrived by ``t`` and fuses them."""
+        arrived = sorted((f for f in self._under_way if f.t_arrival <= t), key=lambda f: f.t_arrival)
+        self._under_way = [f for f in self._under_way if f.t_arrival > t]
+        for item in arrived:
+            ahead = self.sight.predict(item.t_stamp).seen_from(self.follower.history.pose(item.t_stamp))
+            seen = detect_line(item, self.camera, ahead, self.detection)
+            if self._during(self._trouble.garbage, item.t_stamp):
+                seen = self._garbage(seen)
+            fused = self.sight.update(seen)
+            dof = 0 if fused is None else fused.dof
+            if dof and not np.isfinite(self.first_used):
+                self.first_used = t
+            self.fields.append((item.t_stamp, dof, seen.reason if fused is None else fused.reason))
+
+    def _during(self, span: tuple[float, ...], t: float) -> bool:
+        """Whether ``t`` lies in a span that counts from the beginning of the travel."""
+        start = self.follower.t_travel
+        return len(span) == 2 and start + span[0] <= t < start + span[1]
+
+    def _garbage(self, seen: LineField) -> LineField:
+        """Another field than the camera took: points anywhere beside the line, each claiming to be good."""
+        size = 1e-3 * self._trouble.garbage_mm
+        beside = size * self._rng.uniform(-1, 1) + 0.2 * size * self._rng.standard_normal(len(seen.points_tcp))
+        points = seen.points_tcp.copy()
+        points[:, 1] += beside
+        return LineField(seen.t, points, seen.pixels, seen.lateral, seen.sigma, seen.quality, seen.used, seen.seen,
+                         seen.reason)
+
+    def control_error(self, t: Array, tcp: Array) -> tuple[dict[str, Any], tuple[Array, Array]]:
+        """Distance of the true tip from the drawn line, seen along the plane's normal, while it is followed.
+
+        Args:
+            t, tcp: true positions of the tip ``(N,)`` [s], ``(N, 3)`` [m], during the travel.
+
+        Returns:
+            the figures for ``--json`` and the series (instants, signed distances [m]).
+        """
+        plane = self.line.plane
+        up = plane.rotation[:, 2]
+        nearest = self.line.nearest(tcp - np.outer((tcp - plane.translation) @ up, up))
+        inside = (nearest.s > 1e-6) & (nearest.s < self.line.polyline.s[-1] - 1e-6)
+        inside &= t >= self.first_used + 0.3 if np.isfinite(self.first_used) else False
+        lateral = nearest.lateral[inside]
+        size = 1e3 * np.abs(lateral)
+        nothing = {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
+        figures = nothing if not len(size) else {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)),
+                                                 "max": float(size.max())}
+        used = sum(1 for one in self.fields if one[1] > 0)
+        refused = sum(1 for one in self.fields if one[1] == 0)
+        return ({"control_error_mm": figures, "fields": {"seen": len(self.fields), "used": used, "left_out": refused}},
+                (t[inside], lateral))

@@ -1,0 +1,131 @@
+"""The pages of force scenes: force and surface over time, and the methods side by side."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from planning.force.contact import Phase
+from scenes.force.compare import ForceComparison
+from scenes.force.result import ForceResult
+from scenes.report.page import Report
+
+COLOURS = {"ideal": "#e06000", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
+
+
+def write_run(result: ForceResult, out: Path) -> ForceResult:
+    """Writes recording and page of one run and returns the result with their paths."""
+    recording = result.recording.write(out / "recording.parquet")
+    f, scene = result.figures, result.scene
+    line = result.lateral.get("control_error_mm")
+    beside = f", mean distance from the line {line['mean']:.3f} mm" if line else ""
+    page = Report(scene.title, f"{result.method} at {scene.speed:g} m/s: RMS force error {f.rms:.2f} N of "
+                  f"{scene.force:g} N, largest force {f.largest:.1f} N{beside}.")
+    if result.failure is not None:
+        page.warning(result.failure)
+    page.figures(result.summary())
+    page.text(scene.description)
+    page.heading("Force and surface")
+    page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
+                "travel, which counts. Bottom: height of the true surface and of the undeformed tip, which has to be "
+                "F/E below it.")
+    if "control_error_mm" in result.lateral:
+        page.heading("Line")
+        page.figure(_line_figure(result), "Distance of the tip from the drawn line, and how many points "
+                    "of each field were used.")
+        page.text(_camera_story(result))
+    page.heading("What was calibrated by moving")
+    assumed, std, true = result.elasticity
+    page.table(["", "found", "true"], [["elasticity E [N/m]", f"{assumed:.0f} ± {std:.0f}", f"{true:.0f}"],
+                                       ["mass of the tool [kg]", result.tool["mass"], scene.sensor.mass]],
+               "E is that of the whole chain, tip and gears.")
+    report = page.write(out / "report.html")
+    return replace(result, recording_path=recording, report=report)
+
+
+def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
+    """Writes the page of a comparison."""
+    scene = comparison.scene
+    by = {one.method: one.figures.rms for one in comparison.results}
+    direct = f", {by['direct_feedback']:.2f} N with the best direct feedback" if "direct_feedback" in by else ""
+    page = Report(f"{scene.title}: methods compared", f"RMS force error {by['ideal']:.2f} N with the ideal robot"
+                  f"{direct}.")
+    page.table(*comparison.table())
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    axis = figure.subplots()
+    for one in comparison.results:
+        axis.plot(one.history["t"], one.history["normal"], lw=0.9, color=COLOURS[one.method], label=one.method)
+    axis.axhline(scene.force, color="black", lw=0.7)
+    axis.set_ylim(0, 3 * scene.force)
+    axis.set_xlabel("t [s]")
+    axis.set_ylabel("normal force [N]")
+    axis.legend()
+    page.figure(figure, "True normal force of all methods.")
+    if comparison.troubles:
+        page.heading("The camera in trouble")
+        page.text("The same scene with the ideal robot: the map carries the tool on, and what contradicts it or itself "
+                  "is left out.")
+        page.table(["camera", "mean distance from the line [mm]", "largest [mm]", "RMS force error [N]", "fields used",
+                    "fields left out"],
+                   [[name, one.lateral["control_error_mm"]["mean"], one.lateral["control_error_mm"]["max"],
+                     one.figures.rms, one.lateral["fields"]["used"], one.lateral["fields"]["left_out"]]
+                    for name, one in comparison.troubles])
+    if comparison.trials:
+        page.heading("Search for the best direct feedback")
+        page.table(["K_p [µm/N]", "K_d [µm/N]", "RMS force error [N]"],
+                   [[1e6 * one.k_p, 1e6 * one.k_d, one.rms] for one in comparison.trials])
+    return replace(comparison, report=page.write(out / "report.html"))
+
+
+def _camera_story(result: ForceResult) -> str:
+    """What the camera went through, and what was made of it."""
+    scene, fields = result.scene, result.log.fields
+    told = [f"The camera took {scene.camera.rate:g} fields a second."]
+    for span, what in ((scene.trouble.loss, "showed nothing"), (scene.trouble.garbage, "reported garbage")):
+        if len(span) == 2:
+            told.append(f"It {what} from {span[0]:g} s to {span[1]:g} s after the beginning of the travel.")
+    reasons = Counter(reason.split(",")[0] for _, used, reason in fields if used == 0 and reason)
+    if reasons:
+        told.append("Left out: " + "; ".join(f"{count} × {reason}" for reason, count in reasons.most_common(5)) + ".")
+    return " ".join(told)
+
+
+def _run_figure(result: ForceResult) -> Figure:
+    history, log = result.history, result.log
+    figure = Figure(figsize=(9, 5.5), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True)
+    top.plot(history["t"], history["normal"], color=COLOURS["ideal"], lw=0.9, label="true")
+    top.axhline(result.scene.force, color="black", lw=0.7, label="wanted")
+    t = np.array(log.t)
+    travel = t[np.array(log.phase) == Phase.TRAVEL.value]
+    if len(travel):
+        top.axvspan(travel[0], travel[-1], color="#1f5fa8", alpha=0.07)
+    top.set_ylim(0, min(3.2 * result.scene.force, 1.15 * max(history["normal"].max(), 1.0)))
+    top.set_ylabel("normal force [N]")
+    top.legend(loc="upper right")
+    bottom.plot(history["t"], 1e3 * history["height"], color="black", lw=0.9, label="surface")
+    bottom.plot(history["t"], 1e3 * history["tip"][:, 2], color=COLOURS["ideal"], lw=0.9, label="undeformed tip")
+    bottom.set_ylabel("height over nominal plane [mm]")
+    bottom.set_xlabel("t [s]")
+    bottom.legend(loc="upper right")
+    for axis in (top, bottom):
+        axis.grid(alpha=0.3)
+    return figure
+
+
+def _line_figure(result: ForceResult) -> Figure:
+    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
+    top.plot(result.lateral_series[0], 1e3 * result.lateral_series[1], color=COLOURS["ideal"], lw=0.9)
+    top.set_ylabel("distance from the line [mm]")
+    fields = result.log.fields
+    bottom.plot([one[0] for one in fields], [one[1] for one in fields], ".", color="#1f5fa8")
+    bottom.set_ylabel("points used")
+    bottom.set_xlabel("t [s]")
+    for axis in (top, bottom):
+        axis.grid(alpha=0.3)
+    return figure

@@ -1,0 +1,209 @@
+"""From recordings to a model, its figures and its JSON: what ``ideal-robot identify`` does."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.friction import CubeRoot
+from ideal_robot.friction.warm_up import WarmUp, fit_warm_up
+from ideal_robot.identification.closed_loop_fit import fit_controller
+from ideal_robot.identification.controller import ControllerIdentification, identify_controller
+from ideal_robot.identification.idim import Identification, identify, relative_error
+from ideal_robot.identification.impulse_response_fit import LinearLoopFit, identify_linear_loop
+from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
+from ideal_robot.identification.two_step import TwoStep, identify_two_step
+from ideal_robot.model.model import Model, Prediction
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.recording import Recording
+
+METHODS = ("joint", "two-step")
+
+_WARMTH = 3.0
+"""A gear has to warm up by this before its warm-up can be fitted [K]."""
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """Everything the report shows.
+
+    Attributes:
+        model: the identified model, controller and stiffness included where the recordings show them.
+        result: the identification behind it.
+        controller: identification of the controllers at the interpolation cycle, or None.
+        two_step: the measured operating points, for the two-step method.
+        estimation, validation: the recordings.
+        warnings: all named warnings.
+        linear_loop: impulse responses of the closed loop, [G] (7), where there are commands; or None.
+        warm_up: per joint how friction falls with gear temperature, where that was logged and rose; or None.
+    """
+
+    model: Model
+    result: Identification
+    controller: ControllerIdentification | None
+    two_step: TwoStep | None
+    estimation: tuple[Recording, ...]
+    validation: tuple[Recording, ...]
+    warnings: tuple[str, ...]
+    linear_loop: LinearLoopFit | None = None
+    warm_up: tuple[WarmUp | None, ...] = ()
+
+    def json(self) -> dict[str, Any]:
+        """The figures for machines."""
+        model = self.model
+        return {
+            "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
+            "method": model.provenance["method"],
+            "parameters": [
+                {"name": p.name, "joint": p.joint, "value": p.value, "std": p.std, "std_percent": p.std_percent,
+                 "unit": p.unit, "meaning": p.meaning} for p in model.parameters
+            ],
+            "relative_error_percent": {
+                "estimation": relative_error(self.result.estimation),
+                "validation": relative_error(self.result.validation) if self.validation else [],
+            },
+            "residual_std_percent": {
+                "estimation": residual_std(self.result.estimation),
+                "validation": residual_std(self.result.validation) if self.validation else [],
+            },
+            "recordings": [
+                {"source": Path(r.source).name, "role": role, "relative_error_percent": p.relative_error_percent,
+                 "residual_std_percent": p.residual_std_percent}
+                for role, recordings, predictions in (("estimation", self.estimation, self.result.estimation),
+                                                      ("validation", self.validation, self.result.validation))
+                for r, p in zip(recordings, predictions, strict=True)
+            ],
+            "condition_number": self.result.solution.condition_number,
+            "condition_number_scaled": self.result.solution.condition_number_scaled,
+            "filters": model.provenance["filters"],
+            "friction": [law.label for law in model.friction.laws],
+            "controller": None if self.controller is None else {
+                **self.controller.model.to_dict(), "error_percent": self.controller.error_percent},
+            "linear_loop": None if self.linear_loop is None else {
+                "relative_degree": self.linear_loop.relative_degree, "g": self.linear_loop.loop.g.T,
+                "std": self.linear_loop.std.T, "error_percent": self.linear_loop.error_percent},
+            "warm_up": [None if w is None else {"surplus_per_10_K": w.surplus, "std": w.surplus_std,
+                                                "reference_degC": w.reference} for w in self.warm_up],
+            "stiffness": model.stiffness,
+            "consistent": {"was": self.result.consistency.was_consistent,
+                           "largest_deviation_in_std": float(np.max(np.abs(self.result.consistency.deviation)))},
+            "warnings": list(self.warnings),
+        }
+
+
+def residual_std(predictions: Sequence[Prediction]) -> np.ndarray:
+    """Standard deviation of the residual over that of the torque, per joint over several recordings [%]."""
+    y = np.concatenate([p.measured for p in predictions])
+    e = y - np.concatenate([p.tau for p in predictions])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(100.0 * np.std(e, axis=0) / np.std(y, axis=0))
+
+
+def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequence[Recording] = (),
+            method: str = "joint", friction: str = "auto", cutoff: float | None = None,
+            cutoff_decimation: float | None = None, without_integrator: Sequence[Recording] = (),
+            cascade: bool = True, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Analysis:
+    """Identifies rigid body, friction, offsets and, where the recordings hold what is needed, controller and stiffness.
+
+    Args:
+        recordings, validation: to identify from, and to compare with.
+        robot: the arm.
+        method: ``joint`` (whole motions at once) or ``two-step`` ([G] 3.1.2, recordings of the planned program).
+        friction, cutoff, cutoff_decimation: as for ``ideal_robot.identification.idim.identify``.
+        without_integrator: recordings with the controllers' integrators off, for [G] (16).
+        cascade: fit the controllers at their own cycles too, which precorrection is better with; takes half a minute.
+        progress: called with the share done and what is being done.
+
+    Raises:
+        InputError: recordings that cannot be used, an unknown method.
+    """
+    if method not in METHODS:
+        raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
+    progress(0.05, "friction and rigid body")
+    two_step = None
+    if method == "joint":
+        result = identify(recordings, robot, validation=validation, friction=friction, cutoff=cutoff,
+                          cutoff_decimation=cutoff_decimation)
+    else:
+        result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
+    warnings = list(result.warnings)
+    progress(0.6, "controller")
+    controller, loop, model = None, None, result.model
+    with_command = [r for r in result.recordings if r.has("q_c")]
+    if with_command:
+        controller, model = _with_controller(with_command, without_integrator, robot, model, warnings, cascade)
+        loop = _linear_loop(with_command, robot, warnings)
+    with_arm = [r for r in result.recordings if r.has("qa")]
+    if with_arm:
+        stiffness, damping = stiffness_from_arm(with_arm, model)
+        model = dataclasses.replace(model, stiffness=stiffness, damping=damping)
+    return Analysis(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings), loop,
+                    _warm_up(model, result))
+
+
+def friction_points(model: Model, result: Identification) -> tuple[Array, Array, Array | None]:
+    """Speeds, friction torques and gear temperatures as measured on the estimation data, ``(M, n)`` each.
+
+    The friction torque is what is left of the measured torque when everything else is subtracted; temperatures are None
+    where a recording has none.
+    """
+    filters = model.provenance["filters"]
+    speeds, torques, warmth = [], [], []
+    for recording, prediction in zip(result.recordings, result.estimation, strict=True):
+        s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
+        friction = s.decimate(model.friction.torque(s.qd, model.rigid_body(s.q, s.qd, s.qdd), s.q))
+        speeds.append(s.decimate(s.qd))
+        torques.append(prediction.measured - prediction.tau + friction)
+        if recording.has("temp"):
+            warmth.append(s.decimate(np.column_stack([s.columns[f"temp_{j + 1}"] for j in range(model.n)])))
+    temperature = np.concatenate(warmth) if len(warmth) == len(speeds) else None
+    return np.concatenate(speeds), np.concatenate(torques), temperature
+
+
+def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
+    """How friction falls with temperature, for joints that warmed up by at least ``_WARMTH``."""
+    speed, torque, temperature = friction_points(model, result)
+    if temperature is None:
+        return ()
+    found: list[WarmUp | None] = []
+    for j in range(model.n):
+        sliding = np.abs(speed[:, j]) > 0.05 * np.max(np.abs(speed[:, j]))
+        warmed = np.ptp(temperature[sliding, j]) >= _WARMTH if sliding.sum() > 50 else False
+        found.append(fit_warm_up(CubeRoot, speed[sliding, j], torque[sliding, j],
+                                 temperature=temperature[sliding, j]) if warmed else None)
+    return tuple(found)
+
+
+def _linear_loop(recordings: Sequence[Recording], robot: Robot, warnings: list[str]) -> LinearLoopFit | None:
+    try:
+        return identify_linear_loop(recordings, robot.t_ipo)
+    except InputError as error:
+        warnings.append(f"no-linear-loop: {error}")
+        return None
+
+
+def _with_controller(recordings: Sequence[Recording], without_integrator: Sequence[Recording], robot: Robot,
+                     model: Model, warnings: list[str], cascade: bool,
+                     ) -> tuple[ControllerIdentification | None, Model]:
+    """The controllers at the interpolation cycle, and for the model, where wanted, those at their own cycles."""
+    try:
+        found = identify_controller(recordings, robot.t_ipo, without_integrator)
+    except InputError as error:
+        warnings.append(f"no-controller: {error}")
+        return None, model
+    controller = found.model
+    if cascade:
+        try:
+            controller = fit_controller(recordings[0], robot).controller
+        except InputError as error:
+            warnings.append(f"controller-at-interpolation-cycle: the model has the controller at {1e3 * robot.t_ipo:g} "
+                            f"ms only; {error}")
+    return found, dataclasses.replace(model, controller=controller)

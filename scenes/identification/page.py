@@ -1,0 +1,231 @@
+"""The report page of an identification."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ideal_robot.identification.controller import ControllerIdentification
+from ideal_robot.identification.impulse_response_fit import LinearLoopFit
+from ideal_robot.identification.two_step import TwoStep
+from ideal_robot.model.model import Model, Prediction
+from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.segments import segments
+from scenes.identification.analysis import Analysis, friction_points, residual_std
+from scenes.report.page import Report
+
+MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
+
+
+def identification_page(analysis: Analysis) -> Report:
+    """Headings, tables and figures of an identification, most important first."""
+    model, result = analysis.model, analysis.result
+    errors = residual_std(result.estimation)
+    summary = (f"{len(model.parameters)} parameters from {len(analysis.estimation)} recording(s); the model explains "
+               f"the torque of its own data up to {np.nanmin(errors):.1f} to {np.nanmax(errors):.1f} % per joint")
+    if analysis.validation:
+        unseen = residual_std(result.validation)
+        summary += f" and that of data it has never seen up to {np.nanmin(unseen):.1f} to {np.nanmax(unseen):.1f} %"
+    page = Report(f"Dynamic model of {model.robot_name}", summary + " (standard deviation of residual over torque).")
+    for warning in analysis.warnings:
+        page.warning(warning)
+    _errors(page, analysis)
+    shown = [("unseen", *pair) for pair in zip(analysis.validation, result.validation, strict=True)]
+    shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]
+    for role, recording, prediction in shown[:4]:
+        page.figure(torque_figure(prediction), f"{Path(recording.source).name} ({role}): measured and predicted torque "
+                    "with two standard deviations of the prediction, and the residual on the same scale.")
+    page.heading("Friction")
+    page.figure(friction_figure(analysis), "Friction over speed as identified (line) and what is left of the measured "
+                "torque when everything else is subtracted (points, estimation data).")
+    _friction_choice(page, analysis)
+    _warm_up(page, analysis)
+    if analysis.two_step is not None:
+        _measurements(page, analysis.two_step, model)
+    _parameters(page, model)
+    _consistency(page, analysis)
+    if analysis.controller is not None:
+        _controller(page, analysis.controller)
+    if analysis.linear_loop is not None:
+        _linear_loop(page, analysis.linear_loop)
+    page.heading("Data and filters")
+    _segments(page, analysis)
+    filters = model.provenance["filters"]
+    page.text(f"Position filter {filters['cutoff']:.4g} Hz (Butterworth of order 4, forwards and backwards), "
+              f"decimation filter {filters['cutoff_decimation']:.4g} Hz (half power), the same for torque and every "
+              f"regressor column. Condition number {result.solution.condition_number:.4g}, "
+              f"{result.solution.condition_number_scaled:.4g} with scaled columns.")
+    page.table(["recording", "hash"], [[r["source"], r["hash"]] for r in model.provenance["recordings"]])
+    return page
+
+
+def _errors(page: Report, analysis: Analysis) -> None:
+    page.heading("Errors")
+    rows = []
+    for role, recordings, predictions in (("estimation", analysis.estimation, analysis.result.estimation),
+                                          ("unseen", analysis.validation, analysis.result.validation)):
+        for recording, prediction in zip(recordings, predictions, strict=True):
+            name = Path(recording.source).name
+            rows.append([name, role, "std(e) / std(τ) [%]", *prediction.residual_std_percent])
+            rows.append([name, role, "‖e‖ / ‖τ‖ [%]", *prediction.relative_error_percent])
+    page.table(["recording", "role", "error", *[f"joint {j + 1}" for j in range(analysis.model.n)]], rows,
+               "Predicted against measured torque, both through the same filters.")
+
+
+def _parameters(page: Report, model: Model) -> None:
+    page.heading("Parameters")
+    gravitational = dict(zip(model.base.names, model.base.gravitational, strict=True))
+    rows = [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit,
+             ("p_g" if gravitational[p.name] else "p_m") if p.name in gravitational else "friction",
+             p.meaning] for p in model.parameters]
+    page.table(["name", "joint", "value", "σ", "σ [%]", "unit", "group", "stands for"], rows,
+               "σ counts correlated residuals, so it is wider than the usual one. p_g act through gravity too, p_m "
+               "through inertia only ([G] (6)).")
+
+
+def _friction_choice(page: Report, analysis: Analysis) -> None:
+    scores = analysis.result.friction_scores
+    labels = list(dict.fromkeys(label for joint in scores for label in joint))
+    if not labels:
+        return
+    rows = [[label, *[joint.get(label) for joint in scores]] for label in labels]
+    page.table(["law", *[f"joint {j + 1}" for j in range(len(scores))]], rows,
+               "Held-out residual of each law (blocks of the estimation data that the fit did not see), in units of "
+               "the residual that [G] (1) leaves. Chosen: "
+               + "; ".join(f"{j + 1} {law.label}" for j, law in enumerate(analysis.model.friction.laws)) + ".")
+
+
+def _warm_up(page: Report, analysis: Analysis) -> None:
+    rows = [[j + 1, 100.0 * w.surplus, 100.0 * w.surplus_std, w.reference, w.rms_constant, w.rms]
+            for j, w in enumerate(analysis.warm_up) if w is not None]
+    if rows:
+        page.table(["joint", "more friction 10 K colder [%]", "σ [%]", "law holds at [°C]", "residual, constant [N m]",
+                    "residual, by temperature [N m]"], rows, "Friction and gear temperature (cube root law scaled).")
+
+
+def _measurements(page: Report, two_step: TwoStep, model: Model) -> None:
+    page.heading("Operating points")
+    rows = [[m.joint + 1, m.quantity, m.value, m.std, float(m.row @ model.base_values),
+             ", ".join(f"{a:.0f}" for a in np.degrees(m.q))] for m in two_step.measurements]
+    page.table(["joint", "quantity", "measured", "σ", "model", "posture [deg]"], rows,
+               f"Step 1: gravitational torques [N m] and moments of inertia [kg m²], measured one axis at a time in "
+               f"{two_step.duration:.0f} s of motion; step 2 is the model through them.")
+
+
+def _linear_loop(page: Report, fit: LinearLoopFit) -> None:
+    page.heading("Linear closed loop")
+    lags = range(min(9, len(fit.loop.g)))
+    rows = [[j + 1, m_d, *[float(fit.loop.g[lag, j]) for lag in lags], float(fit.error_percent[j])]
+            for j, m_d in enumerate(fit.relative_degree)]
+    page.table(["joint", "relative degree", *[f"g({lag})" for lag in lags], "error [%]"], rows,
+               f"Impulse response of each joint's closed loop at {1e3 * fit.loop.t_ipo:g} ms, [G] (7), from logged "
+               "command to motor position.")
+
+
+def _segments(page: Report, analysis: Analysis) -> None:
+    filters = analysis.model.provenance["filters"]
+    kinds = ("rest", "constant", "reversal", "other")
+    rows = []
+    for recording in analysis.estimation:
+        s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
+        found = segments(s)
+        for j in range(analysis.model.n):
+            share = {kind: sum(x.stop - x.start for x in found if x.joint == j and x.kind == kind) for kind in kinds}
+            rows.append([Path(recording.source).name, j + 1, *[100.0 * share[kind] / len(s.t) for kind in kinds]])
+    page.table(["recording", "joint", "at rest [%]", "constant velocity [%]", "near a reversal [%]", "other [%]"], rows,
+               "What the joints do in the estimation recordings.")
+
+
+def _consistency(page: Report, analysis: Analysis) -> None:
+    model, consistency = analysis.model, analysis.result.consistency
+    page.heading("Physical consistency")
+    page.text("The identified base parameters are " + ("possible as they are." if consistency.was_consistent else
+              "not possible for real bodies as they are (the noise allows that); the nearest possible set is kept "
+              "beside them and goes into the exported URDF.")
+              + f" It lies {np.max(np.abs(consistency.deviation)):.2g} standard deviations away at most.")
+    names = ["m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz"]
+    full = consistency.full
+    rows = [[i + 1, *full[10 * i: 10 * i + 10], full[10 * model.n + i], *consistency.smallest_eigenvalue[i]]
+            for i in range(model.n)]
+    page.table(["link", *names, "Ia", "λ_min before", "λ_min after"], rows,
+               "Full parameters, about the joint frames; smallest eigenvalue of each pseudo-inertia matrix.")
+
+
+def _controller(page: Report, found: ControllerIdentification) -> None:
+    page.heading("Joint controllers")
+    model = found.model
+    rows = [[j + 1, model.k_p[j], model.k_d[j], model.k_1[j], model.k_2[j], model.k_i[j], found.k_i_direct[j],
+             found.error_percent[j]] for j in range(len(model.k_p))]
+    page.table(["joint", "k_P [N m/rad]", "k_D [N m s/rad]", "k_1 [N m s/rad]", "k_2 [N m s²/rad]", "k_I", "k_I direct",
+                "error [%]"], rows, f"[G] (16), (17) at {1e3 * model.t_cycle:g} ms; the command takes effect "
+               f"{1e3 * model.delay:.3g} ms after it is logged.")
+    page.figure(drift_figure(found), "Why k_I is found by simulation ([G] Fig. 17): a value that is best from one step "
+                "to the next lets errors add up; deviation of the simulated from the measured torque.")
+
+
+def torque_figure(prediction: Prediction) -> Figure:
+    """Measured and predicted torque and the residual of each joint over time."""
+    n = prediction.tau.shape[1]
+    figure = Figure(figsize=(11, 1.9 * n + 0.6), layout="constrained")
+    axes = figure.subplots(n, 1, sharex=True, squeeze=False)[:, 0]
+    for j, axis in enumerate(axes):
+        tau, std = prediction.tau[:, j], prediction.std[:, j]
+        axis.fill_between(prediction.t, tau - 2 * std, tau + 2 * std, color=PREDICTED, alpha=0.18, linewidth=0)
+        axis.plot(prediction.t, prediction.measured[:, j], color=MEASURED, linewidth=1.3, label="measured")
+        axis.plot(prediction.t, tau, color=PREDICTED, linewidth=0.9, label="predicted")
+        axis.plot(prediction.t, prediction.measured[:, j] - tau, color=RESIDUAL, linewidth=0.7, label="residual")
+        axis.set_ylabel(f"τ_{j + 1} [N m]")
+        axis.grid(alpha=0.25)
+        axis.margins(x=0)
+        axis.set_title(f"{prediction.residual_std_percent[j]:.1f} %", loc="right", fontsize=9, color="#5b6675")
+    axes[0].legend(loc="upper left", ncols=3, fontsize=9, frameon=False, bbox_to_anchor=(0, 1.32))
+    axes[-1].set_xlabel("t [s]")
+    return figure
+
+
+def friction_figure(analysis: Analysis) -> Figure:
+    """Friction over speed of each joint, with the torque that is left without the rest of the model."""
+    model = analysis.model
+    n = model.n
+    columns = min(3, n)
+    figure = Figure(figsize=(3.7 * columns, 2.9 * int(np.ceil(n / columns))), layout="constrained")
+    axes = figure.subplots(int(np.ceil(n / columns)), columns, squeeze=False).ravel()
+    speeds, torques, _ = friction_points(model, analysis.result)
+    thin = max(1, len(speeds) // 4000)
+    for j, axis in enumerate(axes[:n]):
+        speed, torque = speeds[::thin, j], torques[::thin, j]
+        axis.plot(speed, torque, ".", color=MEASURED, markersize=2, alpha=0.35)
+        v = np.linspace(-np.max(np.abs(speed)), np.max(np.abs(speed)), 401)
+        axis.plot(v, model.friction.laws[j].torque(v[:, None])[:, 0], color=PREDICTED, linewidth=1.6)
+        axis.set_title(f"joint {j + 1}: {model.friction.laws[j].label}", fontsize=8.5)
+        axis.grid(alpha=0.25)
+        low, high = np.percentile(torque, [0.5, 99.5])
+        axis.set_ylim(low - 0.2 * (high - low), high + 0.2 * (high - low))
+    for axis in axes[n:]:
+        axis.set_visible(False)
+    figure.supxlabel("speed [rad/s or m/s]", fontsize=9)
+    figure.supylabel("torque [N m or N]", fontsize=9)
+    return figure
+
+
+def drift_figure(found: ControllerIdentification) -> Figure:
+    """Deviation of the simulated controller torque with the optimised and with the directly estimated k_I."""
+    n = found.measured.shape[1]
+    columns = min(3, n)
+    figure = Figure(figsize=(3.7 * columns, 2.6 * int(np.ceil(n / columns))), layout="constrained")
+    axes = figure.subplots(int(np.ceil(n / columns)), columns, sharex=True, squeeze=False).ravel()
+    for j, axis in enumerate(axes[:n]):
+        axis.plot(found.t, found.drifting[:, j] - found.measured[:, j], color=MEASURED, linewidth=0.8,
+                  label="k_I estimated directly")
+        axis.plot(found.t, found.simulated[:, j] - found.measured[:, j], color=PREDICTED, linewidth=0.8,
+                  label="k_I by simulation")
+        axis.set_title(f"joint {j + 1}", fontsize=9)
+        axis.grid(alpha=0.25)
+    for axis in axes[n:]:
+        axis.set_visible(False)
+    axes[0].legend(fontsize=8, frameon=False)
+    figure.supxlabel("t [s]", fontsize=9)
+    figure.supylabel("simulated - measured [N m]", fontsize=9)
+    return figure

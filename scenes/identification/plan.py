@@ -1,0 +1,110 @@
+"""Plans identification motions, writes them out and plays them on the simulated arm."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.identification.excitation import FourierMotion, Workspace, approach, design_excitation
+from ideal_robot.identification.program import Program, finite_limits, plan_two_step
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A planned motion.
+
+    Attributes:
+        method: ``joint`` or ``two-step``.
+        commands: ``(N, n)`` [rad], every ``t_ipo``, from the robot's home posture.
+        t_ipo: interpolation cycle [s].
+        source: the Fourier motion or the program.
+    """
+
+    method: str
+    commands: Array
+    t_ipo: float
+    source: FourierMotion | Program
+
+    def json(self) -> dict[str, Any]:
+        """The plan's figures, and the program of the two-step method."""
+        content: dict[str, Any] = {"method": self.method, "cycle_s": self.t_ipo, "samples": len(self.commands),
+                                   "duration_s": len(self.commands) * self.t_ipo}
+        if isinstance(self.source, Program):
+            return {**content, "operating_points": len(self.source.points), "moves": len(self.source.moves),
+                    "program": self.source.to_dict()}
+        return {**content, "condition_number": self.source.condition_number, "period_s": self.source.period,
+                "centre": self.source.centre, "a": self.source.a, "b": self.source.b}
+
+    def write(self, folder: Path) -> list[Path]:
+        """Writes commands and program; returns the files."""
+        folder.mkdir(parents=True, exist_ok=True)
+        n = self.commands.shape[1]
+        frame = pd.DataFrame(self.commands, columns=[f"q_c_{i + 1}" for i in range(n)])
+        frame.insert(0, "t", np.arange(1, len(frame) + 1) * self.t_ipo)
+        frame.to_csv(folder / "commands.csv", index=False, float_format="%.9g")
+        files = [folder / "commands.csv"]
+        if isinstance(self.source, Program):
+            files += [folder / "program.json", folder / "program.txt"]
+            files[1].write_text(json.dumps(self.source.to_dict(), indent=1) + "\n", encoding="utf-8")
+            files[2].write_text(self.source.text(), encoding="utf-8")
+        return files
+
+
+def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, points: int = 10,
+         workspace: Workspace | None = None) -> Plan:
+    """Plans a motion from the robot's home posture.
+
+    Raises:
+        InputError: unknown method, or nothing possible within limits and workspace.
+    """
+    rng = np.random.default_rng(seed)
+    if method == "two-step":
+        program = plan_two_step(robot, rng, points=points, workspace=workspace)
+        return Plan(method, program.commands(robot.home, robot.t_ipo, robot), robot.t_ipo, program)
+    if method != "joint":
+        raise InputError("expected joint or two-step", field="method", value=method)
+    motion = design_excitation(robot, rng, period=period, workspace=workspace)
+    return Plan(method, fourier_commands(robot, motion, robot.home, robot.t_ipo), robot.t_ipo, motion)
+
+
+def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: float) -> Array:
+    """Commands ``(N, n)`` from rest at ``start`` through one period of the motion and slow reversals about its end."""
+    v_max, a_max = finite_limits(robot)
+    t = np.asarray(np.arange(1, round(motion.period / t_ipo) + 1) * t_ipo, dtype=float)
+    q = motion.at(t)[0]
+    first = motion.at(np.zeros(1))[0][0]
+    hold = np.repeat(first[None], round(0.3 / t_ipo), axis=0)
+    return np.concatenate([approach(start, first, t_ipo, v_max, a_max), hold, q, hold,
+                           slow_reversals(q[-1], t_ipo, v_max)])
+
+
+def slow_reversals(q0: Array, t_ipo: float, v_max: Array, duration: float = 8.0) -> Array:
+    """All joints back and forth about ``q0`` at up to eight per cent of their speed: what paths of tools look like."""
+    t = np.arange(1, round(duration / t_ipo) + 1) * t_ipo
+    w = 2.0 * np.pi / duration * np.array([2.0, 3.0, 5.0, 7.0, 4.0, 6.0])[np.arange(len(q0)) % 6]
+    envelope = np.sin(np.pi * t / duration)[:, None] ** 2
+    return np.asarray(q0 + envelope * (0.08 * v_max / w) * np.sin(np.outer(t, w)))
+
+
+def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float], None] = lambda share: None,
+              ) -> Recording:
+    """Plays a plan on the simulated arm in its default world and returns what the controller logged."""
+    from sim.arm.arm import SimulatedArm
+    from sim.arm.world import World
+
+    with SimulatedArm(robot, World.default(robot.name), np.random.default_rng(seed), robot.home) as arm:
+        for k, q_c in enumerate(planned.commands):
+            arm.cycle(q_c)
+            if k % 100 == 0:
+                progress(k / len(planned.commands))
+        return arm.recording(external=True)

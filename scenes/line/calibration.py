@@ -1,0 +1,177 @@
+"""The camera on the tool, calibrated by moving it over a piece of the line before the line is followed ([L] 4.4).
+
+Only what a real cell has is used: commands and motor angles, the model's gear deflection, camera fields with their time
+stamps, and the reference path near the line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from planning.path.pose_history import PoseHistory
+from planning.path.reference import ReferencePath
+from planning.planning_error import OutOfReachError
+from scenes.scene_error import SceneError
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.field import Field
+from sensing.camera.hand_eye import HandEye, Observation, calibrate, calibration_poses
+from sensing.camera.line_detection import DetectionSettings, PredictedLine, detect_line, search_windows
+from sim.arm.arm import SimulatedArm
+from sim.camera.camera import RenderedCamera
+
+SPREAD = np.linspace(-0.07, 0.07, 9)
+"""Places on the line looked for in each field, around the middle of the view [m]."""
+SIGMA, SIGMA_FOUND = 0.006, 0.002
+"""How far the line may be from its reference before and after it is first seen, standard deviations [m]."""
+SPARING = 4
+"""One field in so many is looked at: neighbours tell the same."""
+REST = 0.16
+"""Rest at each pose, in which vibrations die out [s]."""
+SPEED, ACCELERATION = 0.35, 0.25
+"""Shares of the joints' limits that the moves between the poses use."""
+HOPELESS = 20
+"""Fields without the line after which to give up."""
+PER_SPEED = 1e-3
+"""Uncertainty of a moving tool's place: a millisecond's way, standard deviation [m per m/s]."""
+BEFORE = 10**7
+"""Numbers the calibration's fields apart from those of the run: their noise must not be the same."""
+
+
+def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
+                        camera: RenderedCamera, deflection: GearDeflection | None, at: float,
+                        detection: DetectionSettings) -> HandEye:
+    """Moves the camera over one piece of the line and returns the camera that explains all that was seen.
+
+    The arm is driven through its positional interface, from pose to pose with a short rest at each; fields are taken
+    at rest and on the way.
+
+    Args:
+        robot: the arm.
+        reference: the reference path; where the line really is stays unknown.
+        believed: the camera as mounted by hand.
+        arm: the arm; it is put to rest at the first pose.
+        camera: renders what the true camera sees.
+        deflection: the gears' deflection as the model knows it.
+        at: arc length of the reference around which the piece lies [m].
+        detection: how the line looks.
+
+    Raises:
+        SceneError: fewer than half of the poses can be reached, or fewer than half of the fields show the line.
+    """
+    commands = _moves(robot, _postures(robot, reference, believed, at), arm.t_ipo)
+    arm.reset(commands[0])
+    view = _View(robot, reference, believed, detection, commands[0])
+    # The camera's clock runs ahead of the arm's by a whole number of fields.
+    T, ahead = arm.t_ipo, BEFORE / camera.settings.rate
+    late: list[tuple[Field, PredictedLine]] = []
+    due = fields = 0
+    for k, q_c in enumerate(commands):
+        exposures = camera.due(k * T + ahead, (k + 1) * T + ahead)
+        taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
+        due += len(exposures)
+        predictions = [view.predicted(t - ahead) for t in taken]
+        q = arm.cycle(q_c).q
+        if deflection is not None:
+            q = q - deflection.at(commands[max(k - 1, 0) : k + 2])
+        view.history.add((k + 1) * T, q)
+        for t, prediction in zip(taken, predictions, strict=True):
+            windows = search_windows(believed, prediction, detection)
+            late.append((camera.windows(t, lambda at: arm.tcp_at(at - ahead), windows), prediction))
+        # The pose of a time stamp is known once the controller has told of it.
+        while late and late[0][0].t_stamp - ahead < k * T:
+            fields += 1
+            view.look(*late.pop(0), ahead)
+        if fields >= HOPELESS and not view.observations:
+            break
+    if len(view.observations) < max(fields // 2, 3):
+        raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {fields} fields showed "
+                         "the line; check where the line is, or set calibration.by_moving = false")
+    near = reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
+    return calibrate(believed, view.observations, near, reference.frames(np.array([at])).up[0])
+
+
+class _View:
+    """What is known of arm and line while the camera moves, and what was seen."""
+
+    def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
+                 q: Array) -> None:
+        self.reference, self.believed, self.detection = reference, believed, detection
+        self.history = PoseHistory(robot)
+        self.history.add(0.0, q)
+        self.observations: list[Observation] = []
+        self._aside, self._sigma = 0.0, SIGMA
+        self._table = np.arange(0.0, reference.length, 0.005)
+        self._places = reference.position(self._table)
+
+    def predicted(self, t: float) -> PredictedLine:
+        """The line around the middle of the view at ``t`` [s], as far aside of the reference as it was first seen."""
+        pose = self.history.pose(t)
+        look = pose.act(_middle_of_view(self.believed))
+        s = self._table[np.argmin(np.sum((self._places - look) ** 2, axis=1))]
+        frames = self.reference.frames(s + SPREAD)
+        points = frames.position + self._aside * frames.normal
+        return PredictedLine.from_base(points, frames.tangent, frames.up.mean(axis=0), pose, self._sigma)
+
+    def look(self, field: Field, prediction: PredictedLine, ahead: float) -> None:
+        """Notes the line points of a field."""
+        found = detect_line(field, self.believed, prediction, self.detection)
+        if not found.seen:
+            return
+        if self._sigma > SIGMA_FOUND:
+            self._aside, self._sigma = self._aside + float(np.mean(found.lateral[found.used])), SIGMA_FOUND
+        t = field.t_stamp - ahead
+        velocity, angular = self.history.velocity(t)
+        sigma = np.hypot(found.sigma[found.used], PER_SPEED * np.linalg.norm(velocity))
+        self.observations.append(
+            Observation(self.history.pose(t), found.pixels[found.used], sigma, velocity, angular))
+
+
+def _middle_of_view(camera: CameraModel) -> Array:
+    """Where the optical axis meets the plane through the TCP, in the tool frame ``(3,)`` [m]."""
+    T = camera.T_tool_camera
+    axis = T.rotation[:, 2]
+    return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
+
+
+def _postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float) -> list[Array]:
+    """Joint angles of the poses that the arm reaches, each near the one before."""
+    frames = reference.frames(np.array([at]))
+    kinematics = InverseKinematics(robot)
+    q = kinematics.search(reference.pose(at), robot.home)
+    wanted = calibration_poses(frames.position[0], frames.tangent[0], frames.up[0], float(_middle_of_view(camera)[0]))
+    postures: list[Array] = []
+    for pose in wanted:
+        try:
+            q = kinematics.search(pose, q)
+        except OutOfReachError:
+            continue
+        postures.append(q)
+    if len(postures) < len(wanted) // 2:
+        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(wanted)} "
+                         "poses; move the surface nearer, or set calibration.by_moving = false")
+    return postures
+
+
+def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
+    """Commands ``(K, n)`` of smooth moves from posture to posture with a rest at each.
+
+    The polynomial 10 u³ - 15 u⁴ + 6 u⁵ has 1.875 times the mean velocity and 5.774 times way/duration² at its peaks.
+    """
+    rest = max(round(REST / T), 1)
+    v = SPEED * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+    a = ACCELERATION * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
+    rows = [np.tile(postures[0], (rest, 1))]
+    for start, end in pairwise(postures):
+        way = np.abs(end - start)
+        duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))))
+        n = max(int(np.ceil(duration / T)), 2)
+        u = np.arange(1, n + 1)[:, None] / n
+        rows += [start + u**3 * (10 - 15 * u + 6 * u**2) * (end - start), np.tile(end, (rest, 1))]
+    return np.concatenate(rows)

@@ -1,0 +1,138 @@
+"""What a line-following run needs before anything moves: world, line, reference, camera and its calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.line.line_follower import FollowerSettings, LineFollower
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import Limits, SpeedProfile
+from planning.planning_error import OutOfReachError
+from scenes.line.calibration import calibrate_by_moving
+from scenes.line.scene import Geometry, LineScene, calibration_sizes, geometry
+from scenes.models import model_for
+from scenes.result import Progress, silent
+from scenes.scene_error import SceneError
+from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.camera.hand_eye import HandEye
+from sensing.camera.line_detection import DetectionSettings
+from sensing.sensing_error import SensingError
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.surface import DrawnLine
+from sim.camera.surface import Feature as DrawnFeature
+
+HORIZON = 0.3
+"""Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
+START = 0.48
+"""Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
+
+
+@dataclass
+class Cell:
+    """Everything of one run that is set up before anything moves."""
+
+    scene: LineScene
+    robot: Robot
+    world: World
+    geometry: Geometry
+    line: DrawnLine
+    true_camera: CameraModel
+    camera: CameraModel
+    """As it is believed: by hand at first, then as calibrated."""
+    reference: ReferencePath
+    follower: LineFollower
+    noise: np.random.Generator
+    camera_noise: np.random.Generator
+
+
+def set_up(scene: LineScene) -> Cell:
+    """Builds world, camera, reference and follower of a scene.
+
+    Raises:
+        InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
+    """
+    world = World.from_table(scene.robot, scene.world)
+    # A controller's cycle times are no secret: they stand in its manual.
+    robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
+                    t_velocity=world.t_velocity)
+    place, noise, camera_noise, calibration = streams(scene)
+    where = geometry(scene, place)
+    line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
+                     background=scene.line.background, edge=1e-3 * scene.line.edge_mm, features=_features(scene))
+    table = scene.camera
+    believed = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
+                                   default_mount(table.mount_height, table.mount_ahead))
+    true_camera = believed.perturbed(**CalibrationError(**calibration_sizes(scene.calibration)).signed(calibration))
+    reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
+    try:
+        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
+        begin = scene.reference.run_up
+        follower = LineFollower(
+            robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
+            line_span=(begin, reference.length - scene.reference.run_out),
+            settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05,
+                                      stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
+    except OutOfReachError as error:
+        raise InputError(f"the line is out of reach: {error}", field="surface.origin",
+                         value=list(scene.surface.origin)) from error
+    return Cell(scene, robot, world, where, line, true_camera, believed, reference, follower, noise, camera_noise)
+
+
+def detection(cell: Cell) -> DetectionSettings:
+    return DetectionSettings(line_width=cell.line.width, dark=cell.line.gray < cell.line.background)
+
+
+def streams(scene: LineScene) -> list[np.random.Generator]:
+    """Independent random streams, so that changing one effect does not change the draws of another."""
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(4)]
+
+
+def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
+    return tuple(
+        DrawnFeature(kind=f.kind, at=1e-3 * f.at_mm, length=1e-3 * f.length_mm, offset=1e-3 * f.offset_mm,
+                     angle=float(np.radians(f.angle_deg)), width=1e-3 * f.width_mm, gray=f.gray)
+        for f in scene.feature)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What runs of the same scene share: the rendered surface, and the camera as calibrated by moving."""
+
+    camera: RenderedCamera
+    hand_eye: HandEye | None
+    uncalibrated: str = ""
+    """Why there is no calibration although one was wanted; the run then goes on with the camera as mounted by hand."""
+
+
+@contextmanager
+def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared]:
+    """Paints the surface and calibrates the camera, for one or many runs of the scene.
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    cell = set_up(scene)
+    settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
+                                 if key != "phase"})
+    with RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera:
+        hand_eye, reason = None, ""
+        if scene.calibration.by_moving:
+            progress(0.0, "calibrating the camera")
+            deflection = GearDeflection(model_for(scene, cell.robot), cell.world.t_ipo)
+            middle = 0.5 * (scene.reference.run_up + cell.reference.length - scene.reference.run_out)
+            with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+                try:
+                    hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection,
+                                                   middle, detection(cell))
+                except (SceneError, SensingError) as error:
+                    reason = str(error)
+        yield Prepared(camera, hand_eye, reason)

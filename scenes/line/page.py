@@ -1,0 +1,263 @@
+"""The page about a line-following run, and the one that compares methods."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.path.reference import ReferencePath
+from scenes.line.compare import LineComparison
+from scenes.line.result import FieldShown, LineResult
+from scenes.report.page import Report, write_comparison_files, write_run_files
+from sim.arm.picture import picture
+
+INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
+COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT}
+PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
+"""[L] 5: mean control error at top speed."""
+
+
+def write_run(result: LineResult, out: Path) -> LineResult:
+    """Writes recording, figures and page into ``out`` and returns the result with their paths."""
+    written: LineResult = write_run_files(result, run_page, out)
+    return written
+
+
+def write_comparison(comparison: LineComparison, out: Path) -> LineComparison:
+    """Writes each run's recording and the common page into ``out``."""
+    written: LineComparison = write_comparison_files(comparison, comparison_page, out)
+    return written
+
+
+def run_page(result: LineResult) -> Report:
+    """The page of one run."""
+    scene, error = result.scene, result.control_error
+    mm = error.json_mm()
+    _, across, turn = result.geometry.displacement
+    report = Report(
+        f"{scene.title}: {scene.speed:g} m/s, {result.method}",
+        f"The tool stayed {mm['mean']:.2f} mm from the line on average (95 % of the time within {mm['p95']:.2f} mm), "
+        f"although the line lay {1e3 * abs(across):.1f} mm beside and {np.degrees(abs(turn)):.2f}° across its "
+        f"reference path and the camera was {1e3 * scene.camera.latency:.0f} ms late.")
+    if result.failure:
+        report.warning(f"The run ended early: {result.failure}")
+    if result.warning:
+        report.warning(result.warning)
+    report.figures([("mean distance from the line", f"{mm['mean']:.3f} mm"), ("95 % within", f"{mm['p95']:.3f} mm"),
+                    ("largest", f"{mm['max']:.3f} mm"),
+                    ("fields used", f"{result.fields_used} of {result.fields_seen}"),
+                    ("real-time factor", f"{result.timing.real_time_factor:.1f}")])
+    report.heading("The cell")
+    report.figure(_cell(result), "The arm at the middle of the path, and the surface from above with the "
+                  "drawn line, the reference path and where the tool truly went.")
+    report.heading("What the camera saw")
+    if result.shown:
+        report.figure(_fields(result.shown), "Camera fields along the way: search windows (blue), detected line "
+                      "points (orange; grey: left out), and the line as the fusion believed it to be (green). While "
+                      "the arm moves only the windows are rendered; the whole images are for this page.")
+    else:
+        report.text("No field with a detected line was kept.")
+    if result.hand_eye is not None:
+        calibrated = result.hand_eye
+        report.text(
+            "Before the run the camera was calibrated by moving it over a piece of the line ([L] 4.4): seen from 20 "
+            f"poses, its points lay {1e3 * calibrated.residual_before:.2f} mm (RMS) from one common curve with the "
+            f"camera as mounted by hand, and {1e3 * calibrated.residual_after:.3f} mm with the camera as calibrated.")
+        units = {"roll": ("°", 57.2958), "pitch": ("°", 57.2958), "yaw": ("°", 57.2958), "height": ("mm", 1e3),
+                 "lateral": ("mm", 1e3), "forward": ("mm", 1e3), "focal": ("%", 100.0), "principal_u": ("px", 1.0),
+                 "principal_v": ("px", 1.0), "k1": ("", 1.0)}
+        report.table(["correction found", "value", "± σ", "unit"],
+                     [[name, calibrated.parameters[name] * scale, calibrated.sigma[name] * scale, unit]
+                      for name, (unit, scale) in units.items()])
+    report.heading("Along the line")
+    report.figure(_along(result), "Above: deviation from the reference path of the drawn line, and what planning made "
+                  "of the camera's fields. Below: signed distance of the true tool centre point from the drawn line "
+                  "over its length; the grey part does not count (before 0.3 s after the line is first followed).")
+    report.heading("Errors")
+    report.table(["", "mean mm", "95 % mm", "max mm", "speed m/s"],
+                 [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
+                  ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
+                 "Distance from the line, in the surface. [L] reports about 0.6 mm mean control error at 0.7 m/s.")
+    if result.path_errors is not None:
+        path = result.path_errors.json_mm()
+        report.table(["path error against q_d", "E_car mm", "E_max mm"],
+                     [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
+                      for kind in ("time_matched", "aligned", "geometric")],
+                     f"[G] (14), (21); aligned after removing {path['delay_ms']:.2f} ms. All three directions, from "
+                     "rest to rest: also what the camera cannot see.")
+    _timing(report, result)
+    _settings(report, result)
+    return report
+
+
+def comparison_page(comparison: LineComparison) -> Report:
+    """The page that compares the methods on one scene."""
+    runs = comparison.runs
+    ideal, sensor, direct = (1e3 * runs[method].control_error.mean
+                             for method in ("ideal", "sensor_path", "direct_feedback"))
+    report = Report(
+        f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
+        f"Mean distance from the line: {ideal:.2f} mm with the ideal robot, {sensor:.2f} mm with the sensed path "
+        f"alone, {direct:.2f} mm with direct sensor feedback at its best gain.")
+    columns, rows = comparison.table()
+    report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")
+    report.figure(_along_all(comparison), "Distance from the line along the line, one curve a method. The lower "
+                  "picture leaves out those that need another scale.")
+    report.heading("Direct sensor feedback: how much gain?")
+    report.text(
+        f"x_c(k) = x_c(k-1) + K_p Δs(k) + K_d (Δs(k) - Δs(k-1)), [L] (1). A sideways step of 10 mm overshoots by more "
+        f"than 5 % from K_p just above {comparison.overshoot_gain:.3g} per cycle on, because corrections are repeated "
+        f"until the late camera sees their effect. The best gain on this scene, found by search, is "
+        f"K_p = {comparison.gains[0]:.3g}, K_d = {comparison.gains[1]:.3g}.")
+    report.figure(_gains(comparison), "Left: mean error on this scene over the gain. Right: overshoot over a sideways "
+                  "step over the gain.")
+    _timing(report, runs["ideal"])
+    _settings(report, runs["ideal"])
+    return report
+
+
+def _timing(report: Report, result: LineResult) -> None:
+    time = result.timing.json_ms()
+    report.heading("Timing")
+    report.table(
+        ["sensing + planning + feedforward", "ms"],
+        [["median of all cycles", time["median"]], ["99 %", time["p99"]], ["largest", time["max"]],
+         ["median of cycles with a new field", time["median_with_field"]],
+         ["median of cycles without", time["median_without_field"]]],
+        "On this machine; one cycle is 12 ms. Rendering and simulation are not part of it. "
+        f"{result.timing.simulated:.2f} s were simulated in {result.timing.wall:.2f} s.")
+
+
+def _settings(report: Report, result: LineResult) -> None:
+    scene = result.scene
+    report.heading("The world, as it was set")
+    report.table(["world", "value"], [[key, _short(value)] for key, value in result.world.items()],
+                 "Nothing of this is known to sensing, planning or the ideal robot.")
+    tables: list[tuple[str, dict[str, Any]]] = [("camera", scene.camera.model_dump()),
+                                                ("calibration errors", scene.calibration.model_dump()),
+                                                ("displacement (sizes)", scene.displacement.model_dump())]
+    for title, table in tables:
+        report.table([title, "value"], [[key, _short(value)] for key, value in table.items()])
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return ", ".join(f"{item:g}" if isinstance(item, (int, float)) else str(item) for item in value)
+    return value if isinstance(value, (int, float, str)) else str(value)
+
+
+def _in_plane(points: Array, plane: pin.SE3) -> Array:
+    return np.asarray(((points - plane.translation) @ plane.rotation)[:, :2])
+
+
+def _cell(result: LineResult) -> Figure:
+    figure = Figure(figsize=(11, 8.2))
+    left, right = figure.subplots(2, 1, height_ratios=[2.6, 1])
+    robot = Robot.load(result.scene.robot)
+    q = result.recording.joints("q")
+    left.imshow(picture(robot, q[len(q) // 2], lines=(result.geometry.drawn,)))
+    left.set_axis_off()
+    plane = result.geometry.plane
+    drawn, reference = (1e3 * _in_plane(points, plane) for points in (result.geometry.drawn, result.geometry.reference))
+    right.plot(*reference.T, "--", color=BLUE, lw=1.2, label="reference path x_r")
+    right.plot(*drawn.T, color=INK, lw=3.5, alpha=0.75, label="drawn line")
+    if all(name in result.recording.columns for name in "xyz"):
+        tcp = np.column_stack([result.recording.columns[name] for name in "xyz"])
+    else:
+        pose = robot.fk()
+        tcp = np.array([pose(row).translation for row in q[::5]])
+    right.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
+    right.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
+    right.margins(y=0.25)
+    right.grid(alpha=0.25)
+    right.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.02))
+    figure.tight_layout()
+    return figure
+
+
+def _fields(shown: tuple[FieldShown, ...]) -> Figure:
+    figure = Figure(figsize=(11, 2.6 if len(shown) > 2 else 4))
+    for axes, field in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
+        height, width = field.image.shape
+        axes.imshow(field.image, cmap="gray", vmin=0, vmax=255)
+        for u, v, w, h in field.windows:
+            axes.add_patch(Rectangle((u - 0.5, v - 0.5), w, h, fill=False, color=BLUE, lw=0.9))
+        axes.plot(*field.polynomial_pixels.T, color=GREEN, lw=1.0)
+        axes.plot(*field.pixels[~field.used].T, "x", color=SOFT, ms=6)
+        axes.plot(*field.pixels[field.used].T, "o", color=ACCENT, ms=4)
+        axes.set(xlim=(0, width), ylim=(height, 0), title=f"t = {field.t:.2f} s")
+        axes.set_axis_off()
+    figure.tight_layout()
+    return figure
+
+
+def _along(result: LineResult) -> Figure:
+    figure = Figure(figsize=(11, 6))
+    above, axes = figure.subplots(2, 1)
+    plane = result.geometry.plane
+    reference = ReferencePath(result.geometry.reference, up=plane.rotation[:, 2], turning=1.0)
+    drawn = result.geometry.drawn[::10]
+    true = np.array([reference.project(point[None], start) for point, start in
+                     zip(drawn, result.scene.reference.run_up + 0.005 * np.arange(len(drawn)), strict=True)])[:, :2, 0]
+    above.plot(1e3 * true[:, 0], 1e3 * true[:, 1], color=INK, lw=3.5, alpha=0.6, label="drawn line")
+    above.plot(1e3 * result.s_reference, 1e3 * result.believed, color=ACCENT, lw=1.3, label="desired path x_d")
+    above.axhline(0, color=BLUE, lw=1.0, ls="--", label="reference path x_r")
+    above.set(xlabel="along the reference path [mm]", ylabel="deviation Δx_r [mm]")
+    above.grid(alpha=0.25)
+    above.legend(frameon=False, ncols=3)
+    whole, error = result.control_error_from_start, result.control_error
+    axes.axhline(0, color=INK, lw=0.8)
+    axes.plot(1e3 * whole.s, 1e3 * whole.lateral, color=SOFT, lw=1.2, label="while the line is being found")
+    axes.plot(1e3 * error.s, 1e3 * error.lateral, color=ACCENT, lw=1.5, label="counts")
+    limit = 3.0 * max(1e3 * error.p95, 0.1) if len(error.s) else 5.0
+    axes.set(xlabel="along the line [mm]", ylabel="distance to the left [mm]", ylim=(-limit, limit))
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, ncols=2)
+    figure.tight_layout()
+    return figure
+
+
+def _along_all(comparison: LineComparison) -> Figure:
+    figure = Figure(figsize=(11, 5.6))
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    best = min(run.control_error.p95 for run in comparison.runs.values())
+    for method, run in comparison.runs.items():
+        whole = run.control_error_from_start
+        upper.plot(1e3 * whole.s, 1e3 * whole.lateral, color=COLOURS[method], label=method.replace("_", " "))
+        if run.control_error.p95 < 12 * best:
+            lower.plot(1e3 * run.control_error.s, 1e3 * run.control_error.lateral, color=COLOURS[method])
+    for axes in (upper, lower):
+        axes.axhline(0, color=INK, lw=0.8)
+        axes.grid(alpha=0.25)
+        axes.set_ylabel("distance to the left [mm]")
+    upper.legend(frameon=False, ncols=4)
+    lower.set_xlabel("along the line [mm]")
+    figure.tight_layout()
+    return figure
+
+
+def _gains(comparison: LineComparison) -> Figure:
+    figure = Figure(figsize=(11, 3.4))
+    left, right = figure.subplots(1, 2)
+    tried = sorted((p, 1e3 * e) for p, d, e in comparison.tried if d == 0.0 and np.isfinite(e))
+    left.semilogx(*np.array(tried).T, "o-", color=BLUE, label="direct feedback, K_d = 0")
+    with_d = [(p, 1e3 * e) for p, d, e in comparison.tried if d > 0.0 and np.isfinite(e)]
+    if with_d:
+        left.semilogx(*np.array(with_d).T, "s", color=GREEN, label="with K_d")
+    left.axhline(1e3 * comparison.runs["ideal"].control_error.mean, color=ACCENT, label="ideal robot")
+    left.set(xlabel="K_p per cycle", ylabel="mean error [mm]", ylim=(0, None))
+    left.legend(frameon=False)
+    right.semilogx(*np.array([(k, 100 * o) for k, o in comparison.overshoots]).T, "o-", color=BLUE)
+    right.axhline(5, color=INK, lw=0.8, ls="--")
+    right.set(xlabel="K_p per cycle", ylabel="overshoot [%]")
+    for axes in (left, right):
+        axes.grid(alpha=0.25)
+    figure.tight_layout()
+    return figure

@@ -1,0 +1,179 @@
+"""What following a line yields: errors in SI units, the recording, the timing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.signals.recording import Recording
+from scenes.line.scene import Geometry, LineScene
+from scenes.metrics import PathErrors
+from sensing.camera.field import Window
+from sensing.camera.hand_eye import HandEye
+
+SETTLING = 0.3
+"""Time from when the line is first followed until the error counts [s]."""
+
+
+@dataclass(frozen=True)
+class ControlError:
+    """Distance of the true TCP from the drawn line, in the surface, while it counts.
+
+    Attributes:
+        mean, p95, max: of its absolute value [m].
+        t: instants ``(N,)`` [s].
+        s: arc length of the drawn line ``(N,)`` [m].
+        lateral: signed distance, positive to the left of the line ``(N,)`` [m].
+    """
+
+    mean: float
+    p95: float
+    max: float
+    t: Array
+    s: Array
+    lateral: Array
+
+    @classmethod
+    def of(cls, t: Array, s: Array, lateral: Array) -> ControlError:
+        """From signed distances; without any, all figures are NaN."""
+        if len(lateral) == 0:
+            return cls(np.nan, np.nan, np.nan, t, s, lateral)
+        size = np.abs(lateral)
+        return cls(float(size.mean()), float(np.quantile(size, 0.95)), float(size.max()), t, s, lateral)
+
+    def json_mm(self) -> dict[str, float]:
+        """The three figures in millimetres."""
+        return {"mean": 1e3 * self.mean, "p95": 1e3 * self.p95, "max": 1e3 * self.max}
+
+
+@dataclass(frozen=True)
+class FieldShown:
+    """One camera field kept for the report: the whole image, and what was found in it."""
+
+    t: float
+    image: NDArray[np.uint8]
+    windows: tuple[Window, ...]
+    pixels: Array
+    used: NDArray[np.bool_]
+    polynomial_pixels: Array
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Computing time of sensing, planning and feedforward, and of the whole run.
+
+    Attributes:
+        cycles: per interpolation cycle ``(K,)`` [s].
+        with_field: whether a new field was worked on in that cycle ``(K,)``.
+        wall: the run from the first to the last cycle, simulation and rendering included, set-up not [s].
+        simulated: simulated time [s].
+    """
+
+    cycles: Array
+    with_field: NDArray[np.bool_]
+    wall: float
+    simulated: float
+
+    @property
+    def real_time_factor(self) -> float:
+        """Simulated over elapsed time."""
+        return self.simulated / self.wall if self.wall > 0 else float("nan")
+
+    def json_ms(self) -> dict[str, Any]:
+        """Median, 99 % and maximum over all cycles, and the medians of both kinds of cycle [ms]."""
+        def median(values: Array) -> float:
+            return float(1e3 * np.median(values)) if len(values) else float("nan")
+
+        return {
+            "median": median(self.cycles),
+            "p99": float(1e3 * np.quantile(self.cycles, 0.99)) if len(self.cycles) else float("nan"),
+            "max": float(1e3 * np.max(self.cycles)) if len(self.cycles) else float("nan"),
+            "median_with_field": median(self.cycles[self.with_field]),
+            "median_without_field": median(self.cycles[~self.with_field]),
+        }
+
+
+@dataclass(frozen=True)
+class LineResult:
+    """One run along a drawn line with one method.
+
+    Attributes:
+        scene, method: what was played.
+        control_error: distance of the true TCP from the drawn line while it counts.
+        control_error_from_start: the same from the line's first point on.
+        path_errors: true TCP against the desired path, three ways; None where the run was too short to tell.
+        fields_seen, fields_used: camera fields that arrived, and those that gave a measurement.
+        recording: what a controller would have logged, plus desired angles and line points.
+        timing: computing times.
+        geometry: where everything was.
+        followed_from: when the line was first followed [s]; NaN if never.
+        failure: why the run ended early, or None.
+        shown: fields for the report.
+        world: the world's settings.
+        hand_eye: how the camera was calibrated before the run, if it was; warning: why not, if it should have been.
+        s_reference, believed: arc length of the reference at each cycle and the desired deviation there, x_d - x_r [m].
+        recording_path, report: files written, if any.
+    """
+
+    scene: LineScene
+    method: str
+    control_error: ControlError
+    control_error_from_start: ControlError = field(repr=False)
+    path_errors: PathErrors | None
+    fields_seen: int
+    fields_used: int
+    recording: Recording = field(repr=False)
+    timing: Timing = field(repr=False)
+    geometry: Geometry = field(repr=False)
+    followed_from: float
+    failure: str | None
+    urdf: Path
+    shown: tuple[FieldShown, ...] = field(repr=False, default=())
+    world: dict[str, Any] = field(repr=False, default_factory=dict)
+    hand_eye: HandEye | None = field(repr=False, default=None)
+    warning: str = ""
+    s_reference: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    believed: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    recording_path: Path | None = None
+    report: Path | None = None
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        nothing = {"E_car": None, "E_max": None}
+        errors = self.path_errors
+        return {
+            "scene": self.scene.name,
+            "speed_m_s": self.scene.speed,
+            "seed": self.scene.seed,
+            "method": self.method,
+            "failure": self.failure,
+            "warning": self.warning or None,
+            "control_error_mm": self.control_error.json_mm(),
+            "path_error_mm": errors.json_mm() if errors is not None
+            else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},
+            "fields": {"seen": self.fields_seen, "used": self.fields_used},
+            "recording": self.recording_path,
+            "recording_hash": self.recording.hash,
+            "urdf": self.urdf,
+            "report": self.report,
+            "real_time_factor": self.timing.real_time_factor,
+            "cycle_time_ms": self.timing.json_ms(),
+        }
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The few figures a person wants first."""
+        error = self.control_error
+        return [
+            ("speed", f"{self.scene.speed:g} m/s"),
+            ("method", self.method),
+            ("mean distance from the line", f"{1e3 * error.mean:.3f} mm"),
+            ("95 % below", f"{1e3 * error.p95:.3f} mm"),
+            ("largest", f"{1e3 * error.max:.3f} mm"),
+            ("fields used", f"{self.fields_used} of {self.fields_seen}"),
+            ("real-time factor", f"{self.timing.real_time_factor:.1f}"),
+        ]

@@ -1,0 +1,159 @@
+"""The page about one path with one method, and the one that compares all of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ideal_robot.arrays import Array
+from scenes.path.play import DELAY, REFERENCE, PathComparison, PathResult
+from scenes.report.page import Report, write_comparison_files, write_run_files
+
+INK, SOFT = "#1c2430", "#8893a1"
+COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected_1": "#7fb2dd",
+           "precorrected": "#0a6ebd", "model_learned": "#2b8a3e", "learned_4": "#c2255c", "ideal": "#e06a00",
+           "adapted": "#1c2430"}
+"""Colours of the methods on every page."""
+DRAWN = ("none", "trained", "precorrected_1", "precorrected", "learned_4", "ideal")
+"""Methods whose deviation over time is drawn; the rest stand in the table."""
+TRACED = ("none", "precorrected_1", "precorrected", "ideal")
+"""Methods whose path is drawn."""
+MAGNIFIED = 50
+"""Factor on deviations in pictures of paths."""
+DEFINITION = (
+    "Time-matched: against the desired position at the same instant. Aligned: after removing one constant delay. "
+    "Geometric: distance to the path. 'Less %' is the reduction against no correction without delay, of the weaker of "
+    "time-matched and aligned; 'by motors' is the aligned E_car that motor angles show, which is what the paper could "
+    "measure: elastic gears are invisible to it.")
+
+
+def write_run(result: PathResult, out: Path) -> PathResult:
+    """Writes recording, figures and page into ``out``; returns the result with their paths."""
+    written: PathResult = write_run_files(result, run_page, out)
+    return written
+
+
+def write_comparison(comparison: PathComparison, out: Path) -> PathComparison:
+    """Writes each run's recording and the common page into ``out``."""
+    written: PathComparison = write_comparison_files(comparison, comparison_page, out)
+    return written
+
+
+def run_page(result: PathResult) -> Report:
+    """The page of one run."""
+    e = result.errors
+    report = Report(f"{result.scene.title}: {result.method}",
+                    f"The tool was {1e3 * e.time_matched.E_car:.3f} mm from where it should have been at the time "
+                    f"(root mean square), at most {1e3 * e.time_matched.E_max:.3f} mm.")
+    report.figures([*result.summary()[2:]])
+    report.figure(path_figure([result]), f"The path, deviations drawn {MAGNIFIED} times their size.")
+    report.figure(deviation_figure([result], "time_matched"), "Deviation over time.")
+    report.heading("World")
+    report.table(["setting", "value"], [[key, str(value)] for key, value in result.world.items()])
+    return report
+
+
+def comparison_page(comparison: PathComparison) -> Report:
+    """The page of all methods on one path."""
+    scene, runs = comparison.scene, comparison.runs
+    ideal, none = runs["ideal"].errors, runs[REFERENCE].errors
+    less = comparison.reduction("ideal")["E_car"]
+    report = Report(
+        f"{scene.title}: every method",
+        f"Nothing learned on this path, the ideal robot stays within {1e3 * ideal.time_matched.E_car:.3f} mm of it "
+        f"(root mean square); the industrial controller alone within {1e3 * none.time_matched.E_car:.2f} mm, or "
+        f"{1e3 * none.aligned.E_car:.2f} mm after removing its delay of {1e3 * none.delay:.1f} ms. That is "
+        f"{less['time_matched']:.1f} % and {less['aligned']:.1f} % less.")
+    columns, rows = comparison.full_table()
+    report.table(columns, rows, f"{DEFINITION} Paper: {scene.paper.source}.")
+    report.figure(path_figure([runs[method] for method in TRACED]),
+                  f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")
+    report.figure(deviation_figure([runs[method] for method in DRAWN], "aligned"),
+                  "Aligned deviation over time, without the planner's delay.")
+    report.figure(deviation_figure([runs[method + DELAY] for method in DRAWN], "aligned"),
+                  "The same with the standard path planner's delay in force.")
+    report.figure(learning_figure(comparison), "What learning saw, play by play.")
+    report.heading("World")
+    report.text("The model is identified from recordings of this world; nothing is read from the world itself.")
+    report.table(["setting", "value"], [[key, str(value)] for key, value in runs["ideal"].world.items()])
+    return report
+
+
+def path_figure(results: list[PathResult]) -> Figure:
+    """Desired path and magnified deviations in the plane of the path."""
+    figure = Figure(figsize=(6.4, 5.6))
+    axes = figure.add_subplot()
+    path = results[0].path
+    x_d, t = path.x_d[path.counts], path.t[path.counts]
+    centre = x_d.mean(axis=0)
+    # The plane of the path, seen from the robot: to the right, and up or ahead.
+    normal = np.linalg.svd(x_d - centre, full_matrices=False)[2][2]
+    normal *= np.sign(normal[2]) if abs(normal[2]) > 1e-6 else -np.sign(normal[0])
+    right = np.array([0.0, -1.0, 0.0]) + normal * normal[1]
+    plane = np.array([right, np.cross(normal, right)]) / np.linalg.norm(right)
+    flat = (x_d - centre) @ plane.T
+    axes.plot(*(1e3 * flat.T), color=INK, lw=2.5, alpha=0.35, label="desired")
+    for result in results:
+        actual = _at(result, t + result.errors.delay)
+        drawn = flat + MAGNIFIED * (actual - x_d) @ plane.T
+        axes.plot(*(1e3 * drawn.T), color=_colour(result), lw=1, label=result.method)
+    axes.set_aspect("equal")
+    axes.set_xlabel("mm")
+    axes.set_ylabel("mm")
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    _plain(axes)
+    return figure
+
+
+def deviation_figure(results: list[PathResult], kind: str) -> Figure:
+    """Deviation over time of several methods, like [G] Figs 9 and 18."""
+    figure = Figure(figsize=(9.0, 3.6))
+    axes = figure.add_subplot()
+    for result in results:
+        path = result.path
+        t = path.t[path.counts]
+        deviation = 1e3 * getattr(result.errors, kind).deviation
+        axes.semilogy(t - t[0], np.maximum(deviation, 1e-3), color=_colour(result), lw=1.1, label=result.method)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("deviation [mm]")
+    axes.set_ylim(bottom=5e-3)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    _plain(axes)
+    return figure
+
+
+def learning_figure(comparison: PathComparison) -> Figure:
+    """Error of each play of learning, beside what the model-based methods reach without any."""
+    figure = Figure(figsize=(6.4, 3.2))
+    axes = figure.add_subplot()
+    plays = ["none", *(f"learned_{p}" for p in range(1, 5))]
+    values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays]
+    axes.semilogy(range(5), values, "o-", color=COLOURS["learned_4"], label="learning on the arm")
+    axes.yaxis.set_major_formatter("{x:g}")
+    for method in ("precorrected", "model_learned", "ideal"):
+        axes.axhline(1e3 * comparison.runs[method].errors.time_matched.E_car, color=COLOURS[method], lw=1, ls="--",
+                     label=method)
+    axes.set_xticks(range(5))
+    axes.set_xlabel("learning steps on the arm")
+    axes.set_ylabel("E_car, time-matched [mm]")
+    axes.legend(fontsize=8, frameon=False)
+    _plain(axes)
+    return figure
+
+
+def _at(result: PathResult, t: Array) -> Array:
+    played = result.played
+    return np.column_stack([np.interp(t, played.t, column) for column in played.tcp.T])
+
+
+def _colour(result: PathResult) -> str:
+    return COLOURS.get(result.method.removesuffix(DELAY), INK)
+
+
+def _plain(axes: Axes) -> None:
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=8)

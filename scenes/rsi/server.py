@@ -1,0 +1,191 @@
+"""The ideal robot as a KUKA RSI server: a joint path in, one corrected command for every packet out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError, LimitError
+from ideal_robot.execution.interface import RobotState
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.rsi import RsiRobot
+from ideal_robot.signals.recording import Recording
+from planning.path.stopping import stopping_rows
+from scenes.path.precorrect import check_limits
+from scenes.result import Progress, silent
+from scenes.scene_error import SceneError
+
+START_TOLERANCE = np.radians(0.5)
+"""How far from the start of the path the arm may stand [rad]; the rest before the path takes it there."""
+_BRAKING_MIN = 0.15
+"""Speed over deceleration that braking counts with at least [s]."""
+_STANDING = 0.3
+"""How long the arm is held after braking [s]."""
+
+
+@dataclass(frozen=True)
+class RsiRun:
+    """A path played over RSI.
+
+    Attributes:
+        recording: ``t`` [s] since the first packet, which is answered by no correction, ``q_d_i``, ``q_c_i`` (handed
+            over at ``t``), ``q_i`` and, where the controller sends currents, ``current_i`` and ``tau_i``.
+        failure: why it ended before the end of the path, or None.
+        counts: what happened on the link.
+        answer_times_ms: median, 99th percentile and maximum from reading a packet to its answer; NaN without any.
+        begun: rows of rest before the path.
+        rows: rows of the path, rests included.
+    """
+
+    recording: Recording
+    failure: str | None
+    counts: dict[str, Any]
+    answer_times_ms: dict[str, float]
+    begun: int
+    rows: int
+
+    def json(self) -> dict[str, Any]:
+        """Key figures."""
+        return {**self.recording.meta, "failure": self.failure, "cycles": len(self.recording.t),
+                "path_cycles": self.rows, "link": self.counts, "answer_time_ms": self.answer_times_ms,
+                "motor_rms_error_mrad": None if len(self.recording.t) <= self.begun else self.errors_mrad()}
+
+    def errors_mrad(self) -> Array:
+        """Root mean square of desired position minus motor angle, rest before the path left out ``(n,)`` [mrad]."""
+        off = (self.recording.joints("q_d") - self.recording.joints("q"))[self.begun :]
+        return np.asarray(1e3 * np.sqrt(np.mean(off**2, axis=0)))
+
+    def table(self) -> tuple[list[str], list[list[Any]]]:
+        """What a person wants first."""
+        link = self.counts
+        rows: list[list[Any]] = [["cycles answered", f"{len(self.recording.t)} of {self.rows}"],
+                                 ["packets lost", link["lost"]], ["repeated", link["repeated"]],
+                                 ["refused", link["refused"]], ["answers late by the controller's count", link["late"]],
+                                 ["answer after, median ms", self.answer_times_ms["median"]],
+                                 ["answer after, worst ms", self.answer_times_ms["max"]]]
+        if len(self.recording.t) > self.begun:
+            rows.append(["motor error, worst joint mrad rms", float(np.max(self.errors_mrad()))])
+        return ["figure", "value"], rows
+
+
+class RsiServer:
+    """Plays one desired joint path through a feedforward to the controller behind a ``RsiRobot``.
+
+    The command of the next cycle is computed while the controller is busy with this one, so that a packet is answered
+    at once. A lost packet delays the path by a cycle; nothing is skipped. Where a command would leave a limit the arm
+    is brought to rest on the path and the rest of the path is given up.
+
+    Args:
+        link: the arm behind RSI, not yet connected.
+        feedforward: what corrects the path.
+        q_d: desired positions at the interpolation cycle ``(N, n)`` [rad], rest before and behind the path included.
+        rest: rows of rest before the path.
+        meta: what the recording's metadata shall hold besides.
+    """
+
+    def __init__(self, link: RsiRobot, feedforward: Feedforward, q_d: Array, rest: int,
+                 meta: dict[str, Any] | None = None) -> None:
+        self.link, self.feedforward, self.rest = link, feedforward, rest
+        self.q_d, self.meta = np.array(q_d, dtype=float), meta or {}
+        self._reason: str | None = None
+
+    def stop(self, reason: str) -> None:
+        """Brings the arm to rest on the path from the next cycle on; to be called from anywhere."""
+        self._reason = self._reason or reason
+
+    def play(self, *, patience: float = 60.0, progress: Progress = silent) -> RsiRun:
+        """Waits for the controller up to ``patience`` [s], then plays the path; what happened is in the result.
+
+        Raises:
+            RsiError: no controller came.
+            SceneError: the arm does not stand at the start of the path. Nothing has moved then.
+        """
+        # Compiled code is loaded before the first packet has to be answered.
+        self.feedforward.step(self.feedforward.init(self.q_d[0]), self.q_d[: self.feedforward.n_d])
+        self.link.connect(patience)
+        q_d = self._from(self.link.commanded)
+        commands = self._commands(q_d)
+        rows: list[tuple[RobotState, Array, Array]] = []
+        try:
+            # The first answer changes nothing and needs no computing.
+            self.link.send(self.link.commanded)
+            command = next(commands, None)
+            state = self.link.receive()
+            while command is not None:
+                self.link.send(command[1])
+                rows.append((state, *command))
+                if len(rows) % 50 == 0:
+                    progress(len(rows) / len(q_d), "")
+                if (command := next(commands, None)) is not None:
+                    state = self.link.receive()
+        except IdealRobotError as error:
+            self._reason = self._reason or str(error)
+        return self._run(rows)
+
+    def _from(self, held: Array) -> Array:
+        """The path from where the arm is held: the offset to its start fades within the rest before it."""
+        offset = held - self.q_d[0]
+        joint = int(np.argmax(np.abs(offset)))
+        if abs(offset[joint]) > START_TOLERANCE:
+            raise SceneError(f"joint {joint + 1} stands at {np.degrees(held[joint]):.2f}° and the path starts at "
+                             f"{np.degrees(self.q_d[0, joint]):.2f}°; move the arm to the start of the path, or check "
+                             "axis_sign and axis_zero in the robot's data")
+        share = np.clip(np.arange(len(self.q_d)) / max(self.rest - 1, 1), 0.0, 1.0)[:, None]
+        return np.asarray(self.q_d + offset * (1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2)))
+
+    def _commands(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
+        """Desired position and command of every cycle; braking from where a limit or ``stop`` ends the path."""
+        law, T, robot = self.feedforward, self.link.t_ipo, self.link.robot
+        state, last = law.init(q_d[0]), np.tile(q_d[0], (2, 1))
+        ahead = np.concatenate([q_d, np.tile(q_d[-1], (law.n_d + 2, 1))])
+        for k in range(len(q_d)):
+            if self._reason is not None:
+                break
+            q_c, after = law.step(state, ahead[k : k + law.n_d])
+            try:
+                check_limits(np.vstack([last, q_c]), robot, T, start=(k - 2) * T)
+            except LimitError as error:
+                self.stop(f"stopped on the path at {k * T:.3f} s: {error}")
+                break
+            state, last = after, np.vstack([last[1], q_c])
+            yield ahead[k], q_c
+        else:
+            return
+        speed = float(np.max(np.abs(ahead[k + 1] - ahead[k]) / T / robot.a_max))
+        braking = max(speed, _BRAKING_MIN)
+        cycles = int(np.ceil((1.5 * braking + _STANDING) / T))
+        for planned in islice(stopping_rows(ahead[k : k + cycles + law.n_d], T, braking, 1.0), cycles):
+            q_c, state = law.step(state, planned[: law.n_d])
+            q_c = self._held(q_c, last)
+            last = np.vstack([last[1], q_c])
+            yield planned[0], q_c
+
+    def _held(self, q_c: Array, last: Array) -> Array:
+        """The command nearest to ``q_c`` within the limits, from the two before ``(2, n)``."""
+        robot, T = self.link.robot, self.link.t_ipo
+        step = last[1] - last[0]
+        bend = 2.0 * robot.a_max * T**2
+        moved = np.clip(np.clip(q_c - last[1], step - bend, step + bend), -robot.v_max * T, robot.v_max * T)
+        return np.asarray(np.clip(last[1] + moved, robot.q_min, robot.q_max))
+
+    def _run(self, rows: list[tuple[RobotState, Array, Array]]) -> RsiRun:
+        robot, counts = self.link.robot, asdict(self.link.counts)
+        meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "rsi",
+                "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"},
+                "corrections": "relative" if self.link.relative else "absolute", **self.meta}
+        n = robot.n
+        columns = {"q_d": np.array([row[1] for row in rows]).reshape(-1, n),
+                   "q_c": np.array([row[2] for row in rows]).reshape(-1, n),
+                   "q": np.array([row[0].q for row in rows]).reshape(-1, n)}
+        tau = np.array([row[0].tau for row in rows]).reshape(-1, n)
+        if np.isfinite(tau).all():
+            columns |= {"current": tau / robot.drive_gain, "tau": tau}
+        recording = Recording.from_arrays(np.array([row[0].t for row in rows]), meta=meta, source="rsi", **columns)
+        times = 1e3 * np.array(self.link.answer_times or [np.nan])
+        spread = {"median": float(np.median(times)), "p99": float(np.percentile(times, 99)), "max": float(times.max())}
+        return RsiRun(recording, self._reason, counts, spread, self.rest, len(self.q_d))

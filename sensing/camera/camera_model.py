@@ -1,0 +1,237 @@
+"""A camera as it is calibrated: intrinsics, lens distortion and where it sits on the tool.
+
+The model is OpenCV's: a point (X, Y, Z) in the camera frame (x right, y down, z along the optical axis) becomes
+
+    x = X/Z, y = Y/Z, r² = x² + y²
+    x_d = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)
+    y_d = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y
+    u = f_x x_d + c_x, v = f_y y_d + c_y
+
+with pixel centres at integer coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+from numba import njit
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+
+
+@njit(cache=True)
+def distort(x: float, y: float, k: Array) -> tuple[float, float]:
+    """Distorts one normalised image point; ``k`` is (k1, k2, p1, p2, k3)."""
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    return (
+        x * radial + 2.0 * k[2] * x * y + k[3] * (r2 + 2.0 * x * x),
+        y * radial + k[2] * (r2 + 2.0 * y * y) + 2.0 * k[3] * x * y,
+    )
+
+
+@njit(cache=True)
+def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
+    """Inverts ``distort`` by Newton's method; NaN where the lens model has no inverse."""
+    x, y = x_d, y_d
+    for _ in range(20):
+        fx, fy = distort(x, y, k)
+        ex, ey = fx - x_d, fy - y_d
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+        slope = 2.0 * (k[0] + r2 * (2.0 * k[1] + 3.0 * r2 * k[4]))
+        a = radial + slope * x * x + 2.0 * k[2] * y + 6.0 * k[3] * x
+        b = slope * x * y + 2.0 * k[2] * x + 2.0 * k[3] * y
+        d = radial + slope * y * y + 6.0 * k[2] * y + 2.0 * k[3] * x
+        det = a * d - b * b
+        if det <= 1e-6 or a <= 0.0:
+            return np.nan, np.nan
+        x -= (d * ex - b * ey) / det
+        y -= (a * ey - b * ex) / det
+        if ex * ex + ey * ey < 1e-26:
+            return x, y
+    return np.nan, np.nan
+
+
+@njit(cache=True)
+def project_points(points: Array, K: Array, k: Array) -> Array:
+    """Pixels ``(m, 2)`` of points ``(m, 3)`` in the camera frame; NaN behind the camera."""
+    pixels = np.full((points.shape[0], 2), np.nan)
+    for i in range(points.shape[0]):
+        if points[i, 2] > 0.0:
+            x, y = distort(points[i, 0] / points[i, 2], points[i, 1] / points[i, 2], k)
+            pixels[i, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2]
+            pixels[i, 1] = K[1, 1] * y + K[1, 2]
+    return pixels
+
+
+@njit(cache=True)
+def pixel_rays(pixels: Array, K: Array, k: Array) -> Array:
+    """Rays ``(m, 3)`` with z = 1 of pixels ``(m, 2)``."""
+    rays = np.empty((pixels.shape[0], 3))
+    for i in range(pixels.shape[0]):
+        y_d = (pixels[i, 1] - K[1, 2]) / K[1, 1]
+        x_d = (pixels[i, 0] - K[0, 2] - K[0, 1] * y_d) / K[0, 0]
+        rays[i, 0], rays[i, 1] = undistort(x_d, y_d, k)
+        rays[i, 2] = 1.0
+    return rays
+
+
+def default_mount(height: float = 0.25, ahead: float = 0.065) -> pin.SE3:
+    """Camera pose in the tool frame: above the surface, looking down along the tool's z, ahead of the TCP.
+
+    The tool's x points along the path and its z into the surface. In the image, forward is up and the tool's y
+    is right, so a line along the path stands upright and five rows across the field cut it five times.
+
+    Args:
+        height: distance of the camera from the TCP against the tool's z [m].
+        ahead: distance of the optical axis ahead of the TCP along the tool's x [m].
+    """
+    rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    return pin.SE3(rotation, np.array([ahead, 0.0, -height]))
+
+
+@dataclass(frozen=True)
+class CalibrationError:
+    """Sizes of the errors between a camera and what is believed of it; angles about the tool's axes.
+
+    Attributes:
+        roll, pitch, yaw: rotation of the camera about the tool's x (along the path), y and z [rad].
+        height: camera too far from the surface [m].
+        lateral: camera displaced along the tool's y [m].
+        focal: relative error of the focal length.
+        principal_point: error of both coordinates of the principal point [px].
+        distortion: error of the radial coefficient k1.
+    """
+
+    roll: float = 0.0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    height: float = 0.0
+    lateral: float = 0.0
+    focal: float = 0.0
+    principal_point: float = 0.0
+    distortion: float = 0.0
+
+    def signed(self, rng: np.random.Generator) -> dict[str, float]:
+        """The same sizes with random signs, as arguments of ``CameraModel.perturbed``."""
+        sign = rng.choice([-1.0, 1.0], size=9)
+        return {
+            "roll": sign[0] * self.roll,
+            "pitch": sign[1] * self.pitch,
+            "yaw": sign[2] * self.yaw,
+            "height": sign[3] * self.height,
+            "lateral": sign[4] * self.lateral,
+            "focal": sign[5] * self.focal,
+            "principal_u": sign[6] * self.principal_point,
+            "principal_v": sign[7] * self.principal_point,
+            "k1": sign[8] * self.distortion,
+        }
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """Pinhole camera with OpenCV's lens distortion, mounted on the tool.
+
+    Attributes:
+        width, height: image size [px].
+        K: camera matrix ``(3, 3)`` [px].
+        distortion: (k1, k2, p1, p2, k3), shape ``(5,)``.
+        T_tool_camera: pose of the camera frame in the tool frame.
+    """
+
+    width: int
+    height: int
+    K: Array
+    distortion: Array
+    T_tool_camera: pin.SE3 = field(compare=False)
+
+    def __post_init__(self) -> None:
+        K = np.array(self.K, dtype=float)
+        distortion = np.array(self.distortion, dtype=float)
+        if self.width < 1 or self.height < 1:
+            raise InputError("the image needs at least one pixel", field="camera.width, camera.height",
+                             value=(self.width, self.height))
+        if K.shape != (3, 3) or not np.all(np.isfinite(K)) or K[0, 0] <= 0.0 or K[1, 1] <= 0.0:
+            raise InputError("expected a 3×3 camera matrix with positive focal lengths", field="camera.K")
+        if distortion.shape != (5,) or not np.all(np.isfinite(distortion)):
+            raise InputError("expected five coefficients k1, k2, p1, p2, k3", field="camera.distortion")
+        K.setflags(write=False)
+        distortion.setflags(write=False)
+        object.__setattr__(self, "K", K)
+        object.__setattr__(self, "distortion", distortion)
+
+    @classmethod
+    def default(
+        cls,
+        width: int = 320,
+        height: int = 240,
+        focal: float | None = None,
+        distortion: tuple[float, ...] = (-0.2, 0.05, 0.0, 0.0, 0.0),
+        mount: pin.SE3 | None = None,
+    ) -> CameraModel:
+        """A camera with 0.83 mm a pixel at 320×240 from 0.25 m; ``focal`` [px] defaults to 300 per 320 columns."""
+        f = 300.0 * width / 320.0 if focal is None else focal
+        K = np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
+        return cls(width, height, K, np.array(distortion), default_mount() if mount is None else mount)
+
+    def project(self, points: Array) -> Array:
+        """Pixels ``(m, 2)`` of points ``(m, 3)`` [m] given in the camera frame; NaN behind the camera."""
+        return project_points(np.ascontiguousarray(points, dtype=float), self.K, self.distortion)
+
+    def rays(self, pixels: Array) -> Array:
+        """Undistorted rays ``(m, 3)`` with z = 1 in the camera frame of pixels ``(m, 2)``.
+
+        NaN where the lens model cannot be inverted, which is far outside the image of a sensible lens.
+        """
+        return pixel_rays(np.ascontiguousarray(pixels, dtype=float), self.K, self.distortion)
+
+    def project_tool(self, points: Array) -> Array:
+        """Pixels ``(m, 2)`` of points ``(m, 3)`` [m] given in the tool frame."""
+        T = self.T_tool_camera
+        return self.project((np.asarray(points, dtype=float) - T.translation) @ T.rotation)
+
+    def on_plane(self, pixels: Array, normal: Array, offset: float) -> Array:
+        """Points ``(m, 3)`` [m] in the tool frame where the pixels' rays meet the plane ``normal · x = offset``."""
+        T = self.T_tool_camera
+        directions = self.rays(pixels) @ T.rotation.T
+        depth = (offset - normal @ T.translation) / (directions @ normal)
+        return T.translation + depth[:, None] * directions
+
+    def perturbed(
+        self,
+        roll: float = 0.0,
+        pitch: float = 0.0,
+        yaw: float = 0.0,
+        height: float = 0.0,
+        lateral: float = 0.0,
+        forward: float = 0.0,
+        focal: float = 0.0,
+        principal_u: float = 0.0,
+        principal_v: float = 0.0,
+        k1: float = 0.0,
+    ) -> CameraModel:
+        """This camera with errors of calibration.
+
+        Args:
+            roll, pitch, yaw: rotation vector in the tool's axes, about the camera's centre [rad].
+            height, lateral, forward: displacement of the camera against the tool's z, along its y and x [m].
+            focal: relative change of both focal lengths.
+            principal_u, principal_v: shift of the principal point [px].
+            k1: change of the radial coefficient.
+        """
+        T = self.T_tool_camera
+        mount = pin.SE3(
+            pin.exp3(np.array([roll, pitch, yaw])) @ T.rotation, T.translation + np.array([forward, lateral, -height])
+        )
+        K = self.K.copy()
+        K[0, 0] *= 1.0 + focal
+        K[1, 1] *= 1.0 + focal
+        K[0, 2] += principal_u
+        K[1, 2] += principal_v
+        distortion = self.distortion.copy()
+        distortion[0] += k1
+        return replace(self, K=K, distortion=distortion, T_tool_camera=mount)

@@ -1,0 +1,253 @@
+"""Calibration of the camera on the tool from the drawn line itself, while the arm moves ([L] 4.4).
+
+"Calibration can simply be reached by moving the sensor and comparing the sensor values with the simultaneously measured
+actual positions of the TCP." One piece of the line is seen from many tool poses. Its points, projected back with the
+right camera, fall on one curve; with a wrong camera, on as many as there are poses. Neither the line's place nor its
+shape is assumed: its deviation from the reference path is a cubic B-spline, solved for along the way.
+
+With pixels u_ij of pose i, camera parameters θ and the intersection x_ij(θ) of their rays with the surface,
+
+    min over θ, c of  Σ ((d(x_ij(θ)) - B(s(x_ij(θ))) c) / σ_ij)² + Σ (θ_k / σ_k)²
+
+d and s being lateral distance from and arc length on the reference path: Gauss-Newton over θ and c together, with
+
+    ∂d/∂θ = n · ∂x/∂θ,   ∂s/∂θ = t · ∂x/∂θ
+
+n, t the reference's normal and tangent at the foot of x.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import BSpline
+
+from ideal_robot.arrays import Array
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.polyline import Polyline
+from sensing.sensing_error import SensingError
+
+PRIOR = {
+    "roll": 0.01,
+    "pitch": 0.01,
+    "yaw": 0.01,
+    "height": 0.003,
+    "lateral": 0.002,
+    "forward": 0.002,
+    "focal": 0.01,
+    "principal_u": 2.0,
+    "principal_v": 2.0,
+    "k1": 0.03,
+    "time_offset": 0.003,
+}
+"""Standard deviations of a camera mounted by hand: 0.6°, 3 mm, 1 %, 2 px, 3 ms."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """Line points of one field, and where the robot says the tool was.
+
+    Attributes:
+        pose: TCP pose in the base frame at the time stamp, from the motor angles.
+        pixels: detected points ``(m, 2)`` [px].
+        sigma: their lateral standard deviations ``(m,)`` [m].
+        velocity, angular_velocity: of the TCP in the base frame ``(3,)`` [m/s, rad/s]; zero at rest.
+    """
+
+    pose: pin.SE3
+    pixels: Array
+    sigma: Array
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    angular_velocity: Array = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """Result of a calibration.
+
+    Attributes:
+        camera: the calibrated camera.
+        time_offset: what has to be added to a time stamp [s].
+        parameters, sigma: corrections found and their standard deviations, by name, as in ``PRIOR``.
+        covariance: of the parameters, in the order of ``parameters``.
+        residual_before, residual_after: root mean square distance of the points from one common curve [m].
+        used: points used, after outliers were dropped.
+    """
+
+    camera: CameraModel
+    time_offset: float
+    parameters: dict[str, float]
+    sigma: dict[str, float]
+    covariance: Array
+    residual_before: float
+    residual_after: float
+    used: int
+
+
+def calibration_poses(
+    centre: Array, tangent: Array, normal: Array, ahead: float, move: float = 0.04, lift: float = 0.03
+) -> list[pin.SE3]:
+    """Tool poses from which one piece of the line tells all that matters of the camera.
+
+    The tool turns about its approach axis by nearly ±90°, which turns every constant error of the camera against the
+    line; it moves along, which tells a turned camera from a turned line; sideways and up, which shows scale and focal
+    length. No turn is a multiple of 45°: a line along pixel rows or diagonals has the same sub-pixel error in all its
+    points.
+
+    Args:
+        centre: a point on the line as far as known ``(3,)`` [m].
+        tangent, normal: the line's direction and the surface normal (towards the camera) there ``(3,)``.
+        ahead: how far ahead of the TCP the camera looks [m].
+        move, lift: moves along and sideways, and upward [m].
+    """
+    poses = []
+    z = -np.asarray(normal, dtype=float)
+    x = np.asarray(tangent, dtype=float)
+    turn_0 = np.column_stack([x, np.cross(z, x), z])
+    for turn in np.radians([3.0, -39.0, -84.0, 84.0, 39.0]):
+        for along, aside, up in ((-move, 0.0, 0.0), (move, 0.0, lift), (0.0, move, 0.0), (0.0, -move, lift)):
+            R = turn_0 @ pin.rpy.rpyToMatrix(0.0, 0.0, float(turn))
+            look = centre + along * turn_0[:, 0] + aside * turn_0[:, 1] - up * z
+            poses.append(pin.SE3(R, look - ahead * R[:, 0]))
+    return poses
+
+
+def calibrate(
+    camera: CameraModel,
+    observations: Sequence[Observation],
+    reference: Array,
+    normal: Array,
+    prior: dict[str, float] | None = None,
+    knot: float = 0.015,
+) -> HandEye:
+    """Estimates what is wrong with the camera from observations of one piece of the line.
+
+    Args:
+        camera: the camera as it is believed.
+        observations: fields from different poses; at least three with three points.
+        reference: polyline near the line ``(N, 3)`` [m] in the base frame, in the surface.
+        normal: unit normal of the surface ``(3,)``.
+        prior: standard deviations of the parameters; those missing are not estimated. Default ``PRIOR``.
+        knot: spacing of the spline of the line's deviation from the reference [m].
+
+    Raises:
+        SensingError: too few points.
+    """
+    prior = PRIOR if prior is None else prior
+    names = list(prior)
+    scale = np.array([prior[name] for name in names])
+    problem = _Problem(camera, observations, Polyline(reference), np.asarray(normal, dtype=float), names, knot)
+    if len(observations) < 3 or problem.count < len(names) + 10:
+        raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
+    before = problem.solve(np.zeros(len(names)), scale, steps=0)
+    # Twice: the second time without what contradicts the first result.
+    first = problem.solve(np.zeros(len(names)), scale)
+    problem.drop_outliers(first.residual)
+    fit = problem.solve(first.values, scale)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    values = dict(zip(names, (float(v) for v in fit.values), strict=True))
+    corrected = camera.perturbed(**{name: value for name, value in values.items() if name != "time_offset"})
+    return HandEye(
+        corrected, values.get("time_offset", 0.0), values, dict(zip(names, (float(v) for v in sigma), strict=True)),
+        fit.covariance, before.rms, fit.rms, problem.count,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Parameters, their covariance, residuals in units of sigma ``(count,)`` and their root mean square [m]."""
+
+    values: Array
+    covariance: Array
+    residual: Array
+    rms: float
+
+
+class _Problem:
+    """Residuals of the points against one common curve, as a function of the camera's parameters."""
+
+    def __init__(
+        self, camera: CameraModel, observations: Sequence[Observation], reference: Polyline, normal: Array,
+        names: list[str], knot: float,
+    ) -> None:  # fmt: skip
+        self.camera, self.reference, self.normal, self.names = camera, reference, normal, names
+        found = [np.isfinite(o.pixels).all(axis=1) & np.isfinite(o.sigma) for o in observations]
+        seen = list(zip(observations, found, strict=True))
+        self.pixels = np.concatenate([np.empty((0, 2)), *(o.pixels[f] for o, f in seen)])
+        self.sigma = np.concatenate([np.empty(0), *(o.sigma[f] for o, f in seen)])
+        self.rotation = np.array([o.pose.rotation for o in observations]).reshape(-1, 3, 3)
+        self.position = np.array([o.pose.translation for o in observations]).reshape(-1, 3)
+        self.velocity = np.array([o.velocity for o in observations]).reshape(-1, 3)
+        turning = np.array([pin.skew(o.angular_velocity) for o in observations]).reshape(-1, 3, 3)
+        self.rotation_rate = turning @ self.rotation
+        self.owner = np.repeat(np.arange(len(found)), [int(f.sum()) for f in found])
+        self.offset = float(normal @ reference.points[0])
+        self.good = np.ones(len(self.pixels), dtype=bool)
+        if self.count:
+            s = self.reference.nearest(self._on_surface(np.zeros(len(names))), self.normal).s
+            low, high = s.min() - 0.5 * knot, s.max() + 0.5 * knot
+            inner = np.linspace(low, high, max(int((high - low) / knot), 2) + 1)
+            self.knots = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+
+    @property
+    def count(self) -> int:
+        return int(self.good.sum())
+
+    def _on_surface(self, values: Array) -> Array:
+        """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
+        given = dict(zip(self.names, values, strict=True))
+        delay = given.pop("time_offset", 0.0)
+        camera = self.camera.perturbed(**given)
+        T = camera.T_tool_camera
+        directions = camera.rays(self.pixels) @ T.rotation.T
+        # To first order in the delay: milliseconds at a few rad/s.
+        rotation = self.rotation + delay * self.rotation_rate
+        position = self.position + delay * self.velocity
+        ray = np.einsum("ijk,ik->ij", rotation[self.owner], directions)
+        origin = (position + rotation @ T.translation)[self.owner]
+        depth = (self.offset - origin @ self.normal) / (ray @ self.normal)
+        return np.asarray(origin + depth[:, None] * ray)
+
+    def solve(self, values: Array, scale: Array, steps: int = 6) -> _Fit:
+        """Gauss-Newton steps from ``values``; with none, only the common curve is fitted."""
+        n = len(values)
+        for step in range(steps + 1):
+            x = self._on_surface(values)
+            found = self.reference.nearest(x, self.normal)
+            tangent = self.reference.at(found.s)[1]
+            left = np.cross(self.normal, tangent)
+            weight = self.good / self.sigma
+            inside = np.clip(found.s, self.knots[0] + 1e-9, self.knots[-1] - 1e-9)
+            B = weight[:, None] * BSpline.design_matrix(inside, self.knots, 3).toarray()
+            d = found.lateral * weight
+            # A weak prior of 30 mm keeps spline pieces that no point touches harmless.
+            c = np.linalg.solve(B.T @ B + np.eye(B.shape[1]) / 0.03**2, B.T @ d)
+            residual = d - B @ c
+            slope = BSpline(self.knots, c, 3)(inside, 1)
+            J = np.empty((len(x), n + B.shape[1]))
+            J[:, n:] = -B
+            for k in range(n):
+                moved = values.copy()
+                moved[k] += 1e-3 * scale[k]
+                dx = (self._on_surface(moved) - x) / 1e-3
+                change = np.einsum("ij,ij->i", left, dx) - slope * np.einsum("ij,ij->i", tangent, dx)
+                J[:, k] = weight * change
+            A = J.T @ J + np.diag(np.concatenate([np.ones(n), np.full(B.shape[1], 1.0 / 0.03**2)]))
+            if step == steps:
+                break
+            gradient = J.T @ residual
+            gradient[:n] += values / scale
+            gradient[n:] += c / 0.03**2
+            values = values - scale * np.linalg.solve(A, gradient)[:n]
+        used = residual[self.good]
+        spread = max(1.0, float(np.sqrt(np.mean(used**2))))
+        covariance = np.linalg.inv(A)[:n, :n] * np.outer(scale, scale) * spread**2
+        return _Fit(values, covariance, used, float(np.sqrt(np.mean((used * self.sigma[self.good]) ** 2))))
+
+    def drop_outliers(self, residual: Array) -> None:
+        r = np.abs(residual)
+        limit = 5.0 * max(1.0, 1.4826 * float(np.median(r)))
+        self.good[np.flatnonzero(self.good)[r > limit]] = False

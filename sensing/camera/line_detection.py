@@ -1,0 +1,233 @@
+"""Line points of one camera field: one point per predicted search window, sub-pixel, checked against each other.
+
+[L] 5: "a single line is tracked, represented by a polynomial which is computed from 5 detected line points". Here are
+the points: windows where the line is predicted, edge pairs with gates of width and contrast, a least-squares fit of
+each cross-section, and a test which of them together make one smooth line near the prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from sensing.camera.camera_model import CameraModel, pixel_rays
+from sensing.camera.field import Field
+from sensing.camera.line_profile import MAX_CANDIDATES, find_sections
+from sensing.camera.line_search import DetectionSettings, PredictedLine, predict_image, search_windows
+
+__all__ = ["DetectionSettings", "LineField", "PredictedLine", "detect_line", "search_windows"]
+
+SAMPLING = 0.01
+"""Error of a point that comes from sampling by pixels, not from noise; standard deviation [px]."""
+
+
+@dataclass(frozen=True)
+class LineField:
+    """What one field says of the line; row i belongs to predicted point i.
+
+    Attributes:
+        t: time stamp of the exposure [s].
+        points_tcp: line points in the tool frame ``(m, 3)`` [m]; NaN where none was found.
+        pixels: the same in the image ``(m, 2)`` [px].
+        lateral: signed distance from the predicted line along normal × tangent ``(m,)`` [m].
+        sigma: lateral standard deviation ``(m,)`` [m].
+        quality: 0 to 1 ``(m,)``: how well width, contrast and shape of the cross-section fit; 0 where none was found.
+        used: points that passed the outlier test ``(m,)``.
+        seen: enough points agree.
+        reason: why not, else empty.
+    """
+
+    t: float
+    points_tcp: Array
+    pixels: Array
+    lateral: Array
+    sigma: Array
+    quality: Array
+    used: NDArray[np.bool_]
+    seen: bool
+    reason: str
+
+
+@njit(cache=True)
+def _consensus(
+    deviation: Array,
+    quality: Array,
+    window: NDArray[np.int64],
+    along: Array,
+    tolerance: float,
+    sigma: float,
+    least: float,
+) -> NDArray[np.int64]:
+    """Chooses at most one candidate per window so that the deviations from the prediction make one straight line.
+
+    Every pair of candidates (and each alone) proposes a line of deviations. Its score is the sum of the nearest
+    candidates' qualities, each falling with its distance from that line, times a prior on the mean deviation.
+    """
+    k, m = deviation.size, along.size
+    best = np.full(m, -1, dtype=np.int64)
+    choice = np.empty(m, dtype=np.int64)
+    gain = np.empty(m)
+    best_score = 0.0
+    for a in range(k):
+        for b in range(a, k):
+            if (a != b and window[a] == window[b]) or quality[a] < least or quality[b] < least:
+                continue
+            slope = 0.0 if a == b else (deviation[b] - deviation[a]) / (along[window[b]] - along[window[a]])
+            if abs(slope) > 0.3:
+                continue
+            choice[:] = -1
+            gain[:] = 0.0
+            for c in range(k):
+                r = (deviation[c] - deviation[a] - slope * (along[window[c]] - along[window[a]])) / tolerance
+                value = quality[c] * (1.0 - r * r)
+                if quality[c] >= least and value > gain[window[c]]:
+                    gain[window[c]], choice[window[c]] = value, c
+            total, mean = 0.0, 0.0
+            for i in range(m):
+                total += gain[i]
+                if choice[i] >= 0:
+                    mean += gain[i] * (deviation[choice[i]] / (3.0 * sigma)) ** 2
+            if total <= 0.0:
+                continue
+            score = total * np.exp(-0.5 * mean / total)
+            if score > best_score:
+                best_score = score
+                best[:] = choice
+    return best
+
+
+@njit(cache=True)
+def _sections(
+    pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, gray: NDArray[np.uint8],
+    windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
+    width_tolerance: float,
+) -> tuple[Array, NDArray[np.int64], int]:  # fmt: skip
+    """All cross-sections of all windows: scan coordinate in the image, width, depth, residual, standard deviation per
+    gray, and window's middle row minus predicted row; the window of each; how many there are."""
+    m = pixels.shape[0]
+    found, owner = np.empty((m * MAX_CANDIDATES, 6)), np.empty(m * MAX_CANDIDATES, dtype=np.int64)
+    n = start = 0
+    for i in range(m):
+        a, w, h = axis[i], windows[i, 2], windows[i, 3]
+        patch = gray[start : start + w * h].reshape(h, w)
+        start += w * h
+        # Predicted anew, the line may lie across the diagonal; the window's own direction stays the scan.
+        if w * h == 0 or (h > w) != (a == 1):
+            continue
+        rows = np.ascontiguousarray(patch.T) if a == 1 else patch
+        middle = windows[i, 1 - a] + 0.5 * (rows.shape[0] - 1) - pixels[i, 1 - a]
+        sections = find_sections(rows, pixels[i, a] + slant[i] * middle - windows[i, a], slant[i],
+                                 line_width / abs(metres[i]), blur, polarity, min_contrast, width_tolerance)
+        for j in range(sections.shape[0]):
+            found[n, :5] = sections[j]
+            found[n, 0] += windows[i, a]
+            found[n, 5] = middle
+            owner[n] = i
+            n += 1
+    return found, owner, n
+
+
+@njit(cache=True)
+def _evaluate(
+    pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, points: Array, gray: NDArray[np.uint8],
+    windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
+    width_tolerance: float, smoothness: float, sigma: float, least: float, noise: float,
+) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], int]:  # fmt: skip
+    """Pixels, lateral deviations, standard deviations, qualities, which are used, and windows with any section."""
+    m = pixels.shape[0]
+    s, owner, n = _sections(pixels, axis, slant, metres, gray, windows, line_width, blur, polarity, min_contrast,
+                            width_tolerance)
+    deviation, grade, nearest = np.empty(n), np.empty(n), np.full(m, -1, dtype=np.int64)
+    for j in range(n):
+        i = owner[j]
+        # The window's middle row is not the predicted point's: what the line runs on between them is no deviation.
+        deviation[j] = (s[j, 0] - pixels[i, axis[i]] - s[j, 5] * slant[i]) * metres[i]
+        width = s[j, 1] * abs(metres[i]) / line_width
+        misfit = s[j, 3] / max(s[j, 2], 1.0)
+        grade[j] = math.exp(-0.5 * ((width - 1.0) / 0.2) ** 2 - 0.5 * (misfit / 0.1) ** 2)
+        if nearest[i] < 0:
+            nearest[i] = j
+    along = np.zeros(m)
+    for i in range(1, m):
+        along[i] = along[i - 1] + math.sqrt(np.sum((points[i] - points[i - 1]) ** 2))
+    chosen = _consensus(deviation, grade, owner[:n], along, smoothness, sigma, least)
+    at, lateral, spread = np.full((m, 2), np.nan), np.full(m, np.nan), np.full(m, np.nan)
+    quality, used, any_found = np.zeros(m), np.zeros(m, dtype=np.bool_), 0
+    for i in range(m):
+        if nearest[i] < 0:
+            continue
+        any_found += 1
+        used[i] = chosen[i] >= 0
+        j = chosen[i] if used[i] else nearest[i]
+        lateral[i], quality[i] = deviation[j], grade[j]
+        spread[i] = math.hypot(s[j, 4] * max(s[j, 3], noise), SAMPLING) * abs(metres[i])
+        at[i, axis[i]] = s[j, 0]
+        at[i, 1 - axis[i]] = pixels[i, 1 - axis[i]] + s[j, 5]
+    return at, lateral, spread, quality, used, any_found
+
+
+@njit(cache=True)
+def _back_project(pixels: Array, points: Array, normal: Array, R: Array, p: Array, K: Array, k: Array) -> Array:
+    """Where the pixels' rays meet the planes through ``points``, in the tool frame; NaN of NaN."""
+    rays = pixel_rays(pixels, K, k)
+    found = np.empty((pixels.shape[0], 3))
+    for i in range(pixels.shape[0]):
+        above = along = 0.0
+        for a in range(3):
+            found[i, a] = R[a, 0] * rays[i, 0] + R[a, 1] * rays[i, 1] + R[a, 2] * rays[i, 2]
+            above += normal[a] * (points[i, a] - p[a])
+            along += normal[a] * found[i, a]
+        for a in range(3):
+            found[i, a] = p[a] + above / along * found[i, a]
+    return found
+
+
+def detect_line(
+    field: Field, camera: CameraModel, prediction: PredictedLine, settings: DetectionSettings | None = None
+) -> LineField:
+    """Line points of a field, in the tool frame.
+
+    Args:
+        field: patches of the windows that ``search_windows`` asked for.
+        camera: the camera as it is calibrated.
+        prediction: the line as predicted for the exposure, in the tool frame; may be a better one than the windows
+            were made with, but for the same points.
+        settings: how the line looks and what is accepted.
+
+    Raises:
+        InputError: the field has not one window per predicted point.
+    """
+    s = settings or DetectionSettings()
+    m = len(prediction.points)
+    if len(field.windows) != m or len(field.patches) != m:
+        raise InputError("expected one window per predicted point", field="field.windows", value=len(field.windows))
+    image = predict_image(camera, prediction)
+    points = np.ascontiguousarray(prediction.points, dtype=float)
+    gray = np.concatenate([patch.ravel() for patch in field.patches])
+    pixels, lateral, sigma, quality, used, found = _evaluate(
+        image.pixels, image.axis, image.slant, image.metres, points, gray, np.array(field.windows, dtype=np.int64),
+        s.line_width, s.blur, 1.0 if s.dark else -1.0, s.min_contrast, s.width_tolerance, s.smoothness,
+        float(prediction.sigma), s.min_quality, s.noise,
+    )  # fmt: skip
+    T = camera.T_tool_camera
+    points_tcp = _back_project(
+        pixels, points, np.ascontiguousarray(prediction.normal, dtype=float), np.ascontiguousarray(T.rotation),
+        np.ascontiguousarray(T.translation), camera.K, camera.distortion,
+    )  # fmt: skip
+    count = int(used.sum())
+    reason = "" if count >= s.min_points else _reason(field, found, count, s)
+    return LineField(field.t_stamp, points_tcp, pixels, lateral, sigma, quality, used, count >= s.min_points, reason)
+
+
+def _reason(field: Field, found: int, used: int, s: DetectionSettings) -> str:
+    if all(patch.size == 0 for patch in field.patches):
+        return "the predicted line lies outside the image"
+    if found == 0:
+        return "no line of the expected width and contrast in any window"
+    return f"only {used} of {len(field.windows)} points agree, {s.min_points} are needed"

@@ -1,0 +1,202 @@
+"""Finds a line's cross-section in one small gray window: edge pairs first, then a least-squares fit of each.
+
+Along the window's scan direction u the gray values of row r are modelled as
+
+    g(u, r) = b + m (u - u_r) - c/2 [erf((u - u_r + w/2) / (√2 σ)) - erf((u - u_r - w/2) / (√2 σ))],  u_r = u_0 + h r
+
+a box of width w and depth c, blurred by σ, on a sloping background; h is the line's known slant, r counts from the
+middle row. All pixels enter the fit as they are, nothing is interpolated.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+
+MAX_EDGES = 8
+MAX_CANDIDATES = 4
+SQRT2, SQRT_2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+
+
+@njit(cache=True)
+def _solve(A: Array, b: Array) -> bool:
+    """Solves a small system by Gauss elimination; ``A`` becomes its inverse, ``b`` the solution."""
+    n = b.size
+    inverse = np.eye(n)
+    for i in range(n):
+        pivot = i
+        for r in range(i + 1, n):
+            if abs(A[r, i]) > abs(A[pivot, i]):
+                pivot = r
+        if abs(A[pivot, i]) < 1e-12:
+            return False
+        for c in range(n):
+            A[i, c], A[pivot, c] = A[pivot, c], A[i, c]
+            inverse[i, c], inverse[pivot, c] = inverse[pivot, c], inverse[i, c]
+        b[i], b[pivot] = b[pivot], b[i]
+        d = A[i, i]
+        for c in range(n):
+            A[i, c] /= d
+            inverse[i, c] /= d
+        b[i] /= d
+        for r in range(n):
+            if r != i:
+                f = A[r, i]
+                for c in range(n):
+                    A[r, c] -= f * A[i, c]
+                    inverse[r, c] -= f * inverse[i, c]
+                b[r] -= f * b[i]
+    A[:] = inverse
+    return True
+
+
+@njit(cache=True)
+def fit_section(
+    patch: NDArray[np.uint8], start: float, slant: float, width: float, blur: float, polarity: float
+) -> tuple[float, float, float, float, float]:
+    """Fits the cross-section near ``start`` [px from the window's first pixel].
+
+    Returns:
+        u_0 [px], w [px], c [gray], root mean square residual [gray], standard deviation of u_0 per unit of residual
+        [px/gray]; NaN where the fit failed.
+    """
+    rows, columns = patch.shape
+    middle = 0.5 * (rows - 1)
+    reach = 0.5 * width + 2.5 * blur + 2.0
+    u0, w, c = start, width, 0.0
+    b, m = 0.0, 0.0
+    failed = (np.nan, np.nan, np.nan, np.nan, np.nan)
+    A = np.empty((5, 5))
+    g = np.empty(5)
+    J = np.empty(5)
+    residual, n = 0.0, 0
+    for iteration in range(8):
+        A[:] = 0.0
+        g[:] = 0.0
+        residual, n = 0.0, 0
+        for r in range(rows):
+            centre = u0 + slant * (r - middle)
+            for j in range(max(0, math.ceil(start + slant * (r - middle) - reach)),
+                           min(columns, math.floor(start + slant * (r - middle) + reach) + 1)):
+                d = j - centre
+                left, right = (d + 0.5 * w) / blur, (d - 0.5 * w) / blur
+                box = 0.5 * (math.erf(left / SQRT2) - math.erf(right / SQRT2))
+                pl = math.exp(-0.5 * left * left) / (SQRT_2PI * blur)
+                pr = math.exp(-0.5 * right * right) / (SQRT_2PI * blur)
+                e = polarity * patch[r, j] - (b + m * d - c * box)
+                J[0], J[1], J[2], J[3], J[4] = 1.0, d, -box, c * (pl - pr) - m, -0.5 * c * (pl + pr)
+                residual += e * e
+                n += 1
+                # The first pass has no depth yet, so centre and width do not show: it is linear in the other three.
+                for p in range(5):
+                    g[p] += J[p] * e
+                    for q in range(5):
+                        A[p, q] += J[p] * J[q]
+        if n < 8:
+            return failed
+        if iteration == 0:
+            for p in (3, 4):
+                A[p, p] += 1e6
+        if not _solve(A, g):
+            return failed
+        b, m, c = b + g[0], m + g[1], c + g[2]
+        u0 += min(max(g[3], -1.0), 1.0)
+        w = max(w + min(max(g[4], -1.0), 1.0), 0.3)
+        if abs(u0 - start) > 0.5 * width + 1.0:
+            return failed
+        if iteration > 1 and abs(g[3]) < 2e-3 and abs(g[4]) < 1e-2:
+            break
+    if A[3, 3] <= 0.0:
+        return failed
+    return u0, w, c, math.sqrt(residual / max(n - 5, 1)), math.sqrt(A[3, 3])
+
+
+@njit(cache=True)
+def _edges(profile: Array, threshold: float) -> tuple[Array, Array, Array, Array]:
+    """Falling and rising edges of a profile: sub-pixel positions and steepness, strongest neighbours only."""
+    falling, rising = np.empty(MAX_EDGES), np.empty(MAX_EDGES)
+    steep_f, steep_r = np.empty(MAX_EDGES), np.empty(MAX_EDGES)
+    nf = nr = 0
+    n = profile.size
+    slope = np.zeros(n)
+    for j in range(1, n - 1):
+        slope[j] = 0.5 * (profile[j + 1] - profile[j - 1])
+    for j in range(1, n - 1):
+        a, s, z = abs(slope[j - 1]), abs(slope[j]), abs(slope[j + 1])
+        if s < threshold or (slope[j] * slope[j - 1] > 0.0 and a > s) or (slope[j] * slope[j + 1] > 0.0 and z >= s):
+            continue
+        shift = 0.0
+        if slope[j] * slope[j - 1] > 0.0 and slope[j] * slope[j + 1] > 0.0 and 2.0 * s - a - z > 0.0:
+            shift = 0.5 * (z - a) / (2.0 * s - a - z)
+        if slope[j] < 0.0 and nf < MAX_EDGES:
+            falling[nf], steep_f[nf] = j + shift, s
+            nf += 1
+        elif slope[j] > 0.0 and nr < MAX_EDGES:
+            rising[nr], steep_r[nr] = j + shift, s
+            nr += 1
+    return falling[:nf], rising[:nr], steep_f[:nf], steep_r[:nr]
+
+
+@njit(cache=True)
+def find_sections(
+    patch: NDArray[np.uint8],
+    predicted: float,
+    slant: float,
+    width: float,
+    blur: float,
+    polarity: float,
+    min_contrast: float,
+    width_tolerance: float,
+) -> Array:
+    """All cross-sections in a window that pass the gates of width and contrast, nearest to the prediction first.
+
+    Args:
+        patch: gray values, rows × scan direction.
+        predicted: where the line should be [px from the window's first pixel].
+        slant: shift of the line along the scan from row to row.
+        width: expected width along the scan [px].
+        blur: expected blur σ [px].
+        polarity: 1 for a dark line, -1 for a bright one.
+        min_contrast: least depth [gray].
+        width_tolerance: largest relative deviation of the width.
+
+    Returns:
+        ``(k, 5)`` with k ≤ 4: u_0, w, c, residual, standard deviation of u_0 per gray, as in ``fit_section``.
+    """
+    rows, columns = patch.shape
+    found = np.empty((MAX_CANDIDATES, 5))
+    profile = np.zeros(columns)
+    for j in range(columns):
+        for r in range(rows):
+            c = min(max(j + round(slant * (r - 0.5 * (rows - 1))), 0), columns - 1)
+            profile[j] += polarity * patch[r, c] / rows
+    # A box of that depth, blurred, is at least this steep at its edges.
+    falling, rising, _, _ = _edges(profile, 0.15 * min_contrast)
+    centres = np.empty(MAX_EDGES * MAX_EDGES)
+    k = 0
+    for i in range(falling.size):
+        for j in range(rising.size):
+            apart = rising[j] - falling[i]
+            if (1.0 - width_tolerance) * width - 1.0 <= apart <= (1.0 + width_tolerance) * width + 1.0:
+                centres[k] = 0.5 * (rising[j] + falling[i])
+                k += 1
+    order = np.argsort(np.abs(centres[:k] - predicted))
+    n = 0
+    for i in range(min(k, 2 * MAX_CANDIDATES)):
+        if n == MAX_CANDIDATES:
+            break
+        u0, w, c, residual, spread = fit_section(patch, centres[order[i]], slant, width, blur, polarity)
+        if not (c >= min_contrast and abs(w - width) <= width_tolerance * width):
+            continue
+        new = True
+        for j in range(n):
+            new = new and abs(found[j, 0] - u0) > 0.5
+        if new:
+            found[n, 0], found[n, 1], found[n, 2], found[n, 3], found[n, 4] = u0, w, c, residual, spread
+            n += 1
+    return found[:n]

@@ -1,0 +1,123 @@
+"""Calibration of a force sensor: bias and weight of the tool, and the compliance that turns forces into positions.
+
+Both are found by moving the arm, as [L] 4.4 says: "calibration can simply be reached by moving the sensor and comparing
+the sensor values with the simultaneously measured actual positions of the TCP".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from sensing.sensing_error import SensingError
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@dataclass(frozen=True)
+class ToolLoad:
+    """What a sensor shows of an untouched tool.
+
+    Attributes:
+        bias: constant part of the wrench ``(6,)`` [N, N m].
+        mass: of the tool [kg].
+        com: its centre in the tool frame ``(3,)`` [m].
+        residual: standard deviation of what is left, force [N] and moment [N m] ``(2,)``.
+    """
+
+    bias: Array
+    mass: float
+    com: Array
+    residual: Array
+
+    def contact(self, wrench: Array, rotation: Array) -> Array:
+        """Wrench of the environment on the tool in the tool frame ``(6,)``, weight and bias taken away.
+
+        Args:
+            wrench: sensed ``(6,)``.
+            rotation: of the tool frame in the base frame ``(3, 3)``.
+        """
+        weight = rotation.T @ (self.mass * GRAVITY)
+        (x, y, z), (a, b, c) = self.com, weight
+        return wrench - self.bias - np.array([a, b, c, y * c - z * b, z * a - x * c, x * b - y * a])
+
+
+def identify_tool(wrenches: Array, rotations: Sequence[Array]) -> ToolLoad:
+    """Bias, mass and centre of the tool from wrenches in several orientations without contact.
+
+        f = b_f + Rᵀ g m,        m = b_m + (m c) × Rᵀ g
+
+    linear in bias, mass and the product of mass and centre.
+
+    Args:
+        wrenches: ``(N, 6)``.
+        rotations: of the tool frame in the base frame, N of them ``(3, 3)``.
+
+    Raises:
+        SensingError: too few orientations to tell bias and weight apart.
+    """
+    rows, values = [], []
+    for wrench, rotation in zip(wrenches, rotations, strict=True):
+        g = rotation.T @ GRAVITY
+        block = np.zeros((6, 10))
+        block[:, :6] = np.eye(6)
+        block[:3, 6] = g
+        # (m c) × g = −[g]× (m c)
+        block[3:, 7:] = -np.array([[0.0, -g[2], g[1]], [g[2], 0.0, -g[0]], [-g[1], g[0], 0.0]])
+        rows.append(block)
+        values.append(wrench)
+    W, Y = np.vstack(rows), np.concatenate(values)
+    size = np.linalg.norm(W, axis=0)
+    if len(rotations) < 3 or np.any(size == 0) or np.linalg.cond(W / size) > 1e4:
+        raise SensingError("bias and weight of the tool cannot be told apart: turn the tool into at least three "
+                           "clearly different orientations")
+    chi = np.linalg.lstsq(W, Y, rcond=None)[0]
+    residual = (Y - W @ chi).reshape(-1, 2, 3)
+    mass = float(chi[6])
+    com = chi[7:] / mass if abs(mass) > 1e-3 else np.zeros(3)
+    return ToolLoad(chi[:6], mass, com, np.std(residual, axis=(0, 2)))
+
+
+@dataclass(frozen=True)
+class ContactElasticity:
+    """The elasticity E of [L] (3): force per displacement.
+
+    Attributes:
+        stiffness: E [N/m].
+        std: its standard deviation [N/m].
+        touch: position along the direction of motion at which the force begins [m].
+        residual: standard deviation of the force about the line [N].
+    """
+
+    stiffness: float
+    std: float
+    touch: float
+    residual: float
+
+
+def identify_elasticity(position: Array, force: Array, *, least_force: float = 2.0) -> ContactElasticity:
+    """E by moving: force against the simultaneous TCP position along the surface's normal ([L] 4.4).
+
+    Args:
+        position: of the TCP along the normal, larger is further away from the surface ``(N,)`` [m].
+        force: normal force at the same instants ``(N,)`` [N].
+        least_force: below it the tip may not be in touch [N].
+
+    Raises:
+        SensingError: too few samples in touch, or no range of forces.
+    """
+    touching = force > least_force
+    if np.count_nonzero(touching) < 10 or np.ptp(force[touching]) < 2 * least_force:
+        raise SensingError("the tip must be pressed with clearly different forces to find its elasticity; press harder")
+    x, f = position[touching], force[touching]
+    W = np.column_stack([-x, np.ones(len(x))])
+    chi, *_ = np.linalg.lstsq(W, f, rcond=None)
+    rho = f - W @ chi
+    covariance = rho @ rho / (len(f) - 2) * np.linalg.inv(W.T @ W)
+    if chi[0] <= 0:
+        raise SensingError("force does not rise when the tip is pressed in; check the sensor's sign and the direction")
+    touch = float(chi[1] / chi[0])
+    return ContactElasticity(float(chi[0]), float(np.sqrt(covariance[0, 0])), touch, float(np.std(rho)))

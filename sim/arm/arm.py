@@ -1,0 +1,251 @@
+"""The simulated arm: PyBullet's links, our motors, gears and industrial controller, behind the positional interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.limits import checked_command
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from sim.arm import kernel
+from sim.arm.body import load_links, start_physics
+from sim.arm.checks import checked_posture, require_integrable
+from sim.arm.drive import drive_parameters, drive_start
+from sim.arm.history import hermite_pose, recording_of
+from sim.arm.rotors import RigidRotors
+from sim.arm.specimen import draw_individual
+from sim.arm.world import STEP, World
+from sim.bullet import pybullet
+from sim.simulation_error import SimError
+
+
+@dataclass(frozen=True)
+class TrueState:
+    """What no controller knows.
+
+    Attributes:
+        t: time [s].
+        q_a: arm angles ``(n,)`` [rad].
+        q_m: motor angles on the joint side ``(n,)`` [rad].
+        tcp: pose of the tool frame in the base frame.
+    """
+
+    t: float
+    q_a: Array
+    q_m: Array
+    tcp: pin.SE3
+
+
+class SimulatedArm:
+    """A ``RobotInterface`` to an arm in a ``World``.
+
+    With elastic gears PyBullet's links are driven by the gear torques, with rigid gears by what the motors leave them
+    after accelerating their rotors (``RigidRotors``).
+
+    Args:
+        robot: the robot as its maker describes it.
+        world: the true world.
+        rng: source of the measurement noise.
+        q0: motor angles at the start ``(n,)`` [rad]; the robot's home posture if None.
+        tool_radius: radius of a ball about the TCP that collides with other bodies of the physics client [m]; None:
+            the arm touches nothing but what ``step_hook`` applies.
+
+    Raises:
+        InputError: ``q0`` of wrong size or outside the limits, a world the step cannot integrate.
+
+    Attributes:
+        t_ipo: interpolation cycle [s].
+        robot, world: as given.
+        client, body: PyBullet's ids of the physics client and of the arm, for contact.
+        tool_link: PyBullet's index of the link that carries the tool.
+        tool_offset: pose of the tool frame in that link's (joint) frame.
+        step_hook: called with the time [s] before every 0.5 ms step, e.g. to apply contact forces.
+    """
+
+    def __init__(self, robot: Robot, world: World, rng: np.random.Generator, q0: Array | None = None, *,
+                 tool_radius: float | None = None) -> None:
+        self.robot, self.world = robot, world
+        self.t_ipo = world.t_ipo
+        self._rng = rng
+        self._individual = draw_individual(robot, world)
+        self._model = self._individual.model
+        self._p, self._shared, self._counts = drive_parameters(
+            world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.phase)
+        self._elastic = self._p[kernel.P_ELASTIC] > 0.0
+        self._kinematics = self._model.createData()
+        require_integrable(self._model, robot.home, self._p)
+        self._steps_per_cycle = round(world.t_ipo / STEP)
+        self._joints = list(range(robot.n))
+        frame = robot.model.frames[robot.tool_id]
+        self.tool_link = int(frame.parentJoint) - 1
+        self.tool_offset: pin.SE3 = frame.placement.copy()
+        self.step_hook: Callable[[float], None] | None = None
+        self._touchable = tool_radius is not None
+        self.client = start_physics()
+        self.body = load_links(self._model, self.client, self.tool_offset if tool_radius else None, tool_radius or 0.0)
+        self.reset(robot.home if q0 is None else q0)
+
+    def reset(self, q0: Array) -> None:
+        """Puts the arm at rest with its motors at ``q0 (n,)`` [rad]; time, history and delays start anew.
+
+        Temperatures start anew too. Raises ``InputError`` for a posture of wrong size or outside the limits.
+        """
+        q0 = checked_posture(self.robot, q0)
+        n = self.robot.n
+        stiffness = np.where(self._elastic, self.world.per_joint("stiffness", n), np.inf)
+        output = q0 + self._p[kernel.P_UNEVEN] * np.sin(self._p[kernel.P_UNEVEN_ORDER] * q0 + self._p[kernel.P_PHASE])
+        q_a = output.copy()
+        for _ in range(30):
+            holding = pin.computeGeneralizedGravity(self._model, self._kinematics, q_a)
+            q_a = output - holding / stiffness
+        q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
+        self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
+        rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
+        self._rotors = RigidRotors(self._model, rigid) if rigid.any() else None
+        self._tick = 0
+        self._pending = q0.copy()
+        self._links = np.zeros((4, n))
+        self._links[kernel.L_ANGLE] = q_a
+        self._q_a, self._qd_a = self._links[kernel.L_ANGLE], self._links[kernel.L_VELOCITY]
+        self._log = np.zeros((2048, 1 + len(kernel.LOGGED) * n))
+        self._rows = 0
+        for joint in self._joints:
+            pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """Hands over the commanded joint angles and lets one interpolation cycle pass.
+
+        Args:
+            q_c: ``(n,)`` [rad]. Reached at the end of this cycle, or of the next one with the standard planner's
+                delay.
+
+        Raises:
+            InputError: wrong size or not finite.
+            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
+        """
+        q_c = checked_command(self.robot, q_c, self._pending, self.t_ipo)
+        x = self._x
+        x[kernel.X_START] = x[kernel.X_END]
+        x[kernel.X_END] = self._pending if self.world.correction_delay else q_c
+        self._pending = q_c.copy()
+        noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
+        self._reserve()
+        self._run(noise)
+        return self._state(noise[-1])
+
+    def _run(self, noise: Array) -> None:
+        """The steps of one cycle: 2000 of them make a second, so names are looked up before the loop."""
+        client, body, joints = self.client, self.body, self._joints
+        p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
+        q_a, qd_a, torque = self._q_a, self._qd_a, links[kernel.L_TORQUE]
+        every, rotors = int(counts[kernel.N_LOG]), self._rotors
+        extra_torque, hook = self.world.extra_torque, self.step_hook
+        touched = hook is not None or self._touchable
+        set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
+                                               pybullet.getJointStates, pybullet.TORQUE_CONTROL)
+        drive_step = kernel.drive_step
+        for line in noise[:-1]:
+            tick = self._tick
+            if extra_torque is not None:
+                links[kernel.L_EXTRA] = extra_torque(tick * STEP, x[kernel.X_MOTOR].copy(),
+                                                     x[kernel.X_MOTOR_VELOCITY].copy(), q_a.copy())
+            drive_step(tick, p, s, counts, x, links, line, self._log[self._rows])
+            if tick % every == 0:
+                self._rows += 1
+            if rotors is not None:
+                rotors.share(q_a, qd_a, torque)
+            set_torques(body, joints, mode, forces=torque.tolist(), physicsClientId=client)
+            if hook is not None:
+                hook(tick * STEP)
+            step(client)
+            states = get_states(body, joints, client)
+            speed = [state[1] for state in states]
+            if touched and rotors is not None:
+                rotors.feel(q_a, qd_a, np.array(speed), torque)
+            q_a[:] = [state[0] for state in states]
+            qd_a[:] = speed
+            self._tick = tick + 1
+
+    def _state(self, noise: Array) -> RobotState:
+        """Encoder and current as the controller last read them, the encoder brought to the end of the cycle."""
+        q = np.where(self._elastic, self._x[kernel.X_MOTOR], self._q_a)
+        if self.world.quantisation:
+            increment = self._p[kernel.C_INCREMENT]
+            q = np.floor(q / increment + 0.5) * increment
+        if not (np.abs(q) < 1.0e3).all():
+            raise SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
+                           "make it unstable (check stiffness, damping and controller gains)")
+        return RobotState(self.t, q, self._x[kernel.X_CURRENT] + self._p[kernel.P_NOISE] * noise)
+
+    @property
+    def t(self) -> float:
+        """Time since the start [s]."""
+        return self._tick * STEP
+
+    @property
+    def q_a(self) -> Array:
+        """True arm angles now ``(n,)``; not to be written to."""
+        return self._q_a
+
+    @property
+    def truth(self) -> TrueState:
+        """The true arm now."""
+        q_m = np.where(self._elastic, self._x[kernel.X_MOTOR], self._q_a)
+        return TrueState(self.t, self._q_a.copy(), q_m, self.tcp_of(self._q_a))
+
+    def tcp_of(self, q_a: Array) -> pin.SE3:
+        """Pose of the tool frame at arm angles ``(n,)``."""
+        pin.framesForwardKinematics(self._model, self._kinematics, np.asarray(q_a, dtype=float))
+        return self._kinematics.oMf[self.robot.tool_id].copy()
+
+    def tcp_at(self, t: float) -> pin.SE3:
+        """True pose of the tool frame at a time ``t`` [s] within the history; between samples by cubic Hermite splines.
+
+        Raises:
+            SimError: ``t`` lies before the start or in the future.
+        """
+        return self.tcp_of(hermite_pose(self, t))
+
+    def history(self) -> dict[str, Array]:
+        """The true arm every 2 ms or finer: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as the joint controllers see it),
+        ``q`` (encoder), ``tau`` (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``,
+        ``temperature``."""
+        n, log = self.robot.n, self._log[: self._rows]
+        return {"t": log[:, 0].copy(),
+                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(kernel.LOGGED)}}
+
+    def recording(self, external: bool = False) -> Recording:
+        """What a controller would have logged, every ``world.log_cycle``: ``t``, ``q_c_i``, ``q_i``, ``tau_i``,
+        ``current_i``, ``temp_i``.
+
+        ``q_c_i`` is the command as the joint controllers see it: after the planner's delay and the interpolation,
+        before the low-pass.
+
+        Args:
+            external: adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
+        """
+        return recording_of(self, external)
+
+    def close(self) -> None:
+        """Ends the physics client; history and recording stay."""
+        if self.client >= 0:
+            pybullet.disconnect(self.client)
+            self.client = -1
+
+    def __enter__(self) -> SimulatedArm:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def _reserve(self) -> None:
+        if self._rows + self._steps_per_cycle + 1 > len(self._log):
+            self._log = np.concatenate([self._log, np.zeros_like(self._log)])

@@ -1,0 +1,103 @@
+"""Packs a world's numbers for the compiled step of motors, gears and controller."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from sim.arm import kernel
+from sim.arm.controller import controller_parameters
+from sim.arm.world import STEP, World
+
+
+def motor_torque_limit(robot: Robot) -> Array:
+    """Joint-side torque limit of the motors ``(n,)``; a very large number where the data sheet is silent."""
+    return np.where(np.isfinite(robot.tau_max), robot.tau_max, 1.0e12)
+
+
+def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gain: Array,
+                     phase: Array) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Packs a world's numbers for ``drive_step``.
+
+    Args:
+        rotor_inertia: true rotor inertias on the joint side ``(n,)`` [kg m²].
+        drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
+        phase: of torque ripple and transmission error ``(n,)`` [rad].
+
+    Returns:
+        Parameter block ``(PARAMETERS, n)``, shared numbers ``(SHARED,)``, step counts ``(4,)``.
+    """
+    n = robot.n
+    limit = motor_torque_limit(robot)
+    p = np.zeros((kernel.PARAMETERS, n))
+    p[:kernel.CONTROLLER_PARAMETERS] = controller_parameters(world, n, limit, robot.gear_ratio)
+    p[kernel.P_ROTOR] = rotor_inertia
+    stiffness = world.per_joint("stiffness", n)
+    elastic = np.isfinite(stiffness) if world.elasticity else np.zeros(n, dtype=bool)
+    p[kernel.P_ELASTIC] = elastic
+    p[kernel.P_STIFFNESS] = np.where(elastic, stiffness, 0.0)
+    p[kernel.P_DAMPING] = np.where(elastic, world.per_joint("damping", n), 0.0)
+    p[kernel.P_BACKLASH] = np.where(elastic, world.per_joint("backlash", n), 0.0)
+    scale = world.per_joint("friction_scale", n) * (1.0 if world.friction else 0.0)
+    p[kernel.P_FRICTION] = scale > 0.0
+    p[kernel.P_COULOMB] = scale * world.per_joint("coulomb", n)
+    p[kernel.P_SURPLUS] = scale * world.per_joint("stribeck", n)
+    p[kernel.P_V_STRIBECK] = world.per_joint("stribeck_velocity", n)
+    p[kernel.P_SIGMA0] = p[kernel.P_COULOMB] / world.per_joint("presliding", n)
+    # Bristles damped to a fifth of critical on the rotor: they neither ring nor dominate the torque.
+    p[kernel.P_SIGMA1] = 0.4 * np.sqrt(p[kernel.P_SIGMA0] * np.maximum(rotor_inertia, 1.0e-6))
+    p[kernel.P_ASYMMETRY] = world.per_joint("friction_asymmetry", n)
+    p[kernel.P_VISCOUS] = scale * world.per_joint("viscous", n)
+    p[kernel.P_DEGRESSIVE] = scale * world.per_joint("degressive", n)
+    p[kernel.P_V_DEGRESSIVE] = world.per_joint("degressive_velocity", n)
+    p[kernel.P_LOAD] = world.per_joint("load_friction", n) / limit
+    if world.thermal:
+        p[kernel.P_THERMAL_RESISTANCE] = world.per_joint("thermal_resistance", n)
+        p[kernel.P_THERMAL_RATE] = world.time_compression / world.per_joint("thermal_time_constant", n)
+    p[kernel.P_LUBRICATION] = world.per_joint("lubrication", n)
+    p[kernel.P_GAIN] = drive_gain
+    p[kernel.P_RIPPLE] = world.per_joint("torque_ripple", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
+    p[kernel.P_RIPPLE_ORDER] = world.per_joint("ripple_order", n) * robot.gear_ratio
+    p[kernel.P_PHASE] = phase
+    p[kernel.P_UNEVEN] = world.per_joint("transmission_error", n)
+    p[kernel.P_UNEVEN_ORDER] = world.per_joint("transmission_order", n)
+    p[kernel.P_NOISE] = world.per_joint("current_noise", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
+    shared = np.zeros(kernel.SHARED)
+    shared[kernel.S_DT] = STEP
+    shared[kernel.S_LOW_PASS] = _share(world.t_position, world.low_pass)
+    shared[kernel.S_VELOCITY_PASS] = _share(world.t_velocity, world.velocity_filter)
+    shared[kernel.S_CURRENT_PASS] = _share(STEP, world.current_lag)
+    shared[kernel.S_T_POSITION] = world.t_position
+    shared[kernel.S_T_VELOCITY] = world.t_velocity
+    shared[kernel.S_DRY_TEMPERATURE] = world.dry_temperature
+    shared[kernel.S_VISCOSITY_TEMPERATURE] = world.viscosity_temperature
+    shared[kernel.S_REFERENCE] = world.reference_temperature
+    shared[kernel.S_AMBIENT] = world.ambient_temperature
+    shared[kernel.S_LUBRICANT_RATE] = world.time_compression / world.lubrication_time
+    counts = np.array([round(cycle / STEP) for cycle in
+                       (world.t_ipo, world.t_position, world.t_velocity, min(world.log_cycle, 0.002))], dtype=np.int64)
+    return p, shared, counts
+
+
+def _share(cycle: float, time_constant: float) -> float:
+    """By how much of the difference a first-order low-pass moves in one cycle."""
+    return 1.0 - math.exp(-cycle / time_constant) if time_constant > 0.0 else 1.0
+
+
+def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) -> Array:
+    """State block ``(STATES, n)`` of drives that hold ``holding_torque (n,)`` at rest with motors at ``q0``."""
+    x = np.zeros((kernel.STATES, p.shape[1]))
+    for row in (kernel.X_START, kernel.X_END, kernel.X_LOW1, kernel.X_LOW2, kernel.X_COMMAND, kernel.X_ENCODER,
+                kernel.X_MOTOR):
+        x[row] = q0
+    for row in (kernel.X_INTEGRAL, kernel.X_TORQUE):
+        x[row] = holding_torque / p[kernel.P_GAIN]
+    x[kernel.X_CURRENT] = holding_torque / p[kernel.P_GAIN]
+    x[kernel.X_GEAR] = holding_torque
+    x[kernel.X_TEMPERATURE] = temperature
+    x[kernel.X_LUBRICANT] = 1.0
+    return x

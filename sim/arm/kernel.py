@@ -1,0 +1,213 @@
+"""The compiled step of the simulated arm: controller, motors, gears and friction of all joints in one call.
+
+    J q̈_m = τ_m + τ_ripple + τ_extra - τ_f(q̇_m, z, T, load) - τ_g
+    τ_g = K gap(q_m + uneven(q_m) - q_a) + D (q̇_m - q̇_a)         on the link: τ_g
+
+Motors and links are integrated semi-implicitly with the step of PyBullet and exchange the same gear torque, so no
+energy comes from the splitting. Where a gear is rigid, q_m = q_a and the rotor is carried by ``SimulatedArm``.
+
+All compiled code and the layout of its blocks stand in this one file: the compiler's cache notices changes of the file
+that a function is in, and of no other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+
+# Rows of the parameter block, columns are joints: the controller first.
+(C_KV, C_KFF, C_KP, C_KI, C_LIMIT, C_INCREMENT) = range(6)
+CONTROLLER_PARAMETERS = 6
+# Rows of the state block: the controller first.
+(X_START, X_END, X_LOW1, X_LOW2, X_VELOCITY_DESIRED, X_ENCODER, X_VELOCITY, X_INTEGRAL, X_TORQUE,
+ X_COMMAND) = range(10)
+CONTROLLER_STATES = 10
+# Rows of the parameter block after the controller's.
+(P_ROTOR, P_STIFFNESS, P_DAMPING, P_BACKLASH, P_ELASTIC, P_COULOMB, P_SURPLUS, P_V_STRIBECK, P_SIGMA0, P_SIGMA1,
+ P_ASYMMETRY, P_VISCOUS, P_DEGRESSIVE, P_V_DEGRESSIVE, P_LOAD, P_FRICTION, P_THERMAL_RESISTANCE, P_THERMAL_RATE,
+ P_LUBRICATION, P_GAIN, P_RIPPLE, P_RIPPLE_ORDER, P_PHASE, P_NOISE, P_UNEVEN, P_UNEVEN_ORDER) = range(
+    CONTROLLER_PARAMETERS, CONTROLLER_PARAMETERS + 26)
+PARAMETERS = CONTROLLER_PARAMETERS + 26
+# Rows of the state block after the controller's.
+(X_MOTOR, X_MOTOR_VELOCITY, X_BRISTLE, X_TEMPERATURE, X_LUBRICANT, X_GEAR, X_CURRENT) = range(
+    CONTROLLER_STATES, CONTROLLER_STATES + 7)
+STATES = CONTROLLER_STATES + 7
+# Numbers that all joints share.
+(S_DT, S_LOW_PASS, S_VELOCITY_PASS, S_CURRENT_PASS, S_T_POSITION, S_T_VELOCITY, S_DRY_TEMPERATURE,
+ S_VISCOSITY_TEMPERATURE, S_REFERENCE, S_AMBIENT, S_LUBRICANT_RATE) = range(11)
+SHARED = 11
+# Step counts of the cycles.
+(N_IPO, N_POSITION, N_VELOCITY, N_LOG) = range(4)
+# Rows of what is exchanged with the links.
+(L_ANGLE, L_VELOCITY, L_EXTRA, L_TORQUE) = range(4)
+# Columns of a row of the log, each n wide, after the time.
+LOGGED = ("q_c", "q", "tau", "q_m", "q_a", "qd_a", "qd_m", "tau_motor", "tau_gear", "temperature")
+
+
+@njit(cache=True, inline="always")
+def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> float:
+    """Bristle deflection after ``dt`` at constant velocity: the exact solution, so stable at any step."""
+    if v == 0.0:
+        return z
+    settled = g / sigma0 if v > 0.0 else -g / sigma0
+    return settled + (z - settled) * math.exp(-abs(v) * sigma0 * dt / g)
+
+
+@njit(cache=True, inline="always")
+def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymmetry: float) -> float:
+    """Level g(v) of dry friction at the reference temperature and without load [N m]."""
+    side = 1.0 + asymmetry if v > 0.0 else 1.0 - asymmetry
+    ratio = v / v_stribeck
+    return side * (coulomb + surplus * math.exp(-ratio * ratio))
+
+
+@njit(cache=True, inline="always")
+def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: float) -> float:
+    """Fluid friction at the reference temperature [N m]."""
+    return viscous * v + degressive * math.asinh(v / v_degressive)
+
+
+@njit(cache=True)
+def control_step(p: Array, x: Array, j: int, q_m: float, fraction: float, position_due: bool, velocity_due: bool,
+                 low_pass: float, velocity_pass: float, t_position: float, t_velocity: float) -> None:
+    """Runs the loops of joint ``j`` that are due; the torque command is left in ``x[X_TORQUE, j]``.
+
+    Args:
+        p, x: parameter and state block.
+        q_m: true motor angle [rad].
+        fraction: how much of the interpolation cycle has gone by, 0 … 1.
+        position_due, velocity_due: which loops run at this step.
+        low_pass, velocity_pass: shares by which the command and the velocity filter move per their cycle.
+        t_position, t_velocity: cycle times [s].
+    """
+    if velocity_due:
+        increment = p[C_INCREMENT, j]
+        encoder = math.floor(q_m / increment + 0.5) * increment if increment > 0.0 else q_m
+        raw = (encoder - x[X_ENCODER, j]) / t_velocity
+        x[X_ENCODER, j] = encoder
+        x[X_VELOCITY, j] += velocity_pass * (raw - x[X_VELOCITY, j])
+    if position_due:
+        command = x[X_START, j] + fraction * (x[X_END, j] - x[X_START, j])
+        x[X_COMMAND, j] = command
+        before = x[X_LOW2, j]
+        x[X_LOW1, j] += low_pass * (command - x[X_LOW1, j])
+        x[X_LOW2, j] += low_pass * (x[X_LOW1, j] - x[X_LOW2, j])
+        feedforward = p[C_KFF, j] * (x[X_LOW2, j] - before) / t_position
+        x[X_VELOCITY_DESIRED, j] = p[C_KV, j] * (x[X_LOW2, j] - x[X_ENCODER, j]) + feedforward
+    if velocity_due:
+        error = x[X_VELOCITY_DESIRED, j] - x[X_VELOCITY, j]
+        torque = p[C_KP, j] * error + x[X_INTEGRAL, j] + p[C_KI, j] * error
+        limit = p[C_LIMIT, j]
+        if abs(torque) <= limit:
+            x[X_INTEGRAL, j] += p[C_KI, j] * error
+        else:
+            # Anti-windup: the integral stays where it is while the current is at its limit.
+            torque = limit if torque > 0.0 else -limit
+        x[X_TORQUE, j] = torque
+
+
+@njit(cache=True)
+def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, links: Array, noise: Array,
+               row: Array) -> None:
+    """One step of controller, motors and gears; the torque for the links is left in ``links[L_TORQUE]``.
+
+    Args:
+        tick: number of the step since the start.
+        p, s, counts: see ``drive_parameters``.
+        x: state block, changed in place.
+        links: ``(4, n)``: arm angles [rad], arm velocities [rad/s], additional torque on the motor side [N m], and, as
+            the result, for elastic gears the gear torque [N m]; for rigid ones motor torque less friction, to be
+            applied to link *and* rotor.
+        noise: standard normal numbers for the measured current, one per joint.
+        row: row of the log to be filled if the step is due for logging.
+    """
+    dt = s[S_DT]
+    q_a, qd_a, extra, torque = links[L_ANGLE], links[L_VELOCITY], links[L_EXTRA], links[L_TORQUE]
+    n = q_a.shape[0]
+    fraction = (tick % counts[N_IPO]) / counts[N_IPO]
+    position_due = tick % counts[N_POSITION] == 0
+    velocity_due = tick % counts[N_VELOCITY] == 0
+    log_due = tick % counts[N_LOG] == 0
+    if log_due:
+        row[0] = tick * dt
+    for j in range(n):
+        elastic = p[P_ELASTIC, j] > 0.0
+        uneven = 0.0  # transmission error: the gear's output is q_m + A sin(order · q + phase)
+        slope = 1.0
+        if p[P_UNEVEN, j] > 0.0:
+            angle = p[P_UNEVEN_ORDER, j] * (x[X_MOTOR, j] if elastic else q_a[j]) + p[P_PHASE, j]
+            uneven = p[P_UNEVEN, j] * math.sin(angle)
+            slope = 1.0 + p[P_UNEVEN, j] * p[P_UNEVEN_ORDER, j] * math.cos(angle)
+        if not elastic:
+            x[X_MOTOR, j] = q_a[j] - uneven
+            x[X_MOTOR_VELOCITY, j] = qd_a[j] / slope
+        q_m = x[X_MOTOR, j]
+        v_m = x[X_MOTOR_VELOCITY, j]
+        control_step(p, x, j, q_m, fraction, position_due, velocity_due, s[S_LOW_PASS], s[S_VELOCITY_PASS],
+                     s[S_T_POSITION], s[S_T_VELOCITY])
+        x[X_CURRENT, j] += s[S_CURRENT_PASS] * (x[X_TORQUE, j] - x[X_CURRENT, j])
+        motor = x[X_CURRENT, j] * p[P_GAIN, j]
+        # Drives measure the mean current since the last sample: the torque falls and jumps within each position cycle,
+        # and samples at its jumps would see an inertia that is not there.
+        row[1 + 2 * n + j] += x[X_CURRENT, j]
+        if log_due:
+            row[1 + j] = x[X_COMMAND, j]
+            row[1 + n + j] = x[X_ENCODER, j]
+            steps = counts[N_LOG] if tick > 0 else 1
+            row[1 + 2 * n + j] = row[1 + 2 * n + j] / steps + p[P_NOISE, j] * noise[j]
+            row[1 + 3 * n + j] = q_m
+            row[1 + 4 * n + j] = q_a[j]
+            row[1 + 5 * n + j] = qd_a[j]
+            row[1 + 6 * n + j] = v_m
+            row[1 + 7 * n + j] = motor
+            row[1 + 9 * n + j] = x[X_TEMPERATURE, j]
+        if p[P_RIPPLE, j] > 0.0:
+            motor += p[P_RIPPLE, j] * math.sin(p[P_RIPPLE_ORDER, j] * q_m + p[P_PHASE, j])
+        motor += extra[j]
+
+        gear = motor
+        if elastic:
+            twist = q_m + uneven - q_a[j]
+            half = 0.5 * p[P_BACKLASH, j]
+            damping = p[P_DAMPING, j]
+            if half > 0.0:
+                if abs(twist) <= half:
+                    twist = 0.0
+                    damping = 0.0
+                else:
+                    twist -= half if twist > 0.0 else -half
+            gear = p[P_STIFFNESS, j] * twist + damping * (slope * v_m - qd_a[j])
+
+        friction = 0.0
+        if p[P_FRICTION, j] > 0.0:
+            above = x[X_TEMPERATURE, j] - s[S_REFERENCE]
+            settled = 1.0 + p[P_LUBRICATION, j] * (1.0 - x[X_LUBRICANT, j])
+            dry = math.exp(-s[S_DRY_TEMPERATURE] * above) * settled * (1.0 + p[P_LOAD, j] * abs(x[X_GEAR, j]))
+            level = dry * dry_level(v_m, p[P_COULOMB, j], p[P_SURPLUS, j], p[P_V_STRIBECK, j], p[P_ASYMMETRY, j])
+            z = x[X_BRISTLE, j]
+            z_next = bristle_step(z, v_m, level, p[P_SIGMA0, j], dt)
+            fluid = math.exp(-s[S_VISCOSITY_TEMPERATURE] * above) * settled
+            friction = (p[P_SIGMA0, j] * z_next + p[P_SIGMA1, j] * (z_next - z) / dt
+                        + fluid * hydrodynamic(v_m, p[P_VISCOUS, j], p[P_DEGRESSIVE, j], p[P_V_DEGRESSIVE, j]))
+            x[X_BRISTLE, j] = z_next
+            spread = min(1.0, abs(v_m) / (10.0 * p[P_V_STRIBECK, j]))
+            x[X_LUBRICANT, j] += dt * s[S_LUBRICANT_RATE] * (spread - x[X_LUBRICANT, j])
+        if p[P_THERMAL_RATE, j] > 0.0:
+            rise = abs(friction * v_m) * p[P_THERMAL_RESISTANCE, j]
+            x[X_TEMPERATURE, j] += dt * p[P_THERMAL_RATE, j] * (rise - (x[X_TEMPERATURE, j] - s[S_AMBIENT]))
+
+        if elastic:
+            x[X_MOTOR_VELOCITY, j] = v_m + dt * (motor - friction - slope * gear) / p[P_ROTOR, j]
+            x[X_MOTOR, j] = q_m + dt * x[X_MOTOR_VELOCITY, j]
+            x[X_GEAR, j] = gear
+            torque[j] = gear
+        else:
+            torque[j] = motor - friction
+            x[X_GEAR, j] = torque[j]
+        if log_due:
+            row[1 + 8 * n + j] = x[X_GEAR, j]

@@ -1,0 +1,107 @@
+"""Pictures of the arm in a posture, for reports."""
+
+from __future__ import annotations
+
+import itertools
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from sim.bullet import pybullet, quiet
+
+Picture = NDArray[np.uint8]
+
+
+def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azimuth: float = 50.0,
+            elevation: float = -18.0, distance: float | None = None, target: Sequence[float] | None = None,
+            lines: Sequence[Array] = ()) -> Picture:
+    """Renders the arm on a floor with PyBullet's CPU renderer.
+
+    Args:
+        robot: any robot whose URDF holds primitive shapes; links without visible shape stay invisible.
+        q: arm angles ``(n,)`` [rad].
+        width, height: size of the picture [pixels].
+        azimuth, elevation: direction of view [degrees].
+        distance: of the camera from ``target`` [m]; fitted to the arm if None.
+        target: point in the middle of the picture [m]; fitted to the arm if None.
+        lines: polylines ``(N, 3)`` [m] in the base frame to be drawn as thin rods, e.g. a path.
+
+    Returns:
+        RGB picture ``(height, width, 3)``.
+
+    Raises:
+        InputError: ``q`` of wrong size.
+    """
+    q = np.asarray(q, dtype=float)
+    if q.shape != (robot.n,):
+        raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        with quiet():  # frames without inertia, which Bullet warns of, are no concern of a picture
+            body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
+        order = {pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode(): i
+                 for i in range(pybullet.getNumJoints(body, physicsClientId=client))}
+        for name, angle in zip(list(robot.model.names)[1:], q, strict=True):
+            pybullet.resetJointState(body, order[name], angle, physicsClientId=client)
+        for line in lines:
+            _draw(np.asarray(line, dtype=float), client)
+        low, high = _extent(body, len(order), client)
+        # A slab that the shadow map covers: on an endless plane its border would show as a false shadow.
+        size = float(np.linalg.norm(high - low))
+        floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
+                                           rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
+        centre = [float(x) for x in (0.5 * (low + high) if target is None else target)]
+        far = 1.25 * size if distance is None else distance
+        return _render(client, width, height, centre, far, azimuth, elevation, light=2.5 * size)
+    finally:
+        pybullet.disconnect(client)
+
+
+def has_shapes(robot: Robot) -> bool:
+    """Whether the robot's URDF has anything to be seen."""
+    return ET.parse(robot.urdf).getroot().find("./link/visual") is not None
+
+
+def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,
+            elevation: float, light: float) -> Picture:
+    """Renders at twice the size and averages, which smooths the edges that TinyRenderer leaves jagged."""
+    view = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, azimuth, elevation, 0.0, 2,
+                                                      physicsClientId=client)
+    lens = pybullet.computeProjectionMatrixFOV(40.0, width / height, 0.05, 10.0 * distance, physicsClientId=client)
+    image = pybullet.getCameraImage(2 * width, 2 * height, view, lens, lightDirection=[1.2, -1.6, 3.0],
+                                    lightDistance=light, lightAmbientCoeff=0.55, lightDiffuseCoeff=0.5,
+                                    lightSpecularCoeff=0.15, shadow=1,
+                                    renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)[2]
+    rgb = np.asarray(image, dtype=np.uint8).reshape(2 * height, 2 * width, 4)[:, :, :3]
+    return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _extent(body: int, joints: int, client: int) -> tuple[Array, Array]:
+    points = [pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]]
+    points += [pybullet.getLinkState(body, i, physicsClientId=client)[4] for i in range(joints)]
+    array = np.array(points)
+    # The joints' positions, and the housings and motors around them.
+    return array.min(axis=0) - 0.25, array.max(axis=0) + 0.35
+
+
+def _draw(line: Array, client: int, radius: float = 0.004) -> None:
+    for start, end in itertools.pairwise(line):
+        rod = end - start
+        length = float(np.linalg.norm(rod))
+        if length < 1.0e-9:
+            continue
+        axis = np.cross([0.0, 0.0, 1.0], rod / length)
+        sine, cosine = float(np.linalg.norm(axis)), float(rod[2] / length)
+        angle = float(np.arctan2(sine, cosine))
+        direction = axis / sine if sine > 1.0e-9 else np.array([1.0, 0.0, 0.0])
+        turn = [*(direction * np.sin(angle / 2)), float(np.cos(angle / 2))]
+        shape = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, radius=radius, length=length,
+                                           rgbaColor=[0.1, 0.1, 0.6, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, shape, (0.5 * (start + end)).tolist(), turn, physicsClientId=client)

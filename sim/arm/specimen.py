@@ -1,0 +1,89 @@
+"""One individual of a robot type: how it differs from its data sheet, drawn from a seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from sim.arm.world import World
+
+
+@dataclass(frozen=True)
+class Individual:
+    """The true arm.
+
+    Attributes:
+        model: Pinocchio model with the true kinematics and inertias, the payload included, rotors not.
+        rotor_inertia: on the joint side ``(n,)`` [kg m²].
+        drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
+        phase: of torque ripple and transmission error ``(n,)`` [rad].
+    """
+
+    model: pin.Model
+    rotor_inertia: Array
+    drive_gain: Array
+    phase: Array
+
+
+def draw_individual(robot: Robot, world: World) -> Individual:
+    """The arm of the seed ``world.individual``.
+
+    Raises:
+        InputError: elastic gears without rotor inertia, which no equation of motion exists for.
+    """
+    rng = np.random.default_rng([world.individual, 7919])
+    n = robot.n
+    tolerance = world.inertia_tolerance
+    model = robot.model.copy()
+    for joint in range(1, model.njoints):
+        mass_factor = 1.0 + tolerance * rng.uniform(-1.0, 1.0)
+        extension = 1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, 3)
+        model.inertias[joint] = _scaled(model.inertias[joint], mass_factor, extension)
+    rotor = robot.rotor_inertia * (1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, n))
+    rotor = rotor + world.per_joint("extra_rotor_inertia", n)
+    gain = 1.0 + world.drive_gain_error * rng.uniform(-1.0, 1.0, n)
+    phase = rng.uniform(0.0, 2.0 * np.pi, n)
+    offsets, turns = rng.uniform(-1.0, 1.0, (n, 3)), rng.uniform(-1.0, 1.0, n)
+    if world.kinematic_error > 0.0 or world.zero_error > 0.0:
+        _displace(model, world.kinematic_error * offsets, world.zero_error * turns)
+    if world.payload_mass > 0.0:
+        frame = model.frames[robot.tool_id]
+        load = pin.Inertia(world.payload_mass, np.array(world.payload_com), np.eye(3) * world.payload_inertia)
+        model.inertias[frame.parentJoint] = model.inertias[frame.parentJoint] + frame.placement.act(load)
+    elastic = world.elasticity & np.isfinite(world.per_joint("stiffness", n))
+    if np.any(elastic & (rotor <= 0.0)):
+        raise InputError("elastic gears need a rotor inertia in the robot data; give it, or set "
+                         "world.elasticity = false",
+                         field="joints.rotor_inertia", value=robot.rotor_inertia.tolist())
+    return Individual(model, rotor, gain, phase)
+
+
+def _displace(model: pin.Model, offsets: Array, turns: Array) -> None:
+    """Moves the joints by ``offsets (n, 3)`` [m] in their parents' frames and their zeros by ``turns (n,)`` [rad]."""
+    data = model.createData()
+    for joint in range(1, model.njoints):
+        q = np.zeros(model.nq)
+        q[model.joints[joint].idx_q] = turns[joint - 1]
+        pin.forwardKinematics(model, data, q)
+        turned = data.liMi[joint]
+        model.jointPlacements[joint] = pin.SE3(turned.rotation, turned.translation + offsets[joint - 1])
+
+
+def _scaled(inertia: pin.Inertia, mass_factor: float, extension: Array) -> pin.Inertia:
+    """The inertia of the same body made of more mass and stretched along its axes; stays physical.
+
+    The second moments Σ = ∫ x xᵀ dm become f S Σ S, the first moments f S ∫ x dm, S = diag(extension).
+    """
+    if inertia.mass <= 0.0:
+        return inertia
+    mass, lever = inertia.mass, np.array(inertia.lever)
+    about_centre = np.array(inertia.inertia)
+    second = 0.5 * np.trace(about_centre) * np.eye(3) - about_centre
+    stretch = np.diag(extension)
+    second = mass_factor * stretch @ second @ stretch
+    return pin.Inertia(mass_factor * mass, stretch @ lever, np.trace(second) * np.eye(3) - second)

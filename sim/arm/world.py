@@ -1,0 +1,236 @@
+"""The simulated world as data: every effect, its size and its switch.
+
+Only the simulator reads it. The models never see it: they come from recordings.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from sim.arm.generic_world import generic_world
+from sim.arm.world_values import checked_value
+
+STEP = 0.0005
+"""Time step of the simulated arm [s]; every cycle time is a multiple of it."""
+
+PerJoint = float | tuple[float, ...]
+"""One number for all joints, or one per joint."""
+
+ExtraTorque = Callable[[float, Array, Array, Array], Array]
+"""``(t, q_m, qd_m, q_a) -> torque (n,)`` [N m] that is added on the motor side, for effects not named here."""
+
+
+@dataclass(frozen=True)
+class World:
+    """What the simulated arm is like. Angles and torques are on the joint side.
+
+    Attributes:
+        robot: robot it belongs to.
+        elasticity: gears are springs; off: the motors are rigidly the links.
+        stiffness, damping: of each gear [N m/rad, N m s/rad]; an infinite stiffness makes that one gear rigid.
+        backlash: free play of each gear [rad]; 0 is none.
+        friction: dynamic gear friction; off: none at all.
+        friction_scale: factor on the whole friction of each joint.
+        coulomb, stribeck, stribeck_velocity, presliding: dry friction [N m], its surplus at standstill [N m], the
+            velocity over which that decays [rad/s], the elastic displacement before sliding [rad].
+        friction_asymmetry: relative difference of dry friction, larger for positive velocity.
+        viscous, degressive, degressive_velocity: hydrodynamic friction [N m s/rad, N m, rad/s].
+        load_friction: relative growth of dry friction when the gear carries the torque limit.
+        thermal: gear temperatures move with the friction power; off: they stay at ``start_temperature``.
+        start_temperature, ambient_temperature: [°C].
+        thermal_resistance, thermal_time_constant: of each gear [K/W, s].
+        viscosity_temperature, dry_temperature: relative fall of hydrodynamic and of dry friction per kelvin
+            above ``reference_temperature``.
+        reference_temperature: where friction has the size given [°C].
+        lubrication: relative surplus of all friction when the lubricant has settled after a rest; 0 is none.
+        lubrication_time: how fast motion distributes the lubricant and rest settles it [s].
+        time_compression: thermal and lubricant time runs this many times faster than the arm.
+        quantisation: the encoder has increments.
+        encoder_increments: per motor turn.
+        current_noise: standard deviation of the *measured* current relative to its limit.
+        torque_limits: the motors' torque is limited.
+        torque_ripple: amplitude relative to the torque limit; ``ripple_order`` periods per motor turn.
+        low_pass: time constant of each of the two stages of the command low-pass [s]; 0 is none.
+        correction_delay: the standard path planner's delay of one interpolation cycle ([G] 5.2.1).
+        t_ipo, t_position, t_velocity: cycle times [s].
+        position_gain: of the position loop [1/s].
+        velocity_feedforward: share of the commanded velocity handed to the velocity loop.
+        velocity_gain, integral_time: of the velocity PI loop [N m s/rad, s].
+        velocity_filter: time constant of the low-pass differentiator [s].
+        current_lag: time constant of the current loop [s]; 0 is none.
+        individual: seed of the differences between this arm and its data sheet.
+        inertia_tolerance: largest relative difference of the link masses; the extension of the masses differs by
+            a third of it, rotor inertias too.
+        drive_gain_error: largest relative difference of the true torque per ampere from the data sheet's.
+        extra_rotor_inertia: of each drive beyond the data sheet's, on the joint side [kg m²].
+        kinematic_error: largest difference of the joints' places from the URDF, in each direction [m].
+        zero_error: largest difference of the joints' zero positions [rad].
+        transmission_error: amplitude by which a gear turns the arm unevenly [rad], ``transmission_order`` periods per
+            joint turn.
+        payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
+            centre, the same about all axes].
+        log_cycle: cycle of the recording [s].
+        external_position_noise, external_rotation_noise: of the external measuring device [m, rad].
+        extra_torque: see ``ExtraTorque``; None is none.
+    """
+
+    robot: str
+    elasticity: bool = True
+    stiffness: PerJoint = 1.0e5
+    damping: PerJoint = 100.0
+    backlash: PerJoint = 0.0
+    friction: bool = True
+    friction_scale: PerJoint = 1.0
+    coulomb: PerJoint = 20.0
+    stribeck: PerJoint = 5.0
+    stribeck_velocity: PerJoint = 0.04
+    presliding: PerJoint = 3.0e-4
+    friction_asymmetry: PerJoint = 0.0
+    viscous: PerJoint = 4.0
+    degressive: PerJoint = 5.0
+    degressive_velocity: PerJoint = 0.15
+    load_friction: PerJoint = 0.25
+    thermal: bool = True
+    start_temperature: PerJoint = 35.0
+    ambient_temperature: float = 22.0
+    thermal_resistance: PerJoint = 0.3
+    thermal_time_constant: PerJoint = 1200.0
+    viscosity_temperature: float = 0.025
+    dry_temperature: float = 0.006
+    reference_temperature: float = 35.0
+    lubrication: PerJoint = 0.0
+    lubrication_time: float = 60.0
+    time_compression: float = 1.0
+    quantisation: bool = True
+    encoder_increments: PerJoint = 16384.0
+    current_noise: PerJoint = 0.005
+    torque_limits: bool = True
+    torque_ripple: PerJoint = 0.004
+    ripple_order: PerJoint = 2.0
+    low_pass: float = 0.0015
+    correction_delay: bool = True
+    t_ipo: float = 0.012
+    t_position: float = 0.002
+    t_velocity: float = 0.0005
+    position_gain: PerJoint = 20.0
+    velocity_feedforward: PerJoint = 0.93
+    velocity_gain: PerJoint = 500.0
+    integral_time: PerJoint = 0.05
+    velocity_filter: float = 0.001
+    current_lag: float = 0.0005
+    individual: int = 1
+    inertia_tolerance: float = 0.15
+    drive_gain_error: float = 0.02
+    extra_rotor_inertia: PerJoint = 0.0
+    kinematic_error: float = 0.0
+    zero_error: float = 0.0
+    transmission_error: PerJoint = 0.0
+    transmission_order: PerJoint = 40.0
+    payload_mass: float = 0.0
+    payload_com: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    payload_inertia: float = 0.0
+    log_cycle: float = 0.002
+    external_position_noise: float = 2.0e-5
+    external_rotation_noise: float = 2.0e-5
+    extra_torque: ExtraTorque | None = None
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            object.__setattr__(self, field.name, checked_value(field.name, str(field.type), getattr(self, field.name)))
+        for name in ("t_ipo", "t_position", "t_velocity", "log_cycle"):
+            ratio = getattr(self, name) / STEP
+            if abs(ratio - round(ratio)) > 1e-6:
+                raise InputError(f"must be a multiple of {STEP} s", field=f"world.{name}", value=getattr(self, name))
+        for long, short in (("t_ipo", "t_position"), ("t_position", "t_velocity")):
+            ratio = getattr(self, long) / getattr(self, short)
+            if abs(ratio - round(ratio)) > 1e-6:
+                raise InputError(f"must be a multiple of {short} = {getattr(self, short)} s", field=f"world.{long}",
+                                 value=getattr(self, long))
+
+    @classmethod
+    def default(cls, robot_name: str) -> World:
+        """The unkind world of a robot: everything a real arm has is on, at realistic size.
+
+        Args:
+            robot_name: a shipped robot, or the path of a URDF; a robot without a world of its own gets one in
+                proportion to its inertias and torque limits.
+
+        Raises:
+            InputError: there is no such robot.
+        """
+        return cls(robot=robot_name, **_table(robot_name))
+
+    @classmethod
+    def ideal(cls, robot_name: str) -> World:
+        """The same arm with every effect off: motors are rigidly the links, and the data sheet is the truth."""
+        return cls.default(robot_name).replace(
+            elasticity=False, backlash=0.0, friction=False, thermal=False, quantisation=False, current_noise=0.0,
+            torque_limits=False, torque_ripple=0.0, low_pass=0.0, correction_delay=False, current_lag=0.0,
+            inertia_tolerance=0.0, drive_gain_error=0.0, payload_mass=0.0, external_position_noise=0.0,
+            external_rotation_noise=0.0)
+
+    @classmethod
+    def from_table(cls, robot_name: str, table: dict[str, Any]) -> World:
+        """The default world changed by a scene's ``[world]`` table; ``ideal = true`` starts from the ideal one.
+
+        Raises:
+            InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
+        """
+        table = dict(table)
+        ideal = table.pop("ideal", False)
+        if not isinstance(ideal, bool):
+            raise InputError("expected true or false", field="world.ideal", value=ideal)
+        unknown = sorted(set(table) - set(TABLE_KEYS))
+        if unknown:
+            raise InputError(f"unknown key; allowed here are ideal, {', '.join(TABLE_KEYS)}",
+                             field=f"world.{unknown[0]}")
+        return (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
+
+    def replace(self, **changes: Any) -> World:
+        """A checked copy with some effects changed.
+
+        Raises:
+            InputError: no such effect, wrong type, value out of range.
+        """
+        known = {field.name for field in dataclasses.fields(self)}
+        for name in changes:
+            if name not in known:
+                raise InputError(f"no such effect; there are {', '.join(sorted(known))}", field=f"world.{name}")
+        return dataclasses.replace(self, **changes)
+
+    def per_joint(self, name: str, n: int) -> Array:
+        """An effect's size as an array ``(n,)``.
+
+        Raises:
+            InputError: it was given as a list of another length.
+        """
+        value = np.asarray(getattr(self, name), dtype=float)
+        if value.ndim == 1 and value.shape != (n,):
+            raise InputError(f"expected one number or {n}, one per joint", field=f"world.{name}", value=value.tolist())
+        return np.array(np.broadcast_to(value, (n,)), dtype=float)
+
+    def table(self) -> dict[str, Any]:
+        """All settings that a table can hold, for reports and recordings."""
+        return {name: list(value) if isinstance(value := getattr(self, name), tuple) else value for name in TABLE_KEYS}
+
+
+TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))
+"""What a scene's ``[world]`` table may hold."""
+
+def _table(robot_name: str) -> dict[str, Any]:
+    """Settings of a shipped world, or such in proportion for any other robot; a wrong name fails in ``Robot.load``."""
+    path = Path(str(resources.files("sim"))) / "arm" / "worlds" / f"{robot_name}.toml"
+    if path.is_file():
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    return generic_world(Robot.load(robot_name))

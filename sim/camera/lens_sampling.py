@@ -1,0 +1,55 @@
+"""A distorted picture from an undistorted one: where each pixel's samples lie in it, and their mean."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from sensing.camera.camera_model import undistort
+
+
+@njit(cache=True)
+def add_samples(
+    total: Array, image: NDArray[np.uint8], x: Array, y: Array, scale: float, column0: float, row0: float, weight: float
+) -> None:
+    """Adds the picture, sampled bilinearly at normalised coordinates, averaged over each pixel's samples, to ``total``.
+
+    ``x``, ``y`` have shape ``(height, width, n)``: n samples per pixel.
+    """
+    rows, columns = image.shape[0], image.shape[1]
+    height, width, n = x.shape
+    for i in range(height):
+        for j in range(width):
+            value = 0.0
+            for m in range(n):
+                c = min(max(x[i, j, m] * scale + column0, 0.0), columns - 1.000001)
+                r = min(max(y[i, j, m] * scale + row0, 0.0), rows - 1.000001)
+                ci, ri = int(c), int(r)
+                a, b = c - ci, r - ri
+                value += (1.0 - b) * ((1.0 - a) * image[ri, ci, 0] + a * image[ri, ci + 1, 0]) + b * (
+                    (1.0 - a) * image[ri + 1, ci, 0] + a * image[ri + 1, ci + 1, 0]
+                )
+            total[i, j] += weight * value / n
+
+
+@njit(cache=True)
+def sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: Array) -> tuple[Array, Array]:
+    """Undistorted normalised coordinates ``(height, width, n²)`` of ``n`` × ``n`` samples spread over each pixel."""
+    x = np.empty((height, width, n * n))
+    y = np.empty((height, width, n * n))
+    for i in range(height):
+        for j in range(width):
+            for a in range(n):
+                for b in range(n):
+                    y_d = (v0 + i + (a + 0.5) / n - 0.5 - K[1, 2]) / K[1, 1]
+                    x_d = (u0 + j + (b + 0.5) / n - 0.5 - K[0, 2] - K[0, 1] * y_d) / K[0, 0]
+                    x[i, j, a * n + b], y[i, j, a * n + b] = undistort(x_d, y_d, k)
+    return x, y
+
+
+def displacements(n: int) -> Array:
+    """Displacements ``(n, 2)`` in samples, evenly spread over one sample: a rotated lattice."""
+    i = np.arange(n)
+    return np.column_stack([(i + 0.5) / n, (i * 0.618034 + 0.5) % 1.0]) - 0.5

@@ -1,0 +1,80 @@
+"""Truth of a clamped arm: what gives way, what scatters, whose clock runs how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from sim.arm.world import World
+
+KR500_STIFFNESS = (6.93e6, 7.81e6, 6.2e6, 1.35e6, 1.15e6, 0.62e6)
+"""Truth [N m/rad]: joints 1 and 2 as [J] tables 5 and 6, the others assumed in proportion."""
+
+
+@dataclass(frozen=True)
+class ClampWorld:
+    """Truth of a clamped arm; every effect can be switched off by a zero (``np.inf`` for a stiffness).
+
+    Attributes:
+        stiffness: gear stiffness ``(n,)`` [N m/rad].
+        link_stiffness: bending stiffness of each link, the same about both axes across its joint axis ``(n,)``
+            [N m/rad].
+        environment: translational [N/m] and rotational [N m/rad] stiffness of what the flange is clamped to.
+        friction: dry friction of the motors as a share of the torque limit.
+        presliding: motor motion over which friction builds up, joint side [rad].
+        force_control: relative error of each motor's shift under force control; wrench components that should be
+            zero are then not quite.
+        drive_gain_std: relative standard deviation of the true drive gains about the data sheet's.
+        current_noise: as a share of the torque limit, sample to sample.
+        encoder: resolution, joint side [rad].
+        wrench_noise: standard deviation of forces [N] and moments [N m].
+        wrench_bias: standard deviation of the constant bias, forces [N] and moments [N m].
+        clock_offset, clock_drift: the sensor's clock reads ``(t − offset) / (1 + drift)`` at controller time ``t``.
+        gaps: whether the wrench is missing for parts of the time, as in [J] 4.3.
+        rate_motor, rate_wrench: sampling rates [Hz].
+    """
+
+    stiffness: Array
+    link_stiffness: Array
+    environment: tuple[float, float]
+    friction: float = 0.008
+    presliding: float = 2e-5
+    force_control: float = 0.004
+    drive_gain_std: float = 0.03
+    current_noise: float = 0.004
+    encoder: float = 2e-7
+    wrench_noise: tuple[float, float] = (12.0, 4.0)
+    wrench_bias: tuple[float, float] = (30.0, 10.0)
+    clock_offset: float = 1.37
+    clock_drift: float = 3e-5
+    gaps: bool = True
+    rate_motor: float = 500.0
+    rate_wrench: float = 83.3
+
+    @classmethod
+    def default(cls, robot: Robot) -> ClampWorld:
+        """The unkind default for a shipped robot; the gears are those of its simulated world, where there is one.
+
+        Raises:
+            InputError: there is no simulated world for that robot.
+        """
+        if robot.name == "kr500":
+            stiffness = np.array(KR500_STIFFNESS)
+        else:
+            stiffness = World.default(robot.name).per_joint("stiffness", robot.n)
+        # Assumed: links bend little, the long ones of joints 2 and 3 and the slim one of joint 4 most.
+        links = 40 * np.max(stiffness) * np.resize([1.5, 0.6, 1.0, 0.7, 1.5, 2.5], robot.n)
+        # A bench that belongs to the arm: about 0.2 % of what the whole arm gives.
+        reach = float(np.linalg.norm(robot.fk()(robot.home).translation))
+        hard = 500 * float(np.max(stiffness)) / reach**2
+        return cls(stiffness, links, (hard, 0.4 * hard))
+
+    @classmethod
+    def ideal(cls, robot: Robot) -> ClampWorld:
+        """Gear elasticity alone."""
+        return replace(cls.default(robot), link_stiffness=np.full(robot.n, np.inf), environment=(np.inf, np.inf),
+                       friction=0.0, force_control=0.0, drive_gain_std=0.0, current_noise=0.0, encoder=0.0,
+                       wrench_noise=(0.0, 0.0), wrench_bias=(0.0, 0.0), clock_offset=0.0, clock_drift=0.0, gaps=False)

@@ -1,0 +1,185 @@
+"""Contact of the tool's tip with a surface whose shape only the world knows, on the simulated arm.
+
+The tip is a spring on the tool frame's origin, pressed along the surface normal n and dragged against dry friction:
+
+    F = max(0, E δ + D δ̇) n − μ F_n v_t / √(|v_t|² + v_0²)
+
+δ is how deep the undeformed tip would be in the surface. The force acts on PyBullet's link before each 0.5 ms step, so
+it bends gears and slows joints as any load does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numba import njit
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import STEP
+from sim.bullet import pybullet
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One sine of a surface: amplitude [m], wavelength [m], heading in the surface [rad], phase [rad]."""
+
+    amplitude: float
+    wavelength: float
+    heading: float = 0.0
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class HeightSurface:
+    """Height over a plane: sines, a bump of constant curvature, an offset and a tilt against the nominal plane.
+
+    Attributes:
+        plane: nominal plane, z out of the material.
+        waves: sines that are added.
+        curvature: of a cylinder about the plane's y axis, highest at ``crest``; positive: a hill [1/m].
+        crest: where along x the cylinder is highest or lowest [m].
+        offset: shift along z [m].
+        tilt: slopes along x and y.
+    """
+
+    plane: pin.SE3
+    waves: tuple[Wave, ...] = ()
+    curvature: float = 0.0
+    crest: float = 0.0
+    offset: float = 0.0
+    tilt: tuple[float, float] = (0.0, 0.0)
+
+    def height(self, x: Array | float, y: Array | float) -> Array:
+        """Height over the plane at plane coordinates [m]."""
+        z = self.offset + self.tilt[0] * np.asarray(x) + self.tilt[1] * np.asarray(y)
+        z = z - 0.5 * self.curvature * (np.asarray(x) - self.crest) ** 2
+        for wave in self.waves:
+            k = 2 * np.pi / wave.wavelength
+            z = z + wave.amplitude * np.sin(k * (np.cos(wave.heading) * x + np.sin(wave.heading) * y) + wave.phase)
+        return np.asarray(z)
+
+    def slope(self, x: float, y: float) -> tuple[float, float]:
+        """∂z/∂x and ∂z/∂y."""
+        along, across = self.tilt[0] - self.curvature * (x - self.crest), self.tilt[1]
+        for wave in self.waves:
+            k = 2 * np.pi / wave.wavelength
+            c, s = np.cos(wave.heading), np.sin(wave.heading)
+            steep = wave.amplitude * k * np.cos(k * (c * x + s * y) + wave.phase)
+            along, across = along + c * steep, across + s * steep
+        return float(along), float(across)
+
+    def points(self, xy: Array) -> Array:
+        """Points of the surface in the base frame ``(m, 3)`` above plane coordinates ``(m, 2)``."""
+        local = np.column_stack([xy, self.height(xy[:, 0], xy[:, 1])])
+        return np.asarray(local @ self.plane.rotation.T + self.plane.translation)
+
+
+@dataclass(frozen=True)
+class Tip:
+    """The elastic tip of the tool.
+
+    Attributes:
+        stiffness: E [N/m].
+        damping: D [N s/m].
+        friction: μ against the surface.
+        slip: v_0, speed over which friction builds up [m/s].
+    """
+
+    stiffness: float = 5000.0
+    damping: float = 8.0
+    friction: float = 0.15
+    slip: float = 0.005
+
+    def __post_init__(self) -> None:
+        if not self.stiffness > 0 or self.damping < 0 or self.friction < 0 or not self.slip > 0:
+            raise InputError("expected positive stiffness and slip, damping and friction not negative", field="tip")
+
+
+class TipContact:
+    """Keeps the tip of an arm's tool out of a surface, as long as the object is attached.
+
+    Args:
+        arm: gets the forces; its ``step_hook`` is taken.
+        surface: the truth.
+        tip: the truth.
+        extra: force on the tip in the base frame at time t ``(3,)`` [N], e.g. somebody pushing; None for none.
+    """
+
+    def __init__(self, arm: SimulatedArm, surface: HeightSurface, tip: Tip,
+                 extra: Callable[[float], Array] | None = None) -> None:
+        self._arm, self.surface, self.tip, self._extra = arm, surface, tip, extra
+        self._model, self._data = arm.robot.model, arm.robot.model.createData()
+        self._last_joint, self._tool = arm.tool_link + 1, arm.tool_offset.translation
+        self._law = np.array([tip.stiffness, tip.damping, tip.friction, tip.slip, surface.offset, *surface.tilt,
+                              surface.curvature, surface.crest])
+        self._waves = np.array([[w.amplitude, 2 * np.pi / w.wavelength, np.cos(w.heading), np.sin(w.heading), w.phase]
+                                for w in surface.waves]).reshape(-1, 5)
+        self._R, self._origin = np.array(surface.plane.rotation), np.array(surface.plane.translation)
+        self._before = np.full(3, np.nan)
+        self._log = np.zeros((4096, 9))
+        self._rows = 0
+        arm.step_hook = self._push
+
+    def _push(self, t: float) -> None:
+        arm = self._arm
+        pin.forwardKinematics(self._model, self._data, arm.q_a)
+        tip = self._data.oMi[self._last_joint].act(self._tool)
+        if self._rows == len(self._log):
+            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
+        row = self._log[self._rows]
+        self._rows += 1
+        row[0] = t
+        _contact(tip, self._before, self._R, self._origin, self._law, self._waves, row)
+        if self._extra is not None:
+            row[2:5] += self._extra(t)
+        if row[2] != 0.0 or row[3] != 0.0 or row[4] != 0.0:
+            pybullet.applyExternalForce(arm.body, arm.tool_link, row[2:5].tolist(), tip.tolist(), pybullet.WORLD_FRAME,
+                                        physicsClientId=arm.client)
+
+    def history(self) -> dict[str, Array]:
+        """Every 0.5 ms: ``t``, ``normal`` force (N,) [N], ``force`` on the tip in the base frame (N, 3) [N],
+        ``height`` of the surface (N,) and ``tip`` (N, 3) in plane coordinates [m]."""
+        rows = self._log[: self._rows].copy()
+        return {"t": rows[:, 0], "normal": rows[:, 1], "force": rows[:, 2:5], "height": rows[:, 5], "tip": rows[:, 6:]}
+
+    def force_at(self, t: float) -> Array:
+        """Force on the tip in the base frame ``(3,)`` at ``t`` [s], zero before the start."""
+        index = min(round(t / STEP), self._rows - 1)
+        return self._log[index, 2:5].copy() if index >= 0 else np.zeros(3)
+
+    def detach(self) -> None:
+        """Lets the arm go on without contact."""
+        self._arm.step_hook = None
+
+
+@njit(cache=True)
+def _contact(tip: Array, before: Array, R: Array, origin: Array, law: Array, waves: Array, row: Array) -> None:
+    """The law above at one instant; ``row`` gets the normal force, the force in the base frame, height and tip."""
+    x = R.T @ (tip - origin)
+    velocity = np.zeros(3)
+    if not np.isnan(before[0]):
+        velocity = (x - before) / STEP
+    before[:] = x
+    z = law[4] + law[5] * x[0] + law[6] * x[1] - 0.5 * law[7] * (x[0] - law[8]) ** 2
+    along, across = law[5] - law[7] * (x[0] - law[8]), law[6]
+    for wave in waves:
+        phase = wave[1] * (wave[2] * x[0] + wave[3] * x[1]) + wave[4]
+        z += wave[0] * np.sin(phase)
+        steep = wave[0] * wave[1] * np.cos(phase)
+        along += wave[2] * steep
+        across += wave[3] * steep
+    row[5], row[6:9] = z, x
+    if x[2] >= z:
+        return
+    normal = np.array([-along, -across, 1.0]) / np.sqrt(1.0 + along * along + across * across)
+    speed = normal @ velocity
+    pressed = max(0.0, law[0] * (z - x[2]) * normal[2] - law[1] * speed)
+    slide = velocity - speed * normal
+    force = pressed * (normal - law[2] * slide / np.sqrt(slide @ slide + law[3] ** 2))
+    row[1] = pressed
+    row[2:5] = R @ force

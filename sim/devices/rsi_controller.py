@@ -1,0 +1,156 @@
+"""The controller's side of KUKA RSI around a simulated arm: for tests, and to try a server without a robot.
+
+    python -m sim.devices.rsi_controller path.csv --robot kr6
+
+plays a controller whose arm stands at the first point of the path. Written from the protocol alone, without the code
+that parses and formats on the other side.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+
+_ANSWER = re.compile(r'<Sen Type="ImFree">.*<AK((?: A\d="[-+.\d]+")+)/>.*<IPOC>(\d+)</IPOC></Sen>')
+
+Disturbance = Callable[[int, bytes], list[bytes]]
+"""What is sent in place of the packet of a cycle: called with its number and the packet."""
+
+
+@dataclass(frozen=True)
+class ControllerRun:
+    """What a controller saw.
+
+    Attributes:
+        commands: commanded axis angles of every cycle ``(N, n)`` [deg].
+        answered: whether an answer came in time ``(N,)``.
+        ended: why it ended.
+    """
+
+    commands: Array
+    answered: Array
+    ended: str
+
+
+class RsiController:
+    """Sends ``<Rob>`` every cycle and moves the arm by the axis corrections of the answers.
+
+    Without an answer the arm is held where it was commanded last (``HOLDON``).
+
+    Args:
+        arm: the arm; its posture now is where RSI begins.
+        address: where the server listens.
+        relative: whether corrections add up.
+        sign: how the controller counts its axes against the URDF ``(n,)``.
+        timeout: how long an answer is waited for [s]. The simulated time stands still meanwhile.
+        patience: cycles in a row without an answer after which it ends; ten times as many before the first answer.
+        real_time: whether a cycle takes as long as it says, as with a real controller.
+        ipoc: time stamp of the first cycle [ms].
+        currents: whether motor currents are sent.
+        disturbance: see ``Disturbance``; None sends every packet as it is.
+    """
+
+    def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool = False,
+                 sign: Collection[float] = (-1.0, 1.0, 1.0, -1.0, 1.0, -1.0), timeout: float = 0.3, patience: int = 10,
+                 real_time: bool = False, ipoc: int = 4208163634, currents: bool = True,
+                 disturbance: Disturbance | None = None) -> None:
+        self.arm, self.address, self.relative, self.sign = arm, address, relative, np.array(list(sign))
+        self.timeout, self.patience, self.real_time, self.ipoc = timeout, patience, real_time, ipoc
+        self.currents, self.disturbance = currents, disturbance
+        self._stopped = threading.Event()
+
+    def stop(self) -> None:
+        """Ends ``run`` from another thread."""
+        self._stopped.set()
+
+    def run(self, cycles: int = 1_000_000) -> ControllerRun:
+        """Plays up to ``cycles`` cycles, fewer if answers stop coming."""
+        start = self.sign * np.degrees(self.arm.truth.q_m)
+        command, state = start.copy(), RobotState(self.arm.t, self.arm.truth.q_m, np.zeros(self.arm.robot.n))
+        commands, answered = [], []
+        silent, late, ended = 0, 0, "all cycles played"
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            begin = time.perf_counter()
+            for k in range(cycles):
+                stamp = (self.ipoc + k * round(1e3 * self.arm.t_ipo)) % 2**32
+                packet = self._packet(state, start, late, stamp)
+                sent = [packet] if self.disturbance is None else self.disturbance(k, packet)
+                for piece in sent:
+                    link.sendto(piece, self.address)
+                correction = self._answer(link, stamp) if sent else None
+                if self._stopped.is_set():
+                    ended = "stopped"
+                    break
+                answered.append(correction is not None)
+                if correction is None:
+                    silent, late = silent + 1, late + 1
+                    if silent >= self.patience * (1 if any(answered) else 10):
+                        ended = f"no answer in {silent} cycles"
+                        break
+                else:
+                    silent = 0
+                    command = (command if self.relative else start) + correction
+                commands.append(command)
+                state = self.arm.cycle(self.sign * np.radians(command))
+                if self.real_time:
+                    time.sleep(max(begin + (k + 1) * self.arm.t_ipo - time.perf_counter(), 0.0))
+        return ControllerRun(np.array(commands), np.array(answered), ended)
+
+    def _packet(self, state: RobotState, start: Array, late: int, stamp: int) -> bytes:
+        def axes(tag: str, values: Array) -> str:
+            return f"<{tag} " + " ".join(f'A{i + 1}="{value:.6f}"' for i, value in enumerate(values)) + "/>"
+
+        current = axes("MACur", self.sign * state.tau / self.arm.robot.drive_gain) if self.currents else ""
+        return ('<Rob Type="KUKA"><RIst X="0.0" Y="0.0" Z="0.0" A="0.0" B="0.0" C="0.0"/>'
+                + axes("AIPos", self.sign * np.degrees(state.q)) + axes("ASPos", start) + current
+                + f'<Delay D="{late}"/><IPOC>{stamp}</IPOC></Rob>').encode("ascii")
+
+    def _answer(self, link: socket.socket, stamp: int) -> Array | None:
+        """The corrections of the answer to this cycle [deg], or None if none comes in time."""
+        end = time.perf_counter() + (self.arm.t_ipo if self.real_time else self.timeout)
+        while (left := end - time.perf_counter()) > 0 and not self._stopped.is_set():
+            link.settimeout(min(left, 0.05))
+            try:
+                text = link.recv(4096).decode("ascii")
+            except (TimeoutError, ConnectionError):
+                continue
+            found = _ANSWER.fullmatch(text)
+            if found is not None and int(found[2]) == stamp:
+                return np.array([float(value) for value in re.findall(r'"([^"]+)"', found[1])])
+        return None
+
+
+def main() -> None:
+    """Plays a controller on this computer in real time, until the server stops answering."""
+    parser = argparse.ArgumentParser(description="KUKA RSI controller around a simulated arm, on 127.0.0.1.")
+    parser.add_argument("path", help="the path the server has: the arm starts at its first point")
+    parser.add_argument("--robot", default="kr6")
+    parser.add_argument("--port", type=int, default=49152)
+    parser.add_argument("--relative", action="store_true")
+    given = parser.parse_args()
+    robot = Robot.load(given.robot)
+    columns = Recording.read(given.path).columns
+    prefix = "q_d" if "q_d_1" in columns else "q"
+    start = np.array([columns[f"{prefix}_{i + 1}"][0] for i in range(robot.n)])
+    with SimulatedArm(robot, World.default(robot.name), np.random.default_rng(0), q0=start) as arm:
+        run = RsiController(arm, ("127.0.0.1", given.port), relative=given.relative, real_time=True,
+                            patience=100).run()
+    print(f"{run.ended}; {int(np.sum(run.answered))} of {len(run.answered)} cycles answered")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""Adaptation: it follows friction, does nothing without measurements, and stays bounded whatever it is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.execution.interface import RobotState
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation, adapted
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.loop.closed_loop import simulate
+from tests.ideal_robot.feedforward.plant import T, commands, motion, plant, rms
+
+
+def states(loop, q_d, repeat=3, rng=None):
+    """What the controller of ``loop`` would tell along a motion that is repeated."""
+    q_d = np.concatenate([q_d] * repeat)
+    done = simulate(loop, commands(IdealRobot(loop), q_d))
+    tau = done.tau if rng is None else done.tau + rng.normal(scale=0.03, size=done.tau.shape) * np.ptp(done.tau, axis=0)
+    return [RobotState(t, q, torque) for t, q, torque in zip(done.t[1:], done.q_m[1:], tau[1:], strict=True)]
+
+
+def fed(adaptation, measured):
+    state = adaptation.init()
+    for one in measured:
+        state = adaptation.update(state, one)
+    return state
+
+
+def sliding_ratio(loop, theta):
+    """Adapted over identified friction at two speeds ``(2, n)``: the two factors trade, what counts is their sum."""
+    tables = adapted(loop, theta)["friction_torque"], loop.friction_torque
+    return np.array([[np.interp(speed, loop.friction_velocity[:, i], tables[0][0, :, i])
+                      / np.interp(speed, loop.friction_velocity[:, i], tables[1][0, :, i]) for i in range(loop.n)]
+                     for speed in (0.3, 0.8)])
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.4])
+def test_finds_how_much_friction_has_changed(factor):
+    loop = plant()
+    factors = fed(FrictionAdaptation(loop), states(plant(friction=factor), motion()))
+    np.testing.assert_allclose(sliding_ratio(loop, factors.theta), factor, rtol=0.1)
+
+
+def test_noise_does_not_move_it_away_from_the_truth():
+    """Torque noise of 3 % of its whole range: 25 N m on the base joints, a quarter of their dry friction."""
+    loop = plant()
+    factors = fed(FrictionAdaptation(loop), states(loop, motion(), rng=np.random.default_rng(3)))
+    np.testing.assert_allclose(sliding_ratio(loop, factors.theta), 1.0, atol=0.15)
+
+
+def test_without_a_recording_it_is_the_ideal_robot():
+    loop, q_d = plant(), motion()
+    np.testing.assert_array_equal(commands(AdaptedIdeal(IdealRobot(loop)), q_d), commands(IdealRobot(loop), q_d))
+
+
+def poisons(kind, rng, n, k):
+    return {
+        "nan": (np.full(n, np.nan), np.full(n, np.nan)),
+        "huge": (rng.normal(scale=1e6, size=n), rng.normal(scale=1e9, size=n)),
+        "stuck": (np.zeros(n), np.zeros(n)),
+        "noise": (rng.normal(size=n), rng.normal(scale=3000.0, size=n)),
+        "reversed": (np.full(n, 0.01 * k), np.full(n, -1e4)),
+        "short": (np.zeros(2), np.zeros(2)),
+    }[kind]
+
+
+@pytest.mark.parametrize("kind", ["nan", "huge", "stuck", "noise", "reversed", "short"])
+def test_a_poisoned_recording_leaves_it_bounded(kind):
+    loop, q_d = plant(), motion()
+    adaptation = FrictionAdaptation(loop)
+    rng = np.random.default_rng(9)
+    state = adaptation.init()
+    for k in range(800):
+        q, tau = poisons(kind, rng, loop.n, k)
+        state = adaptation.update(state, RobotState(k * T, q, tau))
+    low, high = adaptation.bounds
+    assert np.all((state.theta >= low) & (state.theta <= high))
+    assert np.all(np.isfinite(state.covariance))
+    feedforward = AdaptedIdeal(IdealRobot(loop), adaptation)
+    begun = feedforward.init(q_d[0], state)
+    q_c = []
+    for k in range(len(q_d) - 30):
+        command, begun = feedforward.step(begun, q_d[k : k + 30])
+        q_c.append(command)
+    plain = commands(IdealRobot(loop), q_d)[: len(q_c)]
+    assert np.max(np.abs(np.array(q_c) - plain)) < 0.05
+
+
+def test_good_measurements_after_bad_ones_count_again():
+    loop = plant()
+    adaptation = FrictionAdaptation(loop)
+    rng = np.random.default_rng(1)
+    state = adaptation.init()
+    for k in range(200):
+        state = adaptation.update(state, RobotState(k * T, *poisons("nan", rng, loop.n, k)))
+    np.testing.assert_array_equal(state.theta, np.ones((loop.n, 2)))
+    for one in states(plant(friction=1.3), motion()):
+        state = adaptation.update(state, one)
+    assert np.all(state.theta[:, 0] > 1.1)
+
+
+def test_it_makes_the_path_better_when_friction_has_grown():
+    loop, worn, q_d = plant(), plant(friction=1.4), motion()
+    factors = fed(FrictionAdaptation(loop), states(worn, q_d))
+    follows = IdealRobot(loop.replace(**adapted(loop, factors.theta)))
+    error = {name: rms(simulate(worn, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
+             for name, feedforward in (("fixed", IdealRobot(loop)), ("adapted", follows))}
+    assert error["adapted"] < 0.5 * error["fixed"]

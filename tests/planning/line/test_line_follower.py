@@ -1,0 +1,269 @@
+"""Line following with an arm that does what it is told: what is left is planning's own error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ideal_robot.errors import InputError
+from planning.line.deviation_model import PathDeviation
+from planning.line.fusion import DeviationFilter, Measurement
+from planning.line.line_follower import FollowerSettings, LineFollower
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from planning.planning_error import LineLostError, LineNeverSeenError, OutOfReachError, PlanningError
+from tests.planning.cell import (
+    Camera,
+    Run,
+    T,
+    displaced,
+    distance,
+    follow,
+    joint_path,
+    kr6,
+    profile,
+    reference,
+    sine_points,
+)
+
+LINE = displaced(sine_points())
+
+
+def follower(n_d: int = 25, speed: float = 0.7, **settings: object) -> LineFollower:
+    return LineFollower(
+        kr6(),
+        reference(),
+        profile(speed),
+        n_d,
+        joint_path=joint_path(),
+        settings=FollowerSettings(**settings),  # type: ignore[arg-type]
+    )
+
+
+def errors(run: Run, line: np.ndarray = LINE, after: float = 0.5) -> np.ndarray:
+    """Distances from the line where it is, from ``after`` seconds on [m]."""
+    inside = (run.t > after) & (run.tcp[:, 1] < line[-1, 1] - 0.005)
+    return distance(run.tcp[inside], line)
+
+
+@pytest.mark.parametrize("speed", [0.3, 0.7, 1.0])
+def test_displaced_and_turned_line_is_followed(speed: float) -> None:
+    run = follow(follower(speed=speed), Camera(LINE, np.random.default_rng(1)))
+    # From noise of 0.03 mm a point, at 50 fields a second with 5 points each.
+    assert errors(run).mean() < 0.03e-3
+    assert errors(run).max() < 0.12e-3
+
+
+@pytest.mark.parametrize("latency", [0.0, 0.08])
+def test_latency_hardly_matters(latency: float) -> None:
+    run = follow(follower(latency=latency), Camera(LINE, np.random.default_rng(2)), latency=latency)
+    assert errors(run).mean() < 0.03e-3
+
+
+def test_one_camera_snapshot_is_enough_to_run_on() -> None:
+    # A line that is only shifted: a single field of it places all of the path ([L] 4.3).
+    line = sine_points() + np.array([0.006, 0.0, 0.0])
+    f = follower(max_blind=2.0)
+    run = follow(f, Camera(line, np.random.default_rng(3)), blind=(0.004, 2.0))
+    assert f.fields_used < 6
+    assert errors(run, line).mean() < 2e-3
+    assert np.abs(distance(run.tcp[:1], line)).max() > 5e-3
+
+
+def test_fields_in_the_wrong_order_lead_to_the_same_map() -> None:
+    run = follow(follower(), Camera(LINE, np.random.default_rng(4)))
+    shuffled = follow(follower(), Camera(LINE, np.random.default_rng(4)), shuffle=True)
+    stamps = [seen.t for seen in shuffled.fields]
+    assert stamps != sorted(stamps)
+    assert errors(shuffled).mean() < errors(run).mean() + 0.01e-3
+
+
+def test_turned_camera_and_wrong_time_stamps_are_found_out() -> None:
+    f = follower(stamp=0.001)
+    run = follow(f, Camera(LINE, np.random.default_rng(5), yaw=0.002), stamp=0.0005)
+    yaw, stamp = f.fusion.bias("camera")[0]
+    # The follower's bias is what it has to take off: the seen line was turned forwards, the stamps are late.
+    assert abs(yaw) == pytest.approx(0.002, abs=2e-4)
+    assert abs(stamp) == pytest.approx(0.0005, abs=2e-4)
+    assert errors(run).mean() < 0.04e-3
+
+
+def test_desired_path_is_smooth_although_the_map_changes() -> None:
+    run = follow(follower(), Camera(LINE, np.random.default_rng(6), noise=1e-4))
+    q = np.array([horizon[0] for horizon in run.horizons])
+    jerk = np.abs(np.diff(q, 3, axis=0)) / T**3
+    plain = follower().q_reference[: len(q)]
+    own = np.abs(np.diff(plain, 3, axis=0)) / T**3
+    acceleration = np.abs(np.diff(q - plain, 2, axis=0)) / T**2
+    # 4 m/s² of correction at about 0.9 m from the base, more in the wrist, which turns against it.
+    assert np.max(acceleration[:, :3]) < 12.0
+    assert np.max(jerk) < np.max(own) + 1500.0
+
+
+def test_new_fields_do_not_touch_what_is_being_executed() -> None:
+    for frozen in (0, 2):
+        f = follower(frozen=frozen)
+        run = follow(f, Camera(LINE, np.random.default_rng(7)))
+        for before, after in zip(run.horizons[:-1], run.horizons[1:], strict=True):
+            # Row 0 now was row 1 a cycle ago.
+            np.testing.assert_allclose(after[:frozen], before[1 : 1 + frozen], atol=1e-9)
+
+
+def test_horizon_is_one_path_and_keeps_still_without_fields() -> None:
+    f = follower()
+    first = f.horizon(0.0)
+    assert first.shape == (25, 6)
+    np.testing.assert_allclose(f.horizon(T)[:-1], first[1:], atol=1e-12)
+    np.testing.assert_allclose(first, f.q_reference[:25], atol=1e-9)
+
+
+def test_speed_along_the_path_is_the_references() -> None:
+    run = follow(follower(), Camera(LINE, np.random.default_rng(8)))
+    s, _, _ = zip(
+        *[reference().project(p[None], float(profile().s(t)), 0.1) for t, p in zip(run.t, run.tcp, strict=True)],
+        strict=True,
+    )
+    np.testing.assert_allclose(np.concatenate(s), profile().s(run.t), atol=1e-6)
+
+
+def test_line_of_another_length_and_shape_is_followed() -> None:
+    # Amplitude and wavelength differ, so that equal arc lengths are different places.
+    line = sine_points(amplitude=0.036, wavelength=0.77) + np.array([0.004, 0.0, 0.0])
+    run = follow(follower(), Camera(line, np.random.default_rng(9)))
+    assert errors(run, line).mean() < 0.04e-3
+
+
+def test_rest_of_the_arm_at_the_end() -> None:
+    f = follower()
+    run = follow(f, Camera(LINE, np.random.default_rng(10)))
+    assert f.finished(run.t[-1])
+    end = f.horizon(f.duration + 3.0)
+    assert np.max(np.abs(end - end[0])) < 1e-3
+
+
+def test_gap_is_bridged() -> None:
+    f = follower()
+    run = follow(f, Camera(LINE, np.random.default_rng(11)), blind=(0.4, 0.48))
+    assert errors(run).mean() < 0.05e-3
+    assert errors(run).max() < 0.5e-3
+
+
+def test_variance_grows_while_nothing_is_seen() -> None:
+    f = follower(max_blind=2.0)
+    follow(f, Camera(LINE, np.random.default_rng(12)), blind=(0.4, 2.0))
+    f2 = follower()
+    follow(f2, Camera(LINE, np.random.default_rng(12)))
+    s = np.array([0.95])
+    assert f.deviation(s)[1][0] > 5 * f2.deviation(s)[1][0]
+
+
+def test_line_lost_midway_says_where_and_when() -> None:
+    f = follower(max_blind=0.12)
+    with pytest.raises(LineLostError, match=r"line lost at t = .* last seen at .* 120 mm") as lost:
+        follow(f, Camera(LINE, np.random.default_rng(13)), blind=(0.4, 2.0))
+    assert lost.value.last_s == pytest.approx(0.4, abs=0.02)
+    assert 0.52 < lost.value.s < 0.60
+    assert lost.value.last_t < lost.value.t
+    assert not isinstance(lost.value, LineNeverSeenError)
+
+
+def test_silent_camera_loses_the_line_too() -> None:
+    f = follower(max_blind=0.12)
+    with pytest.raises(LineLostError):
+        follow(f, Camera(LINE, np.random.default_rng(14)), rate=1.5)
+
+
+def test_line_never_seen_says_so() -> None:
+    with pytest.raises(LineNeverSeenError, match="never seen") as lost:
+        follow(follower(max_search=0.2), Camera(LINE, np.random.default_rng(15)), blind=(-1.0, 2.0))
+    assert lost.value.s == pytest.approx(0.2, abs=0.05)
+
+
+def test_blind_end_of_the_path_is_no_loss() -> None:
+    # Nothing of the line is left to see while the arm travels the last stretch.
+    f = follower(max_blind=0.05)
+    run = follow(f, Camera(LINE, np.random.default_rng(16)))
+    assert f.finished(run.t[-1])
+
+
+def test_line_that_leads_out_of_reach_is_reported() -> None:
+    out = sine_points() + np.array([0.04, 0.0, 0.0])
+    robot = replace(kr6(), q_max=np.max(joint_path().q, axis=0) + 1e-3, q_min=np.min(joint_path().q, axis=0) - 1e-3)
+    f = LineFollower(robot, reference(), profile(), 25, joint_path=joint_path())
+    with pytest.raises(OutOfReachError, match="its limit is"):
+        follow(f, Camera(out, np.random.default_rng(17)))
+
+
+def test_tool_turns_with_the_line_if_asked() -> None:
+    # The drawn line is turned by 50 mrad against its reference; the tool takes the same turn.
+    line = displaced(sine_points(), turn=0.05)
+    turned = follower(follow_tangent=True)
+    follow(turned, Camera(line, np.random.default_rng(18)))
+    t = 0.6 * turned.duration
+    s = float(profile().s(t))
+    R = turned.desired(t).rotation @ reference().rotation(s).T
+    there = int(np.argmin(np.linalg.norm(line - turned.desired(t).translation, axis=1)))
+    along, own = line[there + 1] - line[there - 1], reference().tangent(s)
+    expected = np.arctan2(own[0] * along[1] - own[1] * along[0], own @ along)
+    assert expected > 0.02
+    assert np.arctan2(R[1, 0], R[0, 0]) == pytest.approx(expected, abs=3e-3)
+    assert R[2, 2] == pytest.approx(1.0)
+
+
+def test_height_from_another_sensor_moves_the_path_up() -> None:
+    model = PathDeviation(reference(), directions=2, ahead=0.4)
+    f = LineFollower(
+        kr6(),
+        reference(),
+        profile(),
+        25,
+        joint_path=joint_path(),
+        fusion=DeviationFilter(model, biases={"camera": (0.003, 0.0005)}),
+    )
+    camera = Camera(LINE, np.random.default_rng(19))
+    height = 0.003
+    for s in np.linspace(0.0, 0.4, 20):
+        f.fuse(Measurement(0.0, np.array([s]), np.array([height]), np.array([[1e-8]]), np.array([[0.0, 1.0]]), "force"))
+    run = follow(f, camera)
+    middle = (run.t > 0.6) & (run.t < 0.9)
+    np.testing.assert_allclose(run.tcp[middle, 2], 0.35 + height, atol=2e-4)
+    flat = run.tcp[middle] * [1, 1, 0] + [0, 0, 0.35]
+    assert distance(flat, LINE).mean() < 0.03e-3
+
+
+def test_curved_path_at_any_place_works_alike() -> None:
+    # The same scene turned about the base's axis gives the same wrist and arm angles, joint 1 apart.
+    c, s = np.cos(0.3), np.sin(0.3)
+    R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    points = sine_points() @ R.T
+    path = ReferencePath(points, turning=1.0)
+    joints = JointPath.of(kr6(), path)
+    travel = SpeedProfile.plan(kr6(), path, Limits(0.7), joints)
+    there = follow(
+        LineFollower(kr6(), path, travel, 25, joint_path=joints), Camera(LINE @ R.T, np.random.default_rng(20))
+    )
+    here = follow(follower(), Camera(LINE, np.random.default_rng(20)))
+    q_here, q_there = (np.array([h[0] for h in run.horizons]) for run in (here, there))
+    np.testing.assert_allclose(q_there[:, 1:], q_here[:, 1:], atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"frozen": -1}, {"cutoff": 0.0}, {"max_blind": 0.0}, {"noise": -1e-5}, {"view": (0.1, 0.05)}, {"latency": -0.1}],
+)
+def test_settings_that_make_no_sense_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        FollowerSettings(**bad)  # type: ignore[arg-type]
+
+
+def test_field_stamped_before_the_history_is_refused() -> None:
+    f = follower()
+    camera = Camera(LINE, np.random.default_rng(21))
+    for k in range(10):
+        f.observe(k * T, f.horizon(k * T)[0])
+    seen = camera.look(f, 0.05, f.history.pose(0.05))
+    with pytest.raises(PlanningError, match="no pose at"):
+        f.update(replace(seen, t=-1.0))
+    assert f.update(seen) is not None

@@ -1,0 +1,165 @@
+"""The reference path: arc length, frames, tool orientation, projection."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ideal_robot.errors import InputError
+from planning.path.reference import ReferencePath
+from tests.planning.cell import reference, sine_points
+
+
+def circle(radius: float = 0.2, turns: float = 0.75) -> ReferencePath:
+    return ReferencePath.from_formula(
+        lambda u: np.column_stack([radius * np.cos(u), radius * np.sin(u), 0 * u]),
+        0.0,
+        2 * np.pi * turns,
+        smoothing=0.0,
+    )
+
+
+def test_circle_has_its_length_curvature_and_centre() -> None:
+    path = circle()
+    s = np.linspace(0.02, path.length - 0.02, 200)
+    assert path.length == pytest.approx(1.5 * np.pi * 0.2, rel=1e-6)
+    np.testing.assert_allclose(path.curvature(s), 5.0, rtol=1e-4)
+    # Counter-clockwise seen from above: the left normal points to the centre.
+    np.testing.assert_allclose(path.position(s) + 0.2 * path.normal(s), 0.0, atol=1e-7)
+
+
+def test_parameter_is_arc_length_and_frames_are_right_handed() -> None:
+    path = reference()
+    s = np.linspace(-0.1, path.length + 0.1, 5001)
+    step = np.linalg.norm(np.diff(path.position(s), axis=0), axis=1)
+    np.testing.assert_allclose(step, np.diff(s), rtol=2e-4)
+    f = path.frames(s)
+    axes = np.stack([f.tangent, f.normal, f.up], axis=2)
+    np.testing.assert_allclose(axes.transpose(0, 2, 1) @ axes, np.broadcast_to(np.eye(3), axes.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(axes), 1.0, atol=1e-12)
+
+
+def test_curvature_and_tangent_are_derivatives() -> None:
+    path, h = reference(), 1e-5
+    s = np.linspace(0.05, path.length - 0.05, 101)
+    numeric = (path.position(s + h) - path.position(s - h)) / (2 * h)
+    np.testing.assert_allclose(path.tangent(s), numeric, atol=1e-4)
+    bend = np.sum((path.tangent(s + h) - path.tangent(s - h)) / (2 * h) * path.normal(s), axis=1)
+    np.testing.assert_allclose(path.curvature(s), bend, atol=2e-3)
+
+
+def test_goes_on_straight_beyond_its_ends() -> None:
+    path = reference()
+    for end, sign in ((0.0, -1.0), (path.length, 1.0)):
+        there = path.position(end + sign * 0.08)
+        np.testing.assert_allclose(there, path.position(end) + sign * 0.08 * path.tangent(end), atol=1e-9)
+        assert path.curvature(np.array([end + sign * 0.08]))[0] == 0.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.05, 0.95), st.floats(-0.02, 0.02), st.floats(-0.01, 0.01))
+def test_projection_is_the_inverse_of_the_path_coordinates(share: float, d: float, h: float) -> None:
+    path = reference()
+    s = share * path.length
+    f = path.frames(np.array([s]))
+    point = f.position + d * f.normal + h * f.up
+    got = path.project(point, s + 0.04, 0.15)
+    np.testing.assert_allclose(np.concatenate(got), [s, d, h], atol=1e-7)
+
+
+def test_projection_keeps_the_branches_of_a_crossing_apart() -> None:
+    eight = ReferencePath.from_formula(
+        lambda u: np.column_stack([0.3 * np.sin(u), 0.15 * np.sin(2 * u), 0 * u]), -np.pi / 2, 1.5 * np.pi
+    )
+    # The figure runs through the origin a quarter and three quarters of the way.
+    for share in (0.25, 0.75):
+        got, lateral, _ = eight.project(np.zeros((1, 3)), share * eight.length + 0.03, 0.1)
+        assert got[0] == pytest.approx(share * eight.length, abs=1e-4)
+        assert abs(lateral[0]) < 1e-5
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6))
+def test_moving_the_points_moves_everything_with_them(twist: list[float]) -> None:
+    move = pin.exp6(np.array(twist))
+    points = sine_points()[::5]
+    up = np.array([0.0, 0.0, 1.0])
+    here, there = (
+        ReferencePath(points, up=up, turning=0.7),
+        ReferencePath(points @ move.rotation.T + move.translation, up=move.rotation @ up, turning=0.7),
+    )
+    s = np.linspace(0.0, here.length - 1e-6, 30)
+    assert there.length == pytest.approx(here.length, rel=1e-9)
+    np.testing.assert_allclose(there.position(s), here.position(s) @ move.rotation.T + move.translation, atol=1e-8)
+    np.testing.assert_allclose(there.normal(s), here.normal(s) @ move.rotation.T, atol=1e-7)
+    np.testing.assert_allclose(there.rotation(s), move.rotation @ here.rotation(s), atol=1e-6)
+    np.testing.assert_allclose(there.curvature(s), here.curvature(s), atol=1e-6)
+
+
+def test_tool_turns_as_much_as_asked() -> None:
+    points = sine_points()
+    s = np.linspace(0.1, 0.9, 60)
+    with_line = ReferencePath(points, turning=1.0, turn_smoothing=0.0)
+    np.testing.assert_allclose(with_line.rotation(s)[:, :, 0], with_line.tangent(s), atol=1e-3)
+    np.testing.assert_allclose(with_line.rotation(s)[:, :, 2], np.tile([0, 0, -1.0], (60, 1)), atol=1e-9)
+    fixed = ReferencePath(points, turning=0.0)
+    np.testing.assert_allclose(fixed.rotation(s), np.broadcast_to(fixed.rotation(0.5), (60, 3, 3)), atol=1e-9)
+    half = ReferencePath(points, turning=0.5, turn_smoothing=0.0)
+    angle = [np.linalg.norm(pin.log3(fixed.rotation(x).T @ half.rotation(x))) for x in s]
+    full = [np.linalg.norm(pin.log3(fixed.rotation(x).T @ with_line.rotation(x))) for x in s]
+    np.testing.assert_allclose(angle, 0.5 * np.array(full), atol=1e-3)
+
+
+def test_tool_turns_on_over_more_than_a_full_turn() -> None:
+    spiral = ReferencePath.from_formula(
+        lambda u: np.column_stack([0.1 * np.cos(u), 0.1 * np.sin(u), 0.01 * u]), 0.0, 5 * np.pi, turning=1.0
+    )
+    s = np.linspace(0.0, spiral.length, 400)
+    R = spiral.rotation(s)
+    steps = [np.linalg.norm(pin.log3(a.T @ b)) for a, b in pairwise(R)]
+    assert max(steps) < 2.0 * (5 * np.pi / 400)
+
+
+def test_given_orientation_holds_in_the_mean_direction() -> None:
+    wanted = pin.rpy.rpyToMatrix(np.pi, 0.2, 0.3)
+    path = ReferencePath(sine_points(), turning=0.0, rotation=wanted)
+    np.testing.assert_allclose(path.rotation(0.4), wanted, atol=1e-9)
+
+
+def test_curved_surface_gives_the_tool_its_normal() -> None:
+    u = np.linspace(-0.6, 0.6, 800)
+    points = 0.5 * np.column_stack([0 * u, np.sin(u), np.cos(u)])
+    path = ReferencePath(points, up=points / 0.5, turning=1.0)
+    s = np.linspace(0.05, path.length - 0.05, 50)
+    outward = path.position(s) / np.linalg.norm(path.position(s), axis=1, keepdims=True)
+    np.testing.assert_allclose(path.up(s), outward, atol=1e-4)
+    np.testing.assert_allclose(path.rotation(s)[:, :, 2], -outward, atol=1e-3)
+
+
+def test_corner_is_rounded_and_curvature_stays_finite() -> None:
+    corner = ReferencePath(np.array([[0.0, 0, 0], [0.3, 0, 0], [0.3, 0.3, 0]]), smoothing=0.04)
+    s = np.linspace(0.0, corner.length, 2000)
+    # Averaging twice over half the length weights with a triangle; at its top both tangents count the same.
+    assert np.max(np.abs(corner.curvature(s))) < 1.02 * 4.0 * np.sqrt(2.0) / 0.04
+    assert corner.length < 0.6
+    cut = np.min(np.linalg.norm(corner.position(s) - [0.3, 0, 0], axis=1))
+    assert 0.0 < cut < 0.02
+
+
+@pytest.mark.parametrize(
+    ("points", "told"),
+    [
+        (np.zeros((5, 3)), "10 mm"),
+        (np.array([[0.0, 0, 0], [0.001, 0, 0]]), "10 mm"),
+        (np.zeros((5, 2)), "shape"),
+        (np.array([[0.0, 0, 0], [np.nan, 0, 0]]), "finite"),
+    ],
+)
+def test_unusable_points_are_refused(points: np.ndarray, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        ReferencePath(points)

@@ -1,0 +1,105 @@
+"""Force following and the fused ``glue`` scene against its targets; every run is a whole simulated job."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.signals.recording import Recording
+from scenes.force.play import play, run
+from scenes.force.result import ForceResult
+from scenes.scene import load_scene
+
+
+@pytest.fixture(scope="module")
+def wave() -> ForceResult:
+    return play(load_scene("force_wave"), "ideal")
+
+
+def test_force_is_kept_on_a_wavy_surface(wave: ForceResult) -> None:
+    """20 N at 0.2 m/s, 12 ms cycle, 20 ms latency: RMS ≤ 1 N, contact never lost, never above 3 × desired."""
+    assert wave.failure is None
+    assert wave.figures.rms <= 1.0
+    assert wave.figures.lost == 0.0
+    assert wave.figures.largest <= 60.0
+    assert wave.figures.travel > 4.0
+
+
+def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult) -> None:
+    """Against the gains in the scene file, which the search of ``compare`` found best (its test is the slow one)."""
+    scene = load_scene("force_wave")
+    direct = play(scene, "direct_feedback", scene.gains)
+    assert direct.failure is None
+    assert wave.figures.rms <= 0.25 * direct.figures.rms
+
+
+@pytest.mark.slow
+def test_search_finds_no_better_direct_feedback(wave: ForceResult) -> None:
+    from scenes.force.compare import best_gains
+
+    scene = load_scene("force_wave")
+    _, trials = best_gains(scene)
+    best = min(trial.rms for trial in trials)
+    assert best >= 0.98 * play(scene, "direct_feedback", scene.gains).figures.rms
+    assert wave.figures.rms <= 0.25 * best
+
+
+def test_calibration_by_moving_found_the_truth(wave: ForceResult) -> None:
+    """E of tip and gears in series is a little softer than the tip; the tool's mass is found."""
+    assumed, _, true = wave.elasticity
+    assert 0.93 * true < assumed < 1.01 * true
+    assert wave.tool["mass"] == pytest.approx(wave.scene.sensor.mass, abs=0.02)
+
+
+def test_glue_follows_line_and_force_at_once() -> None:
+    """Mean lateral error ≤ 0.3 mm at 0.3 m/s and RMS force error ≤ 1.5 N at once, on a curved surface."""
+    result = play(load_scene("glue"), "ideal")
+    assert result.failure is None
+    assert result.lateral["control_error_mm"]["mean"] <= 0.3
+    assert result.figures.rms <= 1.5
+    assert result.figures.lost == 0.0
+
+
+@pytest.mark.parametrize("trouble", [
+    {"camera": {"rate": 10.0}},
+    {"trouble": {"garbage": (1.0, 1.5)}},
+    pytest.param({"trouble": {"loss": (1.0, 1.1)}}, marks=pytest.mark.slow),
+], ids=["10 Hz", "garbage", "loss"])
+def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:
+    result = play(load_scene("glue").changed(**trouble), "ideal")
+    assert result.failure is None
+    assert result.lateral["control_error_mm"]["mean"] <= 0.6
+    assert result.figures.lost == 0.0
+    if "garbage" in str(trouble):
+        start = result.log.t[result.log.phase.index("travel")]
+        lied = [one for one in result.log.fields if start + 1.0 <= one[0] < start + 1.5]
+        assert len(lied) == 25
+        assert sum(dof > 0 for _, dof, _ in lied) <= 1
+
+
+@pytest.mark.parametrize(("changes", "reason"), [
+    ({"emergency": {"force": 12.0}}, "above the limit 12.0 N"),
+    ({"surface": {"offset_mm": -70.0}}, "no contact within 50 mm"),
+])
+def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], reason: str, tmp_path: object) -> None:
+    result = run(load_scene("force_wave").changed(**changes), out=tmp_path)  # type: ignore[arg-type]
+    assert result.failure is not None
+    assert reason in result.failure
+    written = Recording.read(result.recording_path)  # type: ignore[arg-type]
+    assert written.meta["stopped_because"] == result.failure
+    q_c = np.array(result.log.q_d)
+    v = np.diff(q_c, axis=0) / 0.012
+    from ideal_robot.robots.robot import Robot
+
+    robot = Robot.load("kr6")
+    assert np.all(np.abs(v) <= robot.v_max)
+    assert np.all(np.abs(np.diff(v[::2], axis=0)) / 0.024 <= robot.a_max)
+    # At rest at the end.
+    assert np.max(np.abs(v[-1])) < 1e-3
+
+
+def test_lost_line_stops_the_glue() -> None:
+    result = play(load_scene("glue").changed(trouble={"loss": (1.0, 9.0)}), "ideal")
+    assert result.failure is not None
+    assert "line lost" in result.failure
+    assert result.figures.largest < 60.0

@@ -1,0 +1,37 @@
+"""A line followed with wrong time stamps: found from the run alone, and told to the follower."""
+
+from __future__ import annotations
+
+import pytest
+
+from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from scenes.line.play import assumed_latency
+from scenes.line.scene import LineScene
+from scenes.refine.line import close_line, with_effects
+from scenes.scene import load_scene
+
+
+@pytest.mark.slow
+def test_after_is_close_to_the_oracle() -> None:
+    scene = load_scene("close_latency")
+    assert isinstance(scene, LineScene)
+    result = close_line(scene)
+    assert [e.fitted.name for e in result.diagnosis.effects if e.fitted.channel == "line"] == ["camera_latency"]
+    assert result.after.mean <= 1.25 * result.oracle.mean
+    assert result.after.mean < 0.5 * result.before.mean
+
+
+def test_follower_takes_the_latency_from_the_model() -> None:
+    model = Model.nominal(Robot.load("kr6"))
+    assert assumed_latency(model) == 0.0
+    assert assumed_latency(with_effects(model, [FittedEffect("camera_latency", 0, "line", (-0.008,))])) == -0.008
+
+
+def test_right_time_stamps_are_refused() -> None:
+    scene = load_scene("line")
+    assert isinstance(scene, LineScene)
+    with pytest.raises(InputError, match="nothing is there"):
+        close_line(scene)

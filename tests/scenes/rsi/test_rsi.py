@@ -1,0 +1,219 @@
+"""``ideal-robot rsi``: the ideal robot behind RSI, on loopback, against a controller around the simulated arm."""
+
+from __future__ import annotations
+
+import json
+import socket
+from concurrent.futures import Future
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.rsi.server import RsiRun, RsiServer
+from scenes.rsi.setup import rsi_server
+from scenes.scene_error import SceneError
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+from sim.devices.rsi_controller import ControllerRun
+from tests.sim.devices.rsi_link import ENDLESS, PATIENCE, controlled
+
+ROBOT = Robot.load("kr6")
+T = ROBOT.t_ipo
+REST = 50
+
+
+def motion(cycles: int = 100) -> Array:
+    """Every joint once out and back."""
+    phase = np.pi * np.arange(cycles) / (cycles - 1)
+    return np.asarray(ROBOT.home + np.sin(phase)[:, None] ** 4 * np.array([0.3, -0.2, 0.25, 0.4, -0.3, 0.5]))
+
+
+def written(folder: Path, q: Array) -> Path:
+    path = folder / "path.csv"
+    pd.DataFrame({"t": T * np.arange(len(q)), **{f"q_d_{i + 1}": q[:, i] for i in range(6)}}).to_csv(path, index=False)
+    return path
+
+
+def played(path: Path, *, start: Array = ROBOT.home, cycles: int | None = None, relative: bool = False,
+           method: str = "ideal", server_change=lambda server: None, **options) -> tuple[RsiRun, ControllerRun]:
+    with ExitStack() as stack:
+        server = stack.enter_context(rsi_server(path, robot="kr6", method=method, port=0, relative=relative,
+                                                rest=REST * T))
+        server.link.timeout = PATIENCE
+        server_change(server)
+        arm = stack.enter_context(SimulatedArm(ROBOT, World.default("kr6"), np.random.default_rng(1), q0=start))
+        future: Future[ControllerRun]
+        cycles = cycles or len(server.q_d) + 1
+        with controlled(arm, server.link.address[1], cycles, relative=relative, **options) as future:
+            run = server.play(patience=PATIENCE)
+        return run, future.result(PATIENCE)
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_the_arm_behind_rsi_follows_better_than_without(tmp_path: Path, relative: bool) -> None:
+    path = written(tmp_path, motion())
+    run, seen = played(path, relative=relative)
+    plain, _ = played(path, relative=relative, method="none")
+    assert run.failure is None
+    assert plain.failure is None
+    assert seen.answered.all()
+    assert run.counts == {**run.counts, "lost": 0, "repeated": 0, "refused": 0, "late": 0, "foreign": 0, "outdated": 0}
+    assert len(run.recording.t) == run.rows == len(seen.commands) - 1
+    # The model is of the motor and the gear; what the controller tells are motor angles.
+    assert np.all(run.errors_mrad() < 0.5 * plain.errors_mrad())
+    q_c = run.recording.joints("q_c") * [-1, 1, 1, -1, 1, -1]
+    np.testing.assert_allclose(np.radians(seen.commands[1:]), q_c, atol=1e-8)
+    back = Recording.read(run.recording.write(tmp_path / "moved.parquet"))
+    assert back.has("tau")
+    assert back.has("current")
+    assert back.meta["corrections"] == ("relative" if relative else "absolute")
+    np.testing.assert_allclose(np.diff(back.t), T, atol=1e-9)
+
+
+def test_an_arm_beside_the_start_is_led_onto_the_path(tmp_path: Path) -> None:
+    beside = ROBOT.home + np.radians(0.3)
+    run, _ = played(written(tmp_path, motion()), start=beside, method="none")
+    assert run.failure is None
+    q_d = run.recording.joints("q_d")
+    np.testing.assert_allclose(q_d[0], beside, atol=1e-6)
+    np.testing.assert_allclose(q_d[REST:REST + 100], motion(), atol=1e-9)
+    assert np.max(np.abs(np.diff(q_d, axis=0))) < np.max(np.abs(np.diff(motion(), axis=0))) + 1e-9
+
+
+def test_an_arm_that_stands_elsewhere_is_not_moved(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match=r"joint 1 stands at 2\.\d+°.*starts at 0\.00°"):
+        played(written(tmp_path, motion()), start=ROBOT.home + 0.04 * np.eye(6)[0], cycles=ENDLESS)
+
+
+def test_lost_and_repeated_packets_delay_the_path_and_skip_nothing(tmp_path: Path) -> None:
+    def disturbance(cycle: int, packet: bytes) -> list[bytes]:
+        return [] if cycle in (80, 110, 111) else [packet, packet] if cycle % 40 == 7 else [b"<Rob/>", packet]
+
+    path = written(tmp_path, motion())
+    run, seen = played(path, cycles=REST + 100 + 25 + 4, method="none", disturbance=disturbance)
+    assert run.failure is None
+    assert run.counts["lost"] == seen.answered.size - seen.answered.sum() == 3
+    assert run.counts["repeated"] > 0
+    assert run.counts["refused"] > 100
+    np.testing.assert_allclose(run.recording.joints("q_d")[REST:REST + 100], motion(), atol=1e-9)
+    np.testing.assert_allclose(np.sort(np.diff(run.recording.t))[-3:], [T, 2 * T, 3 * T], atol=1e-9)
+    assert run.recording.t[-1] == pytest.approx((run.rows + 3) * T)
+
+
+class Jump(PassThrough):
+    """Commands a jump in mid-path, as a broken model would."""
+
+    def init(self, q0: Array) -> int:
+        return 0
+
+    def step(self, state: int, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, int]:
+        return q_d[0] + (0.1 if state == 80 else 0.0), state + 1
+
+
+def rest_reached(run: RsiRun) -> None:
+    """The arm is at rest on the path at the end, and nothing commanded before left the limits."""
+    q_c, q_d = run.recording.joints("q_c"), run.recording.joints("q_d")
+    speed = np.diff(q_c, axis=0) / T
+    assert np.all(np.abs(speed) <= ROBOT.v_max + 1e-9)
+    assert np.all(np.abs(np.diff(speed, axis=0)) / T <= 2 * ROBOT.a_max + 1e-6)
+    np.testing.assert_allclose(q_d[-20:], q_d[-1:].repeat(20, axis=0), atol=1e-9)
+    # A feedforward may still fade, at less than a hundredth of the speed on the path.
+    assert np.max(np.abs(speed[-10:])) < 0.01 * np.max(np.abs(np.diff(motion(), axis=0))) / T
+    # Every desired position lies on the path: at some share between two of its points.
+    ends = np.vstack([motion(), motion()[-1:]])
+    for row in q_d[REST::5]:
+        nearest = int(np.argmin(np.linalg.norm(ends - row, axis=1)))
+        assert np.max(np.abs(ends[nearest] - row)) <= np.max(np.abs(np.diff(motion(), axis=0)))
+
+
+def test_a_command_outside_the_limits_stops_the_arm_on_the_path_and_says_why(tmp_path: Path) -> None:
+    def broken(server: RsiServer) -> None:
+        server.feedforward = Jump(T)
+
+    run, seen = played(written(tmp_path, motion()), cycles=ENDLESS, server_change=broken)
+    assert run.failure is not None
+    assert "stopped on the path at 0.960 s: joint" in run.failure
+    assert "velocity" in run.failure
+    assert 80 < len(run.recording.t) < run.rows
+    assert seen.answered[:-1].all()
+    rest_reached(run)
+
+
+def test_stop_brings_the_arm_to_rest_on_the_path(tmp_path: Path) -> None:
+    def stopping(server: RsiServer) -> None:
+        receive = server.link.receive
+
+        def counted():
+            if server.link.counts.cycles == 75:
+                server.stop("stopped by the user")
+            return receive()
+
+        server.link.receive = counted  # type: ignore[method-assign]
+
+    run, _ = played(written(tmp_path, motion()), cycles=ENDLESS, server_change=stopping)
+    assert run.failure == "stopped by the user"
+    rest_reached(run)
+
+
+def test_a_controller_that_falls_silent_ends_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
+    def impatient(server: RsiServer) -> None:
+        server.link.timeout = 1.0
+
+    run, _ = played(written(tmp_path, motion()), cycles=70, server_change=impatient)
+    assert run.failure is not None
+    assert "no packet from the controller within 1 s" in run.failure
+    assert len(run.recording.t) == 69
+
+
+def test_the_command_line_plays_a_path_and_writes_what_json_names(tmp_path: Path) -> None:
+    from scenes.cli import _register, app
+
+    if "rsi" not in {command.name for command in app.registered_commands}:
+        _register()
+    path = written(tmp_path, motion())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    words = ["rsi", str(path), "--robot", "kr6", "--port", str(port), "--record", str(tmp_path / "moved.parquet"),
+             "--json", str(tmp_path / "figures.json")]
+    with (SimulatedArm(ROBOT, World.default("kr6"), np.random.default_rng(1)) as arm,
+          controlled(arm, port, timeout=0.5, patience=100)):
+        done = CliRunner().invoke(app, words)
+    assert done.exit_code == 0, done.output
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert figures["failure"] is None
+    assert figures["robot"] == "kr6"
+    assert figures["method"] == "ideal"
+    assert figures["cycles"] == figures["path_cycles"] == len(Recording.read(figures["recording"]).t)
+    assert set(figures["answer_time_ms"]) == {"median", "p99", "max"}
+    assert len(figures["motor_rms_error_mrad"]) == 6
+
+
+@pytest.mark.parametrize(("options", "says"), [
+    ({"method": "magic"}, "expected one of"),
+    ({"rest": -1.0}, "0 to 60"),
+    ({"cycle": 0.0125}, "whole milliseconds"),
+    ({"robot": "kr500"}, "no model is shipped"),
+    ({"robot": None}, "--robot"),
+    ({"model": Path("missing.json")}, "no such model"),
+    ({"host": "no address"}, "cannot listen"),
+])
+def test_what_cannot_be_used_is_named_before_anyone_is_waited_for(tmp_path: Path, options, says: str) -> None:
+    path = written(tmp_path, motion())
+    with (pytest.raises(InputError, match=says), rsi_server(path, **{"robot": "kr6", "port": 0, **options})):
+        pass
+
+
+def test_a_path_outside_the_limits_is_refused(tmp_path: Path) -> None:
+    with (pytest.raises(IdealRobotError, match="velocity"),
+          rsi_server(written(tmp_path, motion()[::5]), robot="kr6", port=0)):
+        pass

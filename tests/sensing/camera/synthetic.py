@@ -1,0 +1,52 @@
+"""Camera fields made from the distance to a curve, pixel by pixel: shares nothing with the simulated renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.field import Field, Window
+
+GrayAt = Callable[[Array], Array]
+"""Gray values ``(m,)`` of points ``(m, 2)`` [m] in the tool's x and y, on the plane z = 0 through the TCP."""
+
+NORMAL = np.array([0.0, 0.0, -1.0])
+
+
+def stroke(y: Callable[[Array], Array], slope: Callable[[Array], Array], width: float = 0.003, gray: float = 40.0,
+           background: float = 200.0) -> GrayAt:
+    """A gentle curve ``y(x)`` with a soft edge of 1 mm; the distance is taken to first order."""
+
+    def at(xy: Array) -> Array:
+        d = np.abs(xy[:, 1] - y(xy[:, 0])) / np.hypot(1.0, slope(xy[:, 0]))
+        return background + np.clip(0.5 + (width / 2 - d) / 0.001, 0.0, 1.0) * (gray - background)
+
+    return at
+
+
+def make_field(camera: CameraModel, windows: Sequence[Window], gray: GrayAt, rng: np.random.Generator | None = None,
+               noise: float = 0.0, samples: int = 6, t: float = 0.0) -> Field:
+    """Averages ``samples``² rays over each pixel."""
+    patches = []
+    inside = (np.arange(samples) + 0.5) / samples - 0.5
+    for w in windows:
+        u = (w.u + np.arange(w.width))[:, None] + inside
+        v = (w.v + np.arange(w.height))[:, None] + inside
+        grid = np.stack(np.meshgrid(u.ravel(), v.ravel()), axis=-1).reshape(-1, 2)
+        points = camera.on_plane(grid, NORMAL, 0.0) if len(grid) else np.empty((0, 3))
+        image = gray(points[:, :2]).reshape(w.height, samples, w.width, samples).mean(axis=(1, 3))
+        if rng is not None:
+            image = image + noise * rng.standard_normal(image.shape)
+        patches.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
+    return Field(t, t, tuple(windows), tuple(patches))
+
+
+def tool_over(x: float, y: float = 0.0, yaw: float = 0.0, plane: pin.SE3 | None = None) -> pin.SE3:
+    """A TCP pose on a plane at its (x, y), looking into it, turned about its normal."""
+    down = np.diag([1.0, -1.0, -1.0])
+    plane = pin.SE3.Identity() if plane is None else plane
+    return plane * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, yaw) @ down, np.array([x, y, 0.0]))

@@ -1,0 +1,268 @@
+"""The simulated arm as others see it: interface, truth, gears, effects, determinism."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.robots.robot import Robot
+from sim.arm.arm import SimulatedArm
+from sim.arm.specimen import draw_individual
+from sim.arm.world import STEP, World
+from sim.bullet import pybullet
+from sim.simulation_error import SimError
+
+ROBOT = Robot.load("kr6")
+DEFAULT, IDEAL = World.default("kr6"), World.ideal("kr6")
+
+
+def arm_of(world: World, seed: int = 0, q0: Array | None = None) -> SimulatedArm:
+    return SimulatedArm(ROBOT, world, np.random.default_rng(seed), q0=q0)
+
+
+def wave(arm: SimulatedArm, cycles: int = 50) -> None:
+    for k in range(cycles):
+        arm.cycle(ROBOT.home + 0.15 * np.sin(np.pi * k / cycles) ** 2 * np.array([1, 0.7, -0.8, 1.2, 1.0, 1.5]))
+
+
+def test_the_same_seed_gives_the_same_recording_bit_for_bit() -> None:
+    hashes = []
+    for seed in (4, 4, 5):
+        with arm_of(DEFAULT, seed) as arm:
+            wave(arm)
+            hashes.append(arm.recording(external=True).hash)
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_a_reset_arm_moves_as_a_new_one() -> None:
+    with arm_of(DEFAULT.replace(current_noise=0.0)) as arm:
+        wave(arm)
+        first = arm.recording().hash
+        arm.reset(ROBOT.home)
+        assert arm.t == 0.0
+        wave(arm)
+        assert arm.recording().hash == first
+
+
+def test_cycle_tells_the_state_at_the_end_of_the_cycle() -> None:
+    with arm_of(IDEAL) as arm:
+        state = arm.cycle(ROBOT.home)
+        assert state.t == pytest.approx(arm.t_ipo)
+        np.testing.assert_array_equal(state.q, arm.truth.q_a)
+        for k in range(30):
+            state = arm.cycle(ROBOT.home + 1e-3 * k)
+        assert state.t == pytest.approx(31 * arm.t_ipo)
+        np.testing.assert_allclose(state.q, ROBOT.home + 1e-3 * 29, atol=5e-4)
+
+
+def test_an_arm_at_rest_stays_at_rest() -> None:
+    with arm_of(DEFAULT.replace(quantisation=False, torque_ripple=0.0)) as arm:
+        before = arm.truth.q_a
+        for _ in range(20):
+            arm.cycle(ROBOT.home)
+        np.testing.assert_allclose(arm.truth.q_a, before, atol=2e-7)
+
+
+def test_gears_twist_by_torque_over_stiffness() -> None:
+    world = DEFAULT.replace(inertia_tolerance=0.0, quantisation=False, torque_ripple=0.0)
+    with arm_of(world) as arm:
+        for _ in range(10):
+            arm.cycle(ROBOT.home)
+        truth = arm.truth
+        gravity = pin.computeGeneralizedGravity(ROBOT.model, ROBOT.model.createData(), truth.q_a)
+        np.testing.assert_allclose(truth.q_m - truth.q_a, gravity / world.per_joint("stiffness", 6), atol=3e-7)
+        assert np.abs(truth.q_m - truth.q_a).max() > 2e-4
+
+
+def test_backlash_opens_the_gear() -> None:
+    with arm_of(DEFAULT.replace(backlash=1e-3)) as arm:
+        for k in range(200):
+            arm.cycle(ROBOT.home + np.array([0.05 * np.sin(2 * np.pi * k * 0.012), 0, 0, 0, 0, 0]))
+        log = arm.history()
+    twist = (log["q_m"] - log["q_a"])[:, 0]
+    elastic = log["tau_gear"][:, 0] / DEFAULT.per_joint("stiffness", 6)[0]
+    assert twist.max() - twist.min() == pytest.approx(np.ptp(elastic) + 1e-3, rel=0.05)
+
+
+def test_one_rigid_gear_among_elastic_ones() -> None:
+    stiffness = DEFAULT.per_joint("stiffness", 6)
+    stiffness[2] = np.inf
+    with arm_of(DEFAULT.replace(stiffness=tuple(stiffness))) as arm:
+        wave(arm)
+        log = arm.history()
+    np.testing.assert_array_equal(log["q_m"][:, 2], log["q_a"][:, 2])
+    assert np.abs(log["q_m"] - log["q_a"])[:, [0, 1]].max() > 1e-4
+
+
+def test_very_stiff_gears_approach_rigid_ones() -> None:
+    """Two ways to the same arm: springs ever stiffer, and rotors rigidly on their links."""
+    quiet = IDEAL.replace(velocity_filter=0.0)
+    stiff = np.array([2e7, 2e7, 6e6, 2e5, 2e5, 2e4])
+    errors = []
+    with arm_of(quiet) as arm:
+        wave(arm, 120)
+        rigid = arm.history()["q_m"]
+    for factor in (0.05, 1.0):
+        world = quiet.replace(elasticity=True, stiffness=tuple(factor * stiff),
+                              damping=tuple(0.2 * np.sqrt(factor * stiff * ROBOT.rotor_inertia)))
+        with arm_of(world) as arm:
+            wave(arm, 120)
+            errors.append(np.abs(arm.history()["q_m"] - rigid).max())
+    assert errors[1] < 0.25 * errors[0]
+    assert errors[1] < 1e-4
+
+
+def test_too_stiff_gears_are_refused() -> None:
+    with pytest.raises(InputError, match="inf for a rigid gear"):
+        arm_of(DEFAULT.replace(stiffness=1e9))
+
+
+def test_poses_between_samples() -> None:
+    with arm_of(DEFAULT) as arm:
+        wave(arm)
+        fine = {}
+        arm.step_hook = lambda t: fine.__setitem__(round(t / STEP), arm.truth.tcp)
+        start = round(arm.t / STEP)
+        for k in range(10):
+            arm.cycle(ROBOT.home + 2e-3 * k)
+        for tick, pose in fine.items():
+            assert np.linalg.norm(arm.tcp_at(tick * STEP).translation - pose.translation) < 2e-6
+        assert len(fine) == 240
+        assert min(fine) == start
+        np.testing.assert_allclose(arm.tcp_at(arm.t).homogeneous, arm.truth.tcp.homogeneous, atol=1e-12)
+        for outside in (-0.01, arm.t + 0.01):
+            with pytest.raises(SimError):
+                arm.tcp_at(outside)
+
+
+def test_recording_has_what_a_controller_logs() -> None:
+    with arm_of(DEFAULT.replace(log_cycle=0.012)) as arm:
+        wave(arm, 20)
+        recording = arm.recording(external=True)
+        assert arm.recording(external=True).hash == recording.hash
+        pose = arm.tcp_at(float(recording.t[7]))
+    assert recording.n == 6
+    np.testing.assert_allclose(np.diff(recording.t), 0.012, atol=1e-12)
+    assert set(recording.columns) == {"t", "x", "y", "z", "qx", "qy", "qz", "qw"} | {
+        f"{name}_{i}" for name in ("q_c", "q", "tau", "current", "temp", "qa") for i in range(1, 7)}
+    np.testing.assert_allclose(recording.joints("tau"), recording.joints("current") * ROBOT.drive_gain)
+    measured = np.array([recording.columns[axis][7] for axis in "xyz"])
+    assert 0 < np.linalg.norm(measured - pose.translation) < 6 * DEFAULT.external_position_noise
+    assert recording.meta["robot"] == "kr6"
+    assert recording.meta["correction_delay"] is True
+
+
+def test_commands_are_checked() -> None:
+    with arm_of(DEFAULT) as arm:
+        for wrong in (np.zeros(5), np.full(6, np.nan)):
+            with pytest.raises(InputError, match="q_c"):
+                arm.cycle(wrong)
+        with pytest.raises(LimitError, match=r"joint 2.*angle"):
+            arm.cycle(np.where(np.arange(6) == 1, 3.0, ROBOT.home))
+        with pytest.raises(LimitError, match=r"joint 4.*velocity"):
+            arm.cycle(ROBOT.home + np.array([0, 0, 0, 0.5, 0, 0]))
+    with pytest.raises(InputError, match="outside the joint limits"):
+        arm_of(DEFAULT, q0=np.full(6, 3.0))
+
+
+def test_extra_torque_acts_on_the_motor() -> None:
+    load = np.array([0.0, 0.0, 25.0, 0.0, 0.0, 0.0])
+    torques = []
+    for extra in (None, lambda t, q_m, qd_m, q_a: load):
+        with arm_of(IDEAL.replace(extra_torque=extra)) as arm:
+            for _ in range(80):
+                state = arm.cycle(ROBOT.home)
+            torques.append(state.tau)
+    np.testing.assert_allclose(torques[1] - torques[0], -load, atol=0.2)
+
+
+def test_payload_is_carried() -> None:
+    torques = []
+    for mass in (0.0, 4.0):
+        with arm_of(IDEAL.replace(payload_mass=mass, payload_com=(0.0, 0.0, 0.1))) as arm:
+            for _ in range(10):
+                state = arm.cycle(ROBOT.home)
+            torques.append(state.tau)
+    data = ROBOT.model.createData()
+    com = ROBOT.fk()(ROBOT.home).act(np.array([0.0, 0.0, 0.1]))
+    jacobian = pin.computeFrameJacobian(ROBOT.model, data, ROBOT.home, ROBOT.tool_id,
+                                        pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    lever = com - ROBOT.fk()(ROBOT.home).translation
+    expected = (jacobian[:3] + pin.skew(lever).T @ jacobian[3:]).T @ np.array([0.0, 0.0, 4.0 * 9.81])
+    np.testing.assert_allclose(torques[1] - torques[0], expected, atol=1e-3 * np.abs(expected).max())
+
+
+def test_individuals_differ_within_the_tolerance_and_stay_physical() -> None:
+    nominal = ROBOT.model.inertias
+    masses = []
+    for seed in range(1, 8):
+        arm = draw_individual(ROBOT, DEFAULT.replace(individual=seed))
+        ratio = np.array([arm.model.inertias[j].mass / nominal[j].mass for j in range(1, 7)])
+        masses.append(ratio)
+        assert np.all(np.abs(ratio - 1) <= 0.15)
+        for j in range(1, 7):
+            moments = np.linalg.eigvalsh(arm.model.inertias[j].inertia)
+            assert moments[0] > 0
+            assert moments[0] + moments[1] > moments[2]
+        assert np.all(np.abs(arm.drive_gain - 1) <= DEFAULT.drive_gain_error)
+    assert np.std(masses, axis=0).min() > 0.02
+    same = draw_individual(ROBOT, DEFAULT.replace(individual=3))
+    np.testing.assert_array_equal(masses[2], [same.model.inertias[j].mass / nominal[j].mass for j in range(1, 7)])
+
+
+def test_torque_ripple_follows_the_motor() -> None:
+    logs = []
+    for ripple in (0.0, 0.01):
+        with arm_of(IDEAL.replace(torque_ripple=ripple, ripple_order=2.0, log_cycle=STEP)) as arm:
+            for k in range(80):
+                arm.cycle(ROBOT.home + np.array([1e-3 * k, 0, 0, 0, 0, 0]))
+            logs.append(arm.history())
+    difference = (logs[1]["tau_motor"] - logs[0]["tau_motor"])[480:, 0]
+    turn = 2 * ROBOT.gear_ratio[0] * logs[1]["q_m"][480:, 0]
+    basis = np.column_stack([np.sin(turn), np.cos(turn), np.ones_like(turn)])
+    explained = basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
+    assert np.var(difference - explained) < 0.2 * np.var(difference)
+
+
+def test_closing_twice_is_fine_and_history_stays() -> None:
+    arm = arm_of(DEFAULT)
+    arm.cycle(ROBOT.home)
+    arm.close()
+    arm.close()
+    assert len(arm.history()["t"]) == 6
+    assert arm.recording().n == 6
+
+
+def test_the_true_kinematics_can_differ_from_the_urdf() -> None:
+    nominal = ROBOT.fk()(ROBOT.home).translation
+    with arm_of(IDEAL.replace(kinematic_error=1e-3)) as arm:
+        moved = arm.truth.tcp.translation - nominal
+        assert 1e-4 < np.linalg.norm(moved) < np.sqrt(3) * 6e-3
+        link = pybullet.getLinkState(arm.body, 5, computeForwardKinematics=1, physicsClientId=arm.client)
+        np.testing.assert_allclose(np.array(link[4]) + arm.truth.tcp.rotation @ arm.tool_offset.rotation.T
+                                   @ arm.tool_offset.translation, arm.truth.tcp.translation, atol=1e-6)
+    turn = draw_individual(ROBOT, IDEAL.replace(zero_error=2e-3)).model
+    data, same = turn.createData(), ROBOT.model.createData()
+    pin.forwardKinematics(turn, data, ROBOT.home)
+    pin.forwardKinematics(ROBOT.model, same, ROBOT.home)
+    for joint in range(1, 7):
+        twist = pin.log3(same.liMi[joint].rotation.T @ data.liMi[joint].rotation)
+        assert 1e-6 < np.linalg.norm(twist) <= 2e-3
+        np.testing.assert_allclose(data.liMi[joint].translation, same.liMi[joint].translation, atol=1e-12)
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_uneven_gears_turn_the_arm_unevenly(elastic: bool) -> None:
+    world = IDEAL.replace(elasticity=elastic, transmission_error=2e-4, transmission_order=40.0)
+    with arm_of(world) as arm:
+        for k in range(300):
+            arm.cycle(ROBOT.home + np.array([2e-3 * k, 0, 0, 0, 0, 0]))
+        log = arm.history()
+    steady = slice(600, None)
+    q_m = log["q_m"][steady, 0]
+    basis = np.column_stack([np.sin(40 * q_m), np.cos(40 * q_m), np.ones_like(q_m)])
+    fitted = np.linalg.lstsq(basis, log["q_a"][steady, 0] - q_m, rcond=None)[0]
+    assert np.hypot(*fitted[:2]) == pytest.approx(2e-4, rel=0.05)

@@ -1,0 +1,127 @@
+"""The industrial controller: its delays, its lag, its limits, as measured from outside."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from sim.arm.arm import SimulatedArm
+from sim.arm.controller import equivalent_controller
+from sim.arm.world import STEP, World
+
+ROBOT = Robot.load("kr6")
+MOVE = np.array([0.4, 0.3, -0.3, 0.5, 0.4, 0.6])
+
+
+def smooth(cycles: int, amplitude: Array = MOVE) -> Array:
+    """A motion there and back with zero velocity at both ends, ``(cycles, n)``."""
+    phase = np.linspace(0, 1, cycles)
+    return ROBOT.home + (np.sin(np.pi * phase) ** 2)[:, None] * amplitude
+
+
+def play(world: World, path: Array, seed: int = 0) -> dict[str, Array]:
+    with SimulatedArm(ROBOT, world, np.random.default_rng(seed), q0=path[0]) as arm:
+        for q_c in path:
+            arm.cycle(q_c)
+        return arm.history()
+
+
+def shift_of(before: Array, after: Array, step: float) -> float:
+    """By how much one signal lags another [s], from the best linear prediction by value and slope."""
+    slope = np.gradient(before, step)
+    basis = np.column_stack([before, -slope])
+    return float(np.linalg.lstsq(basis, after, rcond=None)[0][1])
+
+
+def test_command_is_reached_at_the_end_of_its_cycle_and_interpolated_linearly() -> None:
+    path = smooth(60)
+    log = play(World.ideal("kr6"), path)
+    every = round(0.012 / 0.002)
+    np.testing.assert_allclose(log["q_c"][every::every], path[:-1], atol=1e-12)
+    first = log["q_c"][10 * every: 11 * every + 1]
+    np.testing.assert_allclose(np.diff(first, 2, axis=0), 0.0, atol=1e-12)
+
+
+def test_standard_planner_delays_by_exactly_one_cycle() -> None:
+    path = smooth(60)
+    without = play(World.ideal("kr6"), path)
+    delayed = play(World.ideal("kr6").replace(correction_delay=True), path)
+    every = round(0.012 / 0.002)
+    np.testing.assert_allclose(delayed["q_c"][every:], without["q_c"][:-every], atol=1e-12)
+    np.testing.assert_allclose(delayed["q_a"][every + 1:], without["q_a"][1:-every], atol=1e-9)
+
+
+def test_low_pass_delays_by_two_time_constants() -> None:
+    path = smooth(200)
+    sharp = play(World.ideal("kr6"), path)["q_a"]
+    soft = play(World.ideal("kr6").replace(low_pass=0.005), path)["q_a"]
+    for j in range(6):
+        # The discrete filter of one stage, moving by 1 - exp(-T / T_f) per cycle, lags by T (1 / share - 1).
+        share = 1.0 - np.exp(-0.002 / 0.005)
+        assert shift_of(sharp[:, j], soft[:, j], 0.002) == pytest.approx(2 * 0.002 * (1 / share - 1), rel=0.05)
+
+
+def test_following_error_at_constant_speed_is_what_is_not_fed_forward() -> None:
+    world = World.ideal("kr6").replace(velocity_feedforward=0.8, log_cycle=0.002)
+    speed, ramp = 0.5, 0.2
+    t = np.arange(150) * 0.012
+    # Joint 1 alone: neither gravity nor inertia changes on its way.
+    path = np.repeat(ROBOT.home[None], len(t), axis=0)
+    path[:, 0] += speed * np.where(t < ramp, t**2 / (2 * ramp), t - ramp / 2)
+    log = play(world, path)
+    lag = (log["q_c"] - log["q_a"])[-10:, 0].mean()
+    assert lag == pytest.approx((1 - 0.8) * speed / world.per_joint("position_gain", 6)[0], rel=1e-3)
+
+
+def test_a_four_millisecond_controller_works_too() -> None:
+    world = World.default("kr6").replace(t_ipo=0.004, correction_delay=False)
+    path = np.repeat(smooth(200)[:, None], 3, axis=1).reshape(-1, 6)
+    path = np.column_stack([np.convolve(column, np.ones(3) / 3, mode="same") for column in path.T])[3:-3]
+    log = play(world, path)
+    assert np.abs(log["q_c"] - log["q_a"]).max() < 0.02
+    assert log["t"][-1] == pytest.approx(0.004 * len(path) - 0.002)
+
+
+def test_encoder_shows_increments() -> None:
+    world = World.ideal("kr6").replace(quantisation=True, encoder_increments=4096.0)
+    log = play(world, smooth(40))
+    increment = 2 * np.pi / (4096.0 * ROBOT.gear_ratio)
+    counts = log["q"] / increment
+    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
+    assert np.all(np.abs(log["q"] - log["q_m"]) <= 0.5 * increment + 1e-12)
+    assert np.abs(log["q"] - log["q_m"]).max() > 0.3 * increment.min()
+
+
+def test_torque_stays_within_its_limit_and_recovers() -> None:
+    world = World.ideal("kr6").replace(torque_limits=True)
+    path = np.vstack([smooth(24)[:12], np.repeat(smooth(24)[11:12], 120, axis=0)])
+    log = play(world, path)
+    assert np.all(np.abs(log["tau_motor"]) <= ROBOT.tau_max * (1 + 1e-12))
+    assert np.any(np.abs(log["tau_motor"]) >= 0.999 * ROBOT.tau_max)
+    np.testing.assert_allclose(log["q_a"][-1], path[-1], atol=2e-3)
+
+
+def test_measured_torque_is_noisy_and_scaled_by_the_drive_gain() -> None:
+    world = World.ideal("kr6").replace(current_noise=0.01, drive_gain_error=0.05, individual=3)
+    log = play(world, np.repeat(ROBOT.home[None], 200, axis=0))
+    np.testing.assert_allclose((log["tau"] - log["tau"].mean(axis=0)).std(axis=0), 0.01 * ROBOT.tau_max, rtol=0.1)
+    loaded = [1, 2]  # the joints that carry gravity in this posture
+    gain = (log["tau_motor"].mean(axis=0) / log["tau"].mean(axis=0))[loaded]
+    assert np.all(np.abs(gain - 1) < 0.06)
+    assert np.any(np.abs(gain - 1) > 0.005)
+
+
+def test_cascade_written_as_pid_gives_the_cascades_torque() -> None:
+    """[G] (16), (17) with the equivalent gains, evaluated at the fast cycle, reproduce the controller's torque."""
+    world = World.ideal("kr6").replace(t_ipo=STEP, t_position=STEP, t_velocity=STEP, velocity_filter=0.0,
+                                       log_cycle=STEP)
+    path = ROBOT.home + (np.sin(np.pi * np.linspace(0, 1, 4000)) ** 4)[:, None] * MOVE
+    log = play(world, path)
+    c = equivalent_controller(world, 6)
+    e = log["q_c"] - log["q"]
+    rate = lambda x: np.vstack([np.zeros((1, 6)), np.diff(x, axis=0)]) / STEP  # noqa: E731
+    u = c.k_p * e + c.k_d * rate(e) + c.k_1 * rate(log["q"])
+    torque = log["tau"][0] + np.cumsum(np.vstack([np.zeros((1, 6)), (1 + c.k_i) * u[1:] - u[:-1]]), axis=0)
+    np.testing.assert_allclose(torque, log["tau"], atol=2e-3 * np.abs(log["tau"]).max(axis=0).max())

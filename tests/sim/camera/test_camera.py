@@ -1,0 +1,179 @@
+"""What the rendered camera does in time and gray values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.errors import InputError
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.field import Window
+from sensing.camera.line_detection import PredictedLine, detect_line, search_windows
+from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.surface import DrawnLine
+from sim.camera.texture import Texture, paint
+from tests.sensing.camera.synthetic import tool_over
+
+LINE = DrawnLine.from_plane_points(np.array([[-0.1, 0.0], [0.3, 0.0]]), pin.SE3.Identity())
+QUIET = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def texture() -> Texture:
+    return paint(LINE)
+
+
+def camera(texture: Texture, settings: CameraSettings, seed: int = 0) -> RenderedCamera:
+    return RenderedCamera(CameraModel.default(), LINE, settings, np.random.default_rng(seed), texture)
+
+
+def test_fields_are_due_when_their_exposure_ends(texture: Texture) -> None:
+    with camera(texture, CameraSettings(rate=50.0, exposure=0.004, phase=0.005)) as cam:
+        cycles = [cam.due(0.012 * k, 0.012 * (k + 1)) for k in range(1000)]
+        times = [t for due in cycles for t in due]
+        np.testing.assert_allclose(times, 0.005 + 0.02 * np.arange(600), atol=1e-9)
+        assert all(0.012 * k <= t + 0.002 + 1e-9 and t + 0.002 < 0.012 * (k + 1) + 1e-9
+                   for k, due in enumerate(cycles) for t in due)
+        assert cam.due(0.0, 0.0069) == []
+        assert cam.due(0.0, 0.0071) == pytest.approx([0.005])
+
+
+def test_lost_fields_are_lost_once_and_for_all(texture: Texture) -> None:
+    with camera(texture, replace(QUIET, loss=0.2)) as cam:
+        times = cam.due(0.0, 20.0)
+        assert 720 < len(times) < 880
+        again = [t for k in range(200) for t in cam.due(0.1 * k, 0.1 * (k + 1))]
+        assert again == times
+
+
+def test_time_stamp_latency_and_jitter(texture: Texture) -> None:
+    settings = CameraSettings(latency=0.04, jitter=0.002, stamp_offset=0.0005, stamp_noise=0.0001)
+    with camera(texture, settings) as cam:
+        times = np.array(cam.due(0.0, 8.0))
+        fields = [cam.windows(t, lambda t: tool_over(0.0), []) for t in times]
+    stamp = np.array([f.t_stamp for f in fields]) - times
+    late = np.array([f.t_arrival for f in fields]) - times
+    assert stamp.mean() == pytest.approx(0.0005, abs=2e-5)
+    assert stamp.std() == pytest.approx(0.0001, rel=0.15)
+    assert late.mean() == pytest.approx(0.04, abs=4e-4)
+    assert late.std() == pytest.approx(0.002, rel=0.15)
+
+
+def test_no_field_arrives_before_its_exposure_ends(texture: Texture) -> None:
+    with camera(texture, CameraSettings(latency=0.0, jitter=0.01)) as cam:
+        for t in cam.due(0.0, 1.0):
+            assert cam.windows(t, lambda t: tool_over(0.0), []).t_arrival >= t + 0.001
+
+
+def test_same_seed_same_field_whatever_was_asked_before(texture: Texture) -> None:
+    window = [Window(150, 100, 21, 3)]
+    with camera(texture, CameraSettings(loss=0.1), seed=3) as a, camera(texture, CameraSettings(loss=0.1), seed=3) as b:
+        times = a.due(0.0, 0.5)
+        for t in times:
+            a.windows(t, lambda t: tool_over(0.0), window)
+        last_a = a.windows(times[-1], lambda t: tool_over(0.0), window)
+        last_b = b.windows(times[-1], lambda t: tool_over(0.0), window)
+    assert last_a.t_stamp == last_b.t_stamp
+    assert last_a.t_arrival == last_b.t_arrival
+    np.testing.assert_array_equal(last_a.patches[0], last_b.patches[0])
+    with camera(texture, CameraSettings(loss=0.1), seed=4) as c:
+        assert c.windows(times[-1], lambda t: tool_over(0.0), window).t_stamp != last_a.t_stamp
+
+
+def test_gray_noise(texture: Texture) -> None:
+    with camera(texture, replace(QUIET, noise=5.0)) as cam:
+        patch = cam.windows(0.005, lambda t: tool_over(0.0), [Window(20, 20, 60, 40)]).patches[0]
+    assert patch.mean() == pytest.approx(200.0, abs=0.5)
+    assert patch.std() == pytest.approx(5.0, rel=0.08)
+
+
+def test_windows_are_crops_of_the_whole_image(texture: Texture) -> None:
+    tool = tool_over(0.0, 0.004, 0.3)
+    with camera(texture, QUIET) as cam:
+        frame = cam.frame(tool).astype(float)
+        windows = [Window(0, 0, 30, 20), Window(140, 100, 41, 3), Window(150, 60, 3, 41), Window(290, 220, 30, 20)]
+        for window, patch in zip(windows, cam.windows(0.005, lambda t: tool, windows).patches, strict=True):
+            part = frame[window.v : window.v + window.height, window.u : window.u + window.width]
+            # Both alias on the soft edge, each on its own grid of samples.
+            assert np.abs(part - patch).mean() < 3.0
+    assert frame.min() < 60
+
+
+def test_motion_blurs_along_the_motion_only(texture: Texture) -> None:
+    """4 mm of motion across the line in one exposure make it wider and shallower; along the line nothing changes."""
+    settings = replace(QUIET, exposure=0.004, sub_exposures=12)
+    window = [Window(130, 118, 60, 1)]
+    depth = {}
+    with camera(texture, settings) as cam:
+        for name, vx, vy in (("still", 0.0, 0.0), ("along", 1.0, 0.0), ("across", 0.0, 1.0)):
+            field = cam.windows(1.005, lambda t, vx=vx, vy=vy: tool_over(vx * (t - 1.005), vy * (t - 1.005)), window)
+            depth[name] = 200.0 - field.patches[0].astype(float)[0]
+    np.testing.assert_allclose(depth["along"], depth["still"], atol=3)
+    assert depth["across"].max() < 0.85 * depth["still"].max()
+    assert depth["across"].sum() == pytest.approx(depth["still"].sum(), rel=0.02)
+    middle = {name: d @ np.arange(60) / d.sum() for name, d in depth.items()}
+    assert middle["across"] == pytest.approx(middle["still"], abs=0.02)
+
+
+def test_poses_are_asked_for_within_the_exposure_only(texture: Texture) -> None:
+    asked: list[float] = []
+
+    def pose_at(t: float) -> pin.SE3:
+        asked.append(t)
+        return tool_over(0.0)
+
+    with camera(texture, CameraSettings(exposure=0.006, sub_exposures=5)) as cam:
+        cam.windows(0.105, pose_at, [Window(0, 0, 3, 3)])
+    assert len(asked) == 5
+    assert min(asked) >= 0.102
+    assert max(asked) <= 0.108
+    assert np.mean(asked) == pytest.approx(0.105)
+
+
+def test_empty_windows_give_empty_patches_and_wrong_ones_are_refused(texture: Texture) -> None:
+    with camera(texture, QUIET) as cam:
+        assert cam.windows(0.005, lambda t: tool_over(0.0), [Window(0, 0, 0, 0)]).patches[0].shape == (0, 0)
+        for window in (Window(-1, 0, 5, 5), Window(318, 0, 3, 3), Window(0, 238, 3, 3), Window(0, 0, -2, 3)):
+            with pytest.raises(InputError, match="outside the image"):
+                cam.windows(0.005, lambda t: tool_over(0.0), [window])
+
+
+@pytest.mark.parametrize(("change", "name"), [
+    ({"latency": -0.01}, "latency"), ({"rate": 0.0}, "rate"), ({"exposure": 0.03}, "exposure"), ({"loss": 1.0}, "loss"),
+    ({"noise": float("nan")}, "noise"), ({"supersampling": 0}, "supersampling"),
+])  # fmt: skip
+def test_impossible_settings_are_named(change: dict[str, float], name: str) -> None:
+    with pytest.raises(InputError, match=f"camera.{name}"):
+        CameraSettings(**change)  # type: ignore[arg-type]
+
+
+def test_a_lens_that_cannot_be_drawn_is_refused(texture: Texture) -> None:
+    folded = CameraModel.default(distortion=(-1.5, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"camera\.distortion"):
+        RenderedCamera(folded, LINE, QUIET, np.random.default_rng(0), texture)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 1.2, -1.5])
+def test_rendered_and_detected_line_points_lie_on_the_analytic_line(texture: Texture, yaw: float) -> None:
+    """The whole chain without disturbances: true pose, rendering, detection, back-projection."""
+    rng = np.random.default_rng(1)
+    model = CameraModel.default()
+    errors = []
+    with camera(texture, QUIET) as cam:
+        for _ in range(10):
+            # The view's middle on the line near x = 0.1, the tool wherever that puts it.
+            view = np.array([0.1, 0.0]) + rng.uniform(-0.01, 0.01, 2)
+            tool = tool_over(view[0] - 0.065 * np.cos(yaw), view[1] - 0.065 * np.sin(yaw), yaw)
+            points, tangents = LINE.at(0.2 + np.linspace(-0.04, 0.04, 5))
+            aside = points + np.array([0.0, 0.0005, 0.0])
+            prediction = PredictedLine.from_base(aside, tangents, UP, tool, 0.001)
+            field = cam.windows(0.005, lambda t, tool=tool: tool, search_windows(model, prediction))
+            found = detect_line(field, model, prediction)
+            assert found.used.all()
+            errors.append(LINE.distance(found.points_tcp @ tool.rotation.T + tool.translation))
+    assert np.mean(errors) < 15e-6
+    assert np.max(errors) < 60e-6
