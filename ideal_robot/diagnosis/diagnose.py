@@ -71,7 +71,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
 
 def _check_arm(model: Model, robot: Robot) -> None:
     """Refuses a model of an arm with other joints, or with joints at other places."""
-    mine, own = model.kinematics, robot.model
+    mine, own = model.kinematics, robot.pinocchio
     if model.n != robot.n:
         raise InputError(f"the model of {model.robot_name} has {model.n} joints, the robot {robot.name} has {robot.n}; "
                          "give the model that was identified for this arm", field="model", value=model.robot_name)

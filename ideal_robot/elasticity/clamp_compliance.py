@@ -79,12 +79,12 @@ def _block(one: ClampedSignals, robot: Robot) -> tuple[Array, Array]:
 
 def compliance_shapes(robot: Robot, q: Array) -> list[Array]:
     """I_t, I_r and J_bj J_bjᵀ of each link in the tool frame, each ``(6, 6)``."""
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, q)
+    data = robot.pinocchio.createData()
+    pin.framesForwardKinematics(robot.pinocchio, data, q)
     flange = data.oMf[robot.tool_id]
     shapes = [np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)]
     for joint in range(1, robot.n + 1):
-        axis = np.array(pin.computeJointJacobian(robot.model, data, q, joint))[:, joint - 1]
+        axis = np.array(pin.computeJointJacobian(robot.pinocchio, data, q, joint))[:, joint - 1]
         across = np.linalg.svd(axis[None, 3:])[2][1:]
         bending = (flange.inverse() * data.oMi[joint]).action[:, 3:] @ across.T
         shapes.append(bending @ bending.T)

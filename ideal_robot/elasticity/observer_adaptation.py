@@ -94,11 +94,11 @@ def adapt_observer(recording: Recording, robot: Robot, model: Model, *, prior_pe
 
 def _kinematics(robot: Robot, q: Array, rows: list[int]) -> tuple[Array, Array]:
     """Measured components of the TCP ``(N, c)`` [m] and their Jacobians ``(N, c, n)``."""
-    data = robot.model.createData()
+    data = robot.pinocchio.createData()
     position, jacobian = np.empty((len(q), len(rows))), np.empty((len(q), len(rows), robot.n))
     for i, q_i in enumerate(q):
-        full = pin.computeFrameJacobian(robot.model, data, q_i, robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
-        pin.framesForwardKinematics(robot.model, data, q_i)
+        full = pin.computeFrameJacobian(robot.pinocchio, data, q_i, robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
+        pin.framesForwardKinematics(robot.pinocchio, data, q_i)
         position[i] = data.oMf[robot.tool_id].translation[rows]
         jacobian[i] = full[rows]
     return position, jacobian

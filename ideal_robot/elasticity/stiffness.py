@@ -87,7 +87,7 @@ class JointLoad:
 
 def flange_jacobian(robot: Robot, q: Array) -> Array:
     """J(q_0) of [J] (3) in the tool frame ``(6, n)``."""
-    return np.array(pin.computeFrameJacobian(robot.model, robot.model.createData(), q, robot.tool_id, pin.LOCAL))
+    return np.array(pin.computeFrameJacobian(robot.pinocchio, robot.pinocchio.createData(), q, robot.tool_id, pin.LOCAL))
 
 
 def condition_number(robot: Robot, q: Array) -> float:

@@ -46,10 +46,10 @@ def joint_errors(robot: Robot, q_d: Array, error: Array, *, axes: tuple[str, ...
     rows = [AXES.index(axis) for axis in axes]
     weights = np.broadcast_to(np.asarray(prior, dtype=float), q_d.shape) ** 2
     R = np.diag(np.broadcast_to(np.asarray(noise, dtype=float), (len(axes),)) ** 2)
-    data, tool = robot.model.createData(), robot.tool_id
+    data, tool = robot.pinocchio.createData(), robot.tool_id
     out = np.empty_like(q_d)
     for k, q in enumerate(q_d):
-        J = pin.computeFrameJacobian(robot.model, data, q, tool, pin.LOCAL_WORLD_ALIGNED)[rows]
+        J = pin.computeFrameJacobian(robot.pinocchio, data, q, tool, pin.LOCAL_WORLD_ALIGNED)[rows]
         WJ = weights[k][:, None] * J.T
         if common is not None:
             WJ = WJ + np.outer(common[k], J @ common[k])

@@ -77,7 +77,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
 
 def _in_robot_order(recording: Recording, robot: Robot) -> Recording:
     """Columns renumbered where the recording names its joints (bags do, often in alphabetical order)."""
-    names, wanted = recording.meta.get("joints"), list(robot.model.names)[1:]
+    names, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
     if not names or names == wanted or set(names) != set(wanted):
         return recording
     columns = dict(recording.columns)
@@ -124,7 +124,7 @@ def _finite(recording: Recording) -> tuple[Recording, list[str]]:
 
 def _refuse_degrees(q: Array, robot: Robot, source: str) -> None:
     """Degrees taken for radians leave the joint limits by far."""
-    revolute = np.array([not robot.model.joints[j + 1].shortname().startswith("JointModelP") for j in range(robot.n)])
+    revolute = ~robot.prismatic
     span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
     beyond = np.max(np.abs(q), axis=0) / np.where(np.isfinite(span) & (span > 0), span, np.inf)
     for j in np.flatnonzero(revolute & (beyond > 1.05)):

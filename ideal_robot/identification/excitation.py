@@ -106,7 +106,7 @@ class _Search:
     def __init__(self, robot: Robot, period: float, harmonics: int, workspace: Workspace, speed: float,
                  acceleration: float, travel: float) -> None:
         self.robot, self.period, self.workspace = robot, period, workspace
-        self.independent = list(base_parameters(robot.model).independent)
+        self.independent = list(base_parameters(robot.pinocchio).independent)
         half = 0.5 * travel * (robot.q_max - robot.q_min)
         # Several turns of a wrist joint excite nothing that one does not.
         self.half = np.minimum(half, np.pi)
@@ -147,14 +147,14 @@ class _Search:
     def _strong(self, q: Array, qd: Array, qdd: Array) -> bool:
         """Whether the nominal arm could do it with three quarters of its torque."""
         limit = 0.75 * self.robot.tau_max
-        data = self.robot.model.createData()
+        data = self.robot.pinocchio.createData()
         rotor = self.robot.rotor_inertia
-        return all(np.all(np.abs(pin.rnea(self.robot.model, data, a, b, c) + rotor * c) <= limit)
+        return all(np.all(np.abs(pin.rnea(self.robot.pinocchio, data, a, b, c) + rotor * c) <= limit)
                    for a, b, c in zip(q[::3], qd[::3], qdd[::3], strict=True))
 
     def _condition(self, q: Array, qd: Array, qdd: Array) -> float:
         n = self.robot.n
-        W = full_regressor(self.robot.model, q, qd, qdd)[:, :, self.independent]
+        W = full_regressor(self.robot.pinocchio, q, qd, qdd)[:, :, self.independent]
         friction = np.zeros((len(q), n, 2 * n))
         joints = np.arange(n)
         friction[:, joints, joints] = qd
@@ -170,7 +170,7 @@ class _Search:
 
 def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
     """Whether the arm keeps off floor and base column in all postures ``(N, n)``."""
-    model, data, tool, w = robot.model, robot.model.createData(), robot.tool_id, workspace
+    model, data, tool, w = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id, workspace
     for q_k in q:
         pin.framesForwardKinematics(model, data, q_k)
         tip = data.oMf[tool].act(np.array([0.0, 0.0, w.beyond]))

@@ -84,13 +84,13 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
         cutoff = float(np.median([_cutoff_of(recording) for recording in usable]))
     signals = [preprocess(r, cutoff=cutoff, cutoff_decimation=cutoff_decimation) for r in usable]
 
-    base = base_parameters(robot.model)
+    base = base_parameters(robot.pinocchio)
     independent = list(base.independent)
     W = np.concatenate([s.decimate_of(lambda rows, s=s: full_regressor(  # type: ignore[misc]
-        robot.model, s.q[rows], s.qd[rows], s.qdd[rows])[:, :, independent]) for s in signals])
+        robot.pinocchio, s.q[rows], s.qd[rows], s.qdd[rows])[:, :, independent]) for s in signals])
     y = np.concatenate([s.decimate(s.tau) for s in signals])
     segments = np.concatenate([np.full(s.keep.sum(), i) for i, s in enumerate(signals)])
-    nominal = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(robot.n)])
+    nominal = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(robot.n)])
     start = base.of(nominal)
 
     laws, scores, load = _friction(signals, W, y, segments, base, nominal, robot, friction)
@@ -152,7 +152,7 @@ def _friction(signals: Sequence[FilteredSignals], W: Array, y: Array, segments: 
     if len(options) == 1 and not options[0].bounds:
         return [options[0].make(()) for _ in range(robot.n)], [{} for _ in range(robot.n)], none
     full = base.nearest_full(rough.value[: base.count], nominal)
-    links = with_link_parameters(robot.model, full[: 10 * robot.n])
+    links = with_link_parameters(robot.pinocchio, full[: 10 * robot.n])
     load = [torques(links, s.q, s.qd, s.qdd) for s in signals]
     choice = FrictionChoice(signals, W, y, load, rough.noise_std)
     laws, scores = choice.choose(options)

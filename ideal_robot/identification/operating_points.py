@@ -55,7 +55,7 @@ def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.nd
             with_acceleration: bool) -> Array:
     """Regressor ``(k, n, b)`` of the base parameters at some samples, with or without the measured acceleration."""
     qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
-    return full_regressor(robot.model, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
+    return full_regressor(robot.pinocchio, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
 
 
 def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:
@@ -109,10 +109,10 @@ def inertia_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters,
             index = np.arange(start, stop, max(1, int(0.25 / s.cutoff / s.dt)))
             qd, qdd = s.qd[index, j], s.qdd[index, j]
             still = np.zeros((len(index), robot.n))
-            gravity = full_regressor(robot.model, s.q[index], still, still)[:, j][:, list(base.independent)]
+            gravity = full_regressor(robot.pinocchio, s.q[index], still, still)[:, j][:, list(base.independent)]
             unit = still.copy()
             unit[:, j] = 1.0
-            moment = full_regressor(robot.model, s.q[index], still, unit)[:, j][:, list(base.independent)] - gravity
+            moment = full_regressor(robot.pinocchio, s.q[index], still, unit)[:, j][:, list(base.independent)] - gravity
             y = smooth[index, j] - gravity @ p_g
             W = np.column_stack([qdd, qd, np.tanh(qd / 0.02), np.ones_like(qd)])
             p, *_ = np.linalg.lstsq(W, y, rcond=None)

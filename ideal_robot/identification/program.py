@@ -124,7 +124,7 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     v_max, a_max = finite_limits(robot)
     amplitude = np.minimum(0.12, 0.08 * (robot.q_max - robot.q_min))
     postures = _postures(robot, rng, candidates, amplitude, workspace or Workspace())
-    base = base_parameters(robot.model)
+    base = base_parameters(robot.pinocchio)
     rows = np.stack([observation_rows(robot, base, q) for q in postures])
     size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
     rows = rows / np.where(size > 0, size, 1.0)
@@ -155,7 +155,7 @@ def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:
     n = robot.n
     independent = list(base.independent)
     still = np.zeros((n + 1, n))
-    W = full_regressor(robot.model, np.repeat(q[None], n + 1, axis=0), still, np.vstack([np.zeros(n), np.eye(n)]))
+    W = full_regressor(robot.pinocchio, np.repeat(q[None], n + 1, axis=0), still, np.vstack([np.zeros(n), np.eye(n)]))
     W = W[:, :, independent]
     inertia = np.stack([W[i + 1, i] - W[0, i] for i in range(n)])
     return np.concatenate([W[0], inertia])

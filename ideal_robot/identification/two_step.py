@@ -69,8 +69,8 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     usable, warnings = checked(recordings, robot)
     unseen, more = checked(validation, robot) if validation else ([], [])
     signals = [preprocess(r, cutoff=_CUTOFF) for r in usable]
-    base = base_parameters(robot.model)
-    nominal = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(robot.n)])
+    base = base_parameters(robot.pinocchio)
+    nominal = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(robot.n)])
     gravity = [m for s in signals for m in gravity_measurements(s, robot, base)]
     if not gravity:
         raise InputError("no joint moves alone, forwards and backwards at constant velocity; play the program of "

@@ -222,8 +222,8 @@ class Model:
     def nominal(cls, robot: Robot) -> Model:
         """The model a data sheet gives: the URDF's inertias, the data file's rotor inertias, no friction."""
         n = robot.n
-        base = base_parameters(robot.model)
-        full = np.concatenate([link_parameters(robot.model), robot.rotor_inertia, np.zeros(n)])
+        base = base_parameters(robot.pinocchio)
+        full = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(n)])
         friction = PerJointFriction.none(n)
         count = base.count + sum(len(law.coefficients) + len(law.shape) for law in friction.laws)
         return cls(robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, base.of(full), friction,

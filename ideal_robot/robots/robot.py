@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -35,7 +36,7 @@ class Robot:
     Attributes:
         name: key of the robot.
         urdf: path of the URDF.
-        model: Pinocchio model with the URDF's (nominal, never identified) inertias.
+        pinocchio: Pinocchio model with the URDF's (nominal, never identified) inertias.
         tool_frame: name of the frame that is the TCP.
         q_min, q_max: joint limits ``(n,)`` [rad or m].
         v_max, a_max: velocity and acceleration limits ``(n,)`` [rad/s, rad/s² or m/s, m/s²].
@@ -50,7 +51,7 @@ class Robot:
 
     name: str
     urdf: Path
-    model: pin.Model = field(repr=False, compare=False)
+    pinocchio: pin.Model = field(repr=False, compare=False)
     tool_frame: str
     q_min: Array
     q_max: Array
@@ -69,7 +70,12 @@ class Robot:
     @property
     def n(self) -> int:
         """Number of joints."""
-        return int(self.model.nv)
+        return int(self.pinocchio.nv)
+
+    @property
+    def prismatic(self) -> NDArray[np.bool_]:
+        """Which joints slide instead of turning ``(n,)``."""
+        return np.array([self.pinocchio.joints[i + 1].shortname().startswith("JointModelP") for i in range(self.n)])
 
     @property
     def urdf_hash(self) -> str:
@@ -79,7 +85,7 @@ class Robot:
     @property
     def tool_id(self) -> int:
         """Pinocchio's index of the TCP frame."""
-        return int(self.model.getFrameId(self.tool_frame))
+        return int(self.pinocchio.getFrameId(self.tool_frame))
 
     @classmethod
     def load(cls, name_or_urdf: str | Path, data: str | Path | None = None) -> Robot:
@@ -128,7 +134,7 @@ class Robot:
         return cls(
             name=str(values.get("name", urdf.stem)),
             urdf=urdf,
-            model=model,
+            pinocchio=model,
             tool_frame=_tool_frame(model, values.get("tool_frame"), data_path),
             q_min=_frozen(model.lowerPositionLimit),
             q_max=_frozen(model.upperPositionLimit),
@@ -148,11 +154,11 @@ class Robot:
 
     def fk(self) -> Callable[[Array], pin.SE3]:
         """Returns a function from joint angles ``(n,)`` to the TCP pose in the base frame (copied)."""
-        data = self.model.createData()
+        data = self.pinocchio.createData()
         tool = self.tool_id
 
         def pose(q: Array) -> pin.SE3:
-            pin.framesForwardKinematics(self.model, data, q)
+            pin.framesForwardKinematics(self.pinocchio, data, q)
             return data.oMf[tool].copy()
 
         return pose

@@ -288,6 +288,6 @@ class ContourFollower:
             return np.zeros_like(q_d)
         force = self.settings.force * (self._normal @ self._axes)
         jacobian = pin.computeFrameJacobian(
-            self.robot.model, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
+            self.robot.pinocchio, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
         )
         return np.tile(jacobian[:3].T @ force, (len(q_d), 1))

@@ -291,6 +291,6 @@ class SurfaceFollower:
         normal = frames.up[0] - self.slope[0] * frames.tangent[0] - self.slope[1] * frames.normal[0]
         force = self.settings.force * normal / np.linalg.norm(normal)
         jacobian = pin.computeFrameJacobian(
-            self.robot.model, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
+            self.robot.pinocchio, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
         )
         return np.tile(jacobian[:3].T @ force, (len(q_d), 1))

@@ -25,7 +25,7 @@ class InverseKinematics:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        self._model, self._data, self._tool = robot.model, robot.model.createData(), robot.tool_id
+        self._model, self._data, self._tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
         self._square = robot.n == 6
         # computeFrameJacobian leaves the tool's pose in iMf[0]; holding the vector saves a third of the call's time.
         self._poses = self._data.iMf

@@ -25,7 +25,7 @@ class PoseHistory:
     """
 
     def __init__(self, robot: Robot, length: float = 0.5, ahead: float = 0.05) -> None:
-        self._robot, self._data = robot, robot.model.createData()
+        self._robot, self._data = robot, robot.pinocchio.createData()
         self._length, self._ahead = length, ahead
         self._t: deque[float] = deque()
         self._q: deque[Array] = deque()
@@ -71,12 +71,12 @@ class PoseHistory:
 
     def pose(self, t: float) -> pin.SE3:
         """TCP pose in the base frame at ``t`` [s]; raises as ``q``."""
-        pin.framesForwardKinematics(self._robot.model, self._data, self.q(t))
+        pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
         return self._data.oMf[self._robot.tool_id].copy()
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``."""
-        step, model, data = 1e-3, self._robot.model, self._data
+        step, model, data = 1e-3, self._robot.pinocchio, self._data
         rate = (self.q(t + step) - self.q(t - step)) / (2 * step)
         pin.forwardKinematics(model, data, self.q(t), rate)
         motion = pin.getFrameVelocity(model, data, self._robot.tool_id, pin.LOCAL_WORLD_ALIGNED)

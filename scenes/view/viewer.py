@@ -32,8 +32,8 @@ class Viewer:
         except ImportError as error:
             raise InputError("needs the package viser (pip install 'ideal-robot[view]')", field="view") from error
         self._robot = robot
-        self._data = robot.model.createData()
-        self._geometry = pin.buildGeomFromUrdf(robot.model, str(robot.urdf), pin.GeometryType.VISUAL)
+        self._data = robot.pinocchio.createData()
+        self._geometry = pin.buildGeomFromUrdf(robot.pinocchio, str(robot.urdf), pin.GeometryType.VISUAL)
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.server.initial_camera.position = (2.6, -2.2, 1.7)
         self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
@@ -52,7 +52,7 @@ class Viewer:
 
     def show(self, q: Array) -> None:
         """Shows the arm at joint positions ``q (n,)`` [rad]."""
-        pin.forwardKinematics(self._robot.model, self._data, np.asarray(q, dtype=float))
+        pin.forwardKinematics(self._robot.pinocchio, self._data, np.asarray(q, dtype=float))
         for item, handle in zip(self._geometry.geometryObjects, self._handles, strict=True):
             if handle is None:
                 continue

@@ -83,7 +83,7 @@ class SimulatedArm:
         require_integrable(self._model, robot.home, self._p)
         self._steps_per_cycle = round(world.t_ipo / STEP)
         self._joints = list(range(robot.n))
-        frame = robot.model.frames[robot.tool_id]
+        frame = robot.pinocchio.frames[robot.tool_id]
         self.tool_link = int(frame.parentJoint) - 1
         self.tool_offset: pin.SE3 = frame.placement.copy()
         self.step_hook: Callable[[float], None] | None = None

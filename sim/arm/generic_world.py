@@ -30,7 +30,7 @@ def generic_world(robot: Robot) -> dict[str, Any]:
     Returns:
         Settings by name, ready for ``World(robot=…, **settings)``.
     """
-    model = robot.model
+    model = robot.pinocchio
     mass = pin.crba(model, model.createData(), robot.home).diagonal().copy()
     guess = np.where(np.isfinite(robot.tau_max), robot.tau_max / 300.0, mass / 3.0)
     extra = np.where(robot.rotor_inertia > 0.0, 0.0, guess)
@@ -74,4 +74,4 @@ def _strength(robot: Robot, inertia: Array) -> Array:
 
 def _gravity(robot: Robot) -> Array:
     """Size of the gravity torque in the home posture ``(n,)`` [N m]."""
-    return np.abs(pin.computeGeneralizedGravity(robot.model, robot.model.createData(), robot.home))
+    return np.abs(pin.computeGeneralizedGravity(robot.pinocchio, robot.pinocchio.createData(), robot.home))

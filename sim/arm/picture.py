@@ -47,7 +47,7 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
             body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
         order = {pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode(): i
                  for i in range(pybullet.getNumJoints(body, physicsClientId=client))}
-        for name, angle in zip(list(robot.model.names)[1:], q, strict=True):
+        for name, angle in zip(list(robot.pinocchio.names)[1:], q, strict=True):
             pybullet.resetJointState(body, order[name], angle, physicsClientId=client)
         for line in lines:
             _draw(np.asarray(line, dtype=float), client)

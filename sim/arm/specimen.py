@@ -39,7 +39,7 @@ def draw_individual(robot: Robot, world: World) -> Individual:
     rng = np.random.default_rng([world.individual, 7919])
     n = robot.n
     tolerance = world.inertia_tolerance
-    model = robot.model.copy()
+    model = robot.pinocchio.copy()
     for joint in range(1, model.njoints):
         mass_factor = 1.0 + tolerance * rng.uniform(-1.0, 1.0)
         extension = 1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, 3)

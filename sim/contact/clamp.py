@@ -60,21 +60,21 @@ class ClampedArm:
 
     def __init__(self, robot: Robot, world: ClampWorld, q0: Array) -> None:
         self.robot, self.world, self.q0 = robot, world, np.array(q0, dtype=float)
-        self._data = robot.model.createData()
+        self._data = robot.pinocchio.createData()
         self._anchor = self._pose(self.q0)
         # A hair of compliance keeps the rigid clamp of an ideal world solvable.
         self._clamp = np.linalg.inv(self._compliance() + 1e-12 * np.eye(6))
         self.qm0 = self.q0 + self._gravity(self.q0) / world.stiffness
 
     def _pose(self, q: Array) -> pin.SE3:
-        pin.framesForwardKinematics(self.robot.model, self._data, q)
+        pin.framesForwardKinematics(self.robot.pinocchio, self._data, q)
         return self._data.oMf[self.robot.tool_id].copy()
 
     def _jacobian(self, q: Array) -> Array:
-        return np.array(pin.computeFrameJacobian(self.robot.model, self._data, q, self.robot.tool_id, pin.LOCAL))
+        return np.array(pin.computeFrameJacobian(self.robot.pinocchio, self._data, q, self.robot.tool_id, pin.LOCAL))
 
     def _gravity(self, q: Array) -> Array:
-        return np.array(pin.computeGeneralizedGravity(self.robot.model, self._data, q))
+        return np.array(pin.computeGeneralizedGravity(self.robot.pinocchio, self._data, q))
 
     def _compliance(self) -> Array:
         """C_environment + Σ_j J_vj J_vjᵀ / k_link,j in the tool frame; J_vj: rotations of link j across its axis."""

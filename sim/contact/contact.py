@@ -113,7 +113,7 @@ class TipContact:
     def __init__(self, arm: SimulatedArm, surface: HeightSurface, tip: Tip,
                  extra: Callable[[float], Array] | None = None) -> None:
         self._arm, self.surface, self.tip, self._extra = arm, surface, tip, extra
-        self._model, self._data = arm.robot.model, arm.robot.model.createData()
+        self._model, self._data = arm.robot.pinocchio, arm.robot.pinocchio.createData()
         self._last_joint, self._tool = arm.tool_link + 1, arm.tool_offset.translation
         self._law = np.array([tip.stiffness, tip.damping, tip.friction, tip.slip, surface.offset, *surface.tilt,
                               surface.curvature, surface.crest])

@@ -51,15 +51,15 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
 
 def loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever: Array) -> pin.SE3:
     """Flange pose at rest with a mass hung on it: gears by fixed-point iteration, links to first order."""
-    data = robot.model.createData()
+    data = robot.pinocchio.createData()
     q = np.array(q_m, dtype=float)
     for _ in range(50):
-        pin.framesForwardKinematics(robot.model, data, q)
+        pin.framesForwardKinematics(robot.pinocchio, data, q)
         flange = data.oMf[robot.tool_id].copy()
         force = flange.rotation.T @ np.array([0.0, 0.0, -mass * GRAVITY])
         wrench = np.concatenate([force, np.cross(lever, force)])
-        jacobian = pin.computeFrameJacobian(robot.model, data, q, robot.tool_id, pin.LOCAL)
-        load = pin.computeGeneralizedGravity(robot.model, data, q) - jacobian.T @ wrench
+        jacobian = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.LOCAL)
+        load = pin.computeGeneralizedGravity(robot.pinocchio, data, q) - jacobian.T @ wrench
         change = q_m - load / world.stiffness - q
         q = q + change
         if np.max(np.abs(change)) < 1e-13:

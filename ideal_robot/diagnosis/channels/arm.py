@@ -142,7 +142,7 @@ def _without(columns: Array, values: Array) -> Array:
 
 def frames_along(robot: Robot, q: Array) -> Frames:
     """Joint frames, their axes and the TCP along a motion ``(N, n)``."""
-    model, data, tool = robot.model, robot.model.createData(), robot.tool_id
+    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
     N, n = q.shape
     axis, x, position, tip = (np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, 3)))
     prismatic = np.array([model.joints[j + 1].shortname().startswith("JointModelP") for j in range(n)])
@@ -166,7 +166,7 @@ def _normals(robot: Robot, prismatic: Array) -> Array:
 
     For parallel axes it points from one to the other; for the last joint towards the TCP.
     """
-    model, q = robot.model, pin.neutral(robot.model)
+    model, q = robot.pinocchio, pin.neutral(robot.pinocchio)
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     n = model.nv

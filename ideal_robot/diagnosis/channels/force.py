@@ -116,7 +116,7 @@ def wrench_of(recording: Recording, robot: Robot, torque: Experiment) -> Wrench 
 
 
 def _poses(robot: Robot, q: Array) -> tuple[Array, Array]:
-    model, data, tool = robot.model, robot.model.createData(), robot.tool_id
+    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
     rotation, place = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
     for k, row in enumerate(q):
         pin.forwardKinematics(model, data, row)

@@ -216,7 +216,7 @@ def _poses(recording: Recording, robot: Robot, torque: Experiment, stiffness: Ar
     """Rotation, place, velocity and angular velocity of the tool in the base frame at the time stamps."""
     t, angles = _arm_angles(recording, torque, stiffness)
     q, qd = _smooth(t, angles, stamps)
-    model, data, tool = robot.model, robot.model.createData(), robot.tool_id
+    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
     rotation, place, twist = np.empty((len(q), 3, 3)), np.empty((len(q), 3)), np.empty((len(q), 6))
     for k in range(len(q)):
         jacobian = pin.computeFrameJacobian(model, data, q[k], tool, pin.LOCAL_WORLD_ALIGNED)

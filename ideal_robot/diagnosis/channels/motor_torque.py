@@ -118,12 +118,12 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
 
     noise_velocity = _small_velocity(recording, filtered)
     extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
-    body = regressor(robot.model, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
+    body = regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, temperature, extra=extra, payload=body,
                       v_small=noise_velocity, cutoff=filtered.cutoff)
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
-    W = sensitivity(robot.model, model.base, model.friction, q, qd, qdd, load)
+    W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
     moving, undecided = _moving(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
     use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
@@ -220,7 +220,7 @@ def _is_known_column(name: str) -> bool:
 
 
 def _prismatic(robot: Robot, j: int) -> bool:
-    return bool(robot.model.joints[j + 1].shortname().startswith("JointModelP"))
+    return bool(robot.pinocchio.joints[j + 1].shortname().startswith("JointModelP"))
 
 
 def _small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:

@@ -30,9 +30,9 @@ def motion() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     w = 2 * np.pi * np.array([0.25, 0.3, 0.35, 0.4, 0.45, 0.5])
     phase = np.arange(6) * 1.1
     q = arm.home + 0.4 * np.sin(np.outer(t, w) + phase) + 0.1 * np.sin(np.outer(t, 2.7 * w))
-    qd, data = np.gradient(q, t, axis=0), arm.model.createData()
+    qd, data = np.gradient(q, t, axis=0), arm.pinocchio.createData()
     qdd = np.gradient(qd, t, axis=0)
-    return t, q, np.array([pin.rnea(arm.model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+    return t, q, np.array([pin.rnea(arm.pinocchio, data, *row) for row in zip(q, qd, qdd, strict=True)])
 
 
 def recorded(xyz_at: np.ndarray | None, **more: np.ndarray) -> Recording:
@@ -65,7 +65,7 @@ def test_a_soft_gear_at_the_tool():
     _, q, load = motion()
     soft = q.copy()
     soft[:, 2] -= load[:, 2] / 4e5
-    found = diagnose(recorded(tcp(robot().model, soft)), robot(), only=(("joint_elasticity", 3), ("backlash", 3)))
+    found = diagnose(recorded(tcp(robot().pinocchio, soft)), robot(), only=(("joint_elasticity", 3), ("backlash", 3)))
     within(found, "joint_elasticity", 3, stiffness=4e5)
     assert next(p.unit for e in found.effects for p in e.fitted.parameters if p.name == "stiffness") == "N m/rad"
 
@@ -74,12 +74,12 @@ def test_an_uneven_gear_at_the_tool_with_its_order():
     _, q, _ = motion()
     uneven = q.copy()
     uneven[:, 1] += 8e-5 * np.sin(40.0 * q[:, 1] + 0.3)
-    found = diagnose(recorded(tcp(robot().model, uneven)), robot(), only=(("transmission_error", 2),))
+    found = diagnose(recorded(tcp(robot().pinocchio, uneven)), robot(), only=(("transmission_error", 2),))
     within(found, "transmission_error", 2, amplitude=8e-5, order=40.0)
 
 
 def test_a_wrong_length_and_what_is_the_same():
-    model = robot().model.copy()
+    model = robot().pinocchio.copy()
     model.jointPlacements[4].translation += np.array([0.0, 4e-4, 0.0])
     _, q, _ = motion()
     found = diagnose(recorded(tcp(model, q)), robot(),
@@ -94,10 +94,10 @@ def test_a_wrong_length_and_what_is_the_same():
 
 def test_a_late_device_and_a_good_one():
     t, q, _ = motion()
-    late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(robot().model, q).T])
+    late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(robot().pinocchio, q).T])
     within(diagnose(recorded(late), robot(), only=(("dead_time", 0),)), "dead_time", 0, delay=3e-4)
     every = tuple((e.name, joint) for e in library() if e.domain == TCP_POSITION for joint in range(7))
-    good = diagnose(recorded(tcp(robot().model, q)), robot(), only=every)
+    good = diagnose(recorded(tcp(robot().pinocchio, q)), robot(), only=every)
     assert not [e for e in good.effects if e.fitted.channel.startswith("tcp")]
     floors = [c.noise_floor for c in good.channels if c.channel in "xyz"]
     # White noise of the device fills the whole band of a recording that is not decimated.

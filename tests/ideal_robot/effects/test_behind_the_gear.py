@@ -51,14 +51,14 @@ def test_gears_move_the_tool_as_their_angle_does(name):
     theta = effect.starts(signals, joint)[0]
     columns, bend = effect.columns(signals, joint, theta), angle.columns(signals, joint, theta)
     for i in range(columns.shape[2]):
-        sides = [tcp(ROBOT.model, signals.q + sign * h * bend[:, :, i]) for sign in (1.0, -1.0)]
+        sides = [tcp(ROBOT.pinocchio, signals.q + sign * h * bend[:, :, i]) for sign in (1.0, -1.0)]
         np.testing.assert_allclose(columns[:, :, i], (sides[0] - sides[1]) / (2 * h), rtol=1e-5, atol=1e-8)
 
 
 def test_a_late_device_sees_where_the_arm_was():
     signals, h = motion(2000), 2e-3
     column = named("dead_time", "tcp").columns(signals, 0, ())[:, :, 0]
-    before, after = (tcp(ROBOT.model, np.column_stack([np.interp(signals.t - s * h, signals.t, c)
+    before, after = (tcp(ROBOT.pinocchio, np.column_stack([np.interp(signals.t - s * h, signals.t, c)
                                                        for c in signals.q.T])) for s in (-1.0, 1.0))
     np.testing.assert_allclose(column[10:-10], ((after - before) / (2 * h))[10:-10], atol=2e-4)
 
@@ -67,15 +67,15 @@ def test_a_late_device_sees_where_the_arm_was():
 def test_kinematic_errors_are_those_of_altered_placements(joint):
     signals, h = motion(60), 1e-6
     columns = named("kinematic_error", f"tcp_{joint}").columns(signals, joint, ())
-    data = ROBOT.model.createData()
-    pin.forwardKinematics(ROBOT.model, data, signals.q[0])
+    data = ROBOT.pinocchio.createData()
+    pin.forwardKinematics(ROBOT.pinocchio, data, signals.q[0])
     R = data.oMi[joint].rotation
     z, x = R.T @ signals.frames.axis[0, joint - 1], R.T @ signals.frames.normal[0, joint - 1]
     nothing = np.zeros(3)
     for i, (shift, turn) in enumerate(((x, nothing), (z, nothing), (nothing, x), (nothing, z))):
         sides = []
         for sign in (1.0, -1.0):
-            model = ROBOT.model.copy()
+            model = ROBOT.pinocchio.copy()
             error = pin.SE3(pin.exp3(sign * h * turn), sign * h * shift)
             model.jointPlacements[joint + 1] = error * model.jointPlacements[joint + 1]
             sides.append(tcp(model, signals.q))
@@ -90,7 +90,7 @@ def test_a_link_grows_along_itself():
     for sign in (1.0, -1.0):
         places = []
         for k, q in enumerate(signals.q):
-            model = ROBOT.model.copy()
+            model = ROBOT.pinocchio.copy()
             model.jointPlacements[joint + 1].translation *= 1.0 + sign * h * warm[k]
             places.append(tcp(model, q[None])[0])
         sides.append(np.array(places))

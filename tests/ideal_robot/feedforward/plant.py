@@ -17,7 +17,7 @@ ROBOT = Robot.load("kr15")
 def plant(*, inertia: float = 1.0, friction: float = 1.0, stiffness: float = 1.0, delay: int = 1,
           elastic: bool = True) -> LoopModel:
     """The loop, or one whose inertias, friction and stiffness are wrong by factors."""
-    chain = chain_of(ROBOT.model)
+    chain = chain_of(ROBOT.pinocchio)
     n = ROBOT.n
     grid = velocity_grid(ROBOT.v_max)
     dry = np.array([90.0, 100.0, 55.0, 8.0, 8.0, 4.0])

@@ -86,9 +86,9 @@ def test_two_degrees_of_freedom_give_the_likeliest_joint_errors():
     error = pose_errors([fk(q) for q in q_d], [fk(q - dq) for q, dq in zip(q_d, true, strict=True)])
     rows = [AXES.index("y"), AXES.index("z")]
     found = joint_errors(ROBOT, q_d, error[:, rows], axes=("y", "z"), prior=5e-4, noise=1e-6)
-    data = ROBOT.model.createData()
+    data = ROBOT.pinocchio.createData()
     for q, dq, measured in zip(q_d, found, error[:, rows], strict=True):
-        J = pin.computeFrameJacobian(ROBOT.model, data, q, ROBOT.tool_id, pin.LOCAL_WORLD_ALIGNED)[rows]
+        J = pin.computeFrameJacobian(ROBOT.pinocchio, data, q, ROBOT.tool_id, pin.LOCAL_WORLD_ALIGNED)[rows]
         np.testing.assert_allclose(J @ dq, measured, atol=1e-5)
     assert rms(found - true) < rms(true)
 

@@ -25,7 +25,7 @@ def robot(name: str = "kr6") -> Robot:
 
 @cache
 def base() -> BaseParameters:
-    return base_parameters(robot().model)
+    return base_parameters(robot().pinocchio)
 
 
 @cache
@@ -47,7 +47,7 @@ class Truth:
 
 def truth(laws: list[FrictionModel] | None = None) -> Truth:
     arm = robot()
-    full = np.concatenate([link_parameters(arm.model), arm.rotor_inertia, 0.01 * arm.tau_max])
+    full = np.concatenate([link_parameters(arm.pinocchio), arm.rotor_inertia, 0.01 * arm.tau_max])
     if laws is None:
         laws = [ViscousCoulomb(np.array([[0.02 * tau], [0.04 * tau]])) for tau in arm.tau_max]
     return Truth(full, PerJointFriction(laws))
@@ -60,7 +60,7 @@ def record(what: Truth, rng: np.random.Generator, *, noise: float = 0.005, rate:
     n = arm.n
     t = np.arange(0.0, 24.0, 1.0 / rate)
     q, qd, qdd = motion(seed).at(t)
-    model = with_link_parameters(arm.model, what.full[: 10 * n])
+    model = with_link_parameters(arm.pinocchio, what.full[: 10 * n])
     load = torques(model, q, qd, qdd)
     tau = load + what.full[10 * n : 11 * n] * qdd + what.full[11 * n :] + what.friction.torque(qd, load, q)
     return Recording.from_arrays(t, q=q + rng.normal(scale=2e-6, size=q.shape),
@@ -71,4 +71,4 @@ def wrong_by_half(rng: np.random.Generator) -> Robot:
     """The robot with every link's inertias half or one and a half times what they are."""
     arm = robot()
     factors = np.repeat(rng.choice([0.5, 1.5], arm.n), 10)
-    return replace(arm, model=with_link_parameters(arm.model, link_parameters(arm.model) * factors))
+    return replace(arm, pinocchio=with_link_parameters(arm.pinocchio, link_parameters(arm.pinocchio) * factors))

@@ -108,7 +108,7 @@ def test_current_becomes_torque(good: Recording) -> None:
 
 
 def test_joints_named_by_a_bag_are_put_in_the_robots_order(good: Recording) -> None:
-    names = list(robot().model.names)[1:]
+    names = list(robot().pinocchio.names)[1:]
     order = [3, 1, 0, 5, 4, 2]
     columns = {"t": good.t, **{f"{p}_{i + 1}": good.columns[f"{p}_{j + 1}"] for p in ("q", "tau")
                                for i, j in enumerate(order)}}

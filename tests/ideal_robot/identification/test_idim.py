@@ -106,8 +106,8 @@ def test_exported_urdf_moves_like_the_consistent_model(tmp_path) -> None:  # typ
 
     plain = model.dynamics.copy()
     plain.armature = np.zeros(6)
-    np.testing.assert_allclose(torques(exported.model, q, q, q), torques(plain, q, q, q), rtol=1e-6, atol=1e-6)
-    for inertia in list(exported.model.inertias)[1:]:
+    np.testing.assert_allclose(torques(exported.pinocchio, q, q, q), torques(plain, q, q, q), rtol=1e-6, atol=1e-6)
+    for inertia in list(exported.pinocchio.inertias)[1:]:
         assert inertia.mass > 0
         assert np.all(np.linalg.eigvalsh(inertia.inertia) > 0)
 

@@ -16,7 +16,7 @@ from tests.ideal_robot.feedforward.plant import ROBOT, T, motion, plant, rms
 
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])
 def test_compiled_dynamics_agree_with_pinocchio(name):
-    model = Robot.load(name).model
+    model = Robot.load(name).pinocchio
     data, chain = model.createData(), chain_of(model)
     q, qd, qdd = np.random.default_rng(0).normal(size=(3, 50, model.nv))
     expected = np.array([pin.rnea(model, data, *rows) for rows in zip(q, qd, qdd, strict=True)])

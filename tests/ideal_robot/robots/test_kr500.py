@@ -34,10 +34,10 @@ def khalil_kleinfinger(q: np.ndarray) -> list[np.ndarray]:
 
 def test_every_link_frame_is_that_of_the_table() -> None:
     robot = Robot.load("kr500")
-    data = robot.model.createData()
+    data = robot.pinocchio.createData()
     rng = np.random.default_rng(0)
     for q in (*CONFIGURATIONS, *rng.uniform(robot.q_min, robot.q_max, (50, 6))):
-        pin.framesForwardKinematics(robot.model, data, np.array(q))
+        pin.framesForwardKinematics(robot.pinocchio, data, np.array(q))
         expected = khalil_kleinfinger(np.array(q))
         for joint in range(6):
             # A joint frame of the URDF is the table's frame, moved by r_j along z_j already: the same frame.
@@ -50,7 +50,7 @@ def test_pressing_along_z6_loads_the_joints_that_the_paper_says(configuration: i
     """[J] 4.2: configuration 1 is for joint 1, configuration 2 for joint 2, with f_z alone."""
     robot = Robot.load("kr500")
     q = np.array(CONFIGURATIONS[configuration])
-    jacobian = pin.computeFrameJacobian(robot.model, robot.model.createData(), q, robot.tool_id, pin.LOCAL)
+    jacobian = pin.computeFrameJacobian(robot.pinocchio, robot.pinocchio.createData(), q, robot.tool_id, pin.LOCAL)
     lever = np.abs(jacobian[2])
     assert {int(j) + 1 for j in np.flatnonzero(lever > 0.2)} == loaded
     assert np.max(lever) > 1.5

@@ -56,14 +56,14 @@ def test_a_seventh_joint_is_used_by_the_damped_inverse() -> None:
     turntable.addFrame(pin.Frame("table", 1, pin.SE3.Identity(), pin.FrameType.OP_FRAME))
     model, _ = pin.appendModel(
         turntable,
-        robot.model,
+        robot.pinocchio,
         pin.GeometryModel(),
         pin.GeometryModel(),
         turntable.getFrameId("table"),
         pin.SE3.Identity(),
     )
     seven = replace(
-        robot, model=model, q_min=np.full(7, -6.3), q_max=np.full(7, 6.3), home=np.concatenate([[0.0], robot.home])
+        robot, pinocchio=model, q_min=np.full(7, -6.3), q_max=np.full(7, 6.3), home=np.concatenate([[0.0], robot.home])
     )
     kinematics = InverseKinematics(seven)
     target = kinematics.fk(seven.home + 0.1)

@@ -44,11 +44,11 @@ def noisy(name: str, seed: int) -> World:
 
 def deviations(robot: Robot, world: World, commands: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Deviations of the base parameters from the simulated arm's, in σ, and which are well excited."""
-    base = base_parameters(robot.model)
+    base = base_parameters(robot.pinocchio)
     individual = draw_individual(robot, world)
     truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(robot.n)]))
     wrong = np.repeat(np.random.default_rng(seed).choice([0.5, 1.5], robot.n), 10)
-    start = replace(robot, model=with_link_parameters(robot.model, link_parameters(robot.model) * wrong))
+    start = replace(robot, pinocchio=with_link_parameters(robot.pinocchio, link_parameters(robot.pinocchio) * wrong))
     result = identify([played(robot, world, commands, seed)], start)
     std = np.sqrt(np.diag(result.model.covariance))[: base.count]
     # Well below one third: otherwise a parameter that is zero would count exactly when it is three σ off.
@@ -83,7 +83,7 @@ def test_two_step_method_finds_what_single_axis_moves_show() -> None:
     program = plan_two_step(robot, np.random.default_rng(1), points=4, candidates=60)
     result, measured = identify_two_step([played(robot, world, program.commands(robot.home, robot.t_ipo, robot), 1)],
                                          robot)
-    base = base_parameters(robot.model)
+    base = base_parameters(robot.pinocchio)
     individual = draw_individual(robot, world)
     truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(6)]))
     gravity = [m for m in measured.measurements if m.quantity == "gravity" and m.joint in (1, 2)]

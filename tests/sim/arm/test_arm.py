@@ -72,7 +72,7 @@ def test_gears_twist_by_torque_over_stiffness() -> None:
         for _ in range(10):
             arm.cycle(ROBOT.home)
         truth = arm.truth
-        gravity = pin.computeGeneralizedGravity(ROBOT.model, ROBOT.model.createData(), truth.q_a)
+        gravity = pin.computeGeneralizedGravity(ROBOT.pinocchio, ROBOT.pinocchio.createData(), truth.q_a)
         np.testing.assert_allclose(truth.q_m - truth.q_a, gravity / world.per_joint("stiffness", 6), atol=3e-7)
         assert np.abs(truth.q_m - truth.q_a).max() > 2e-4
 
@@ -186,9 +186,9 @@ def test_payload_is_carried() -> None:
             for _ in range(10):
                 state = arm.cycle(ROBOT.home)
             torques.append(state.tau)
-    data = ROBOT.model.createData()
+    data = ROBOT.pinocchio.createData()
     com = ROBOT.fk()(ROBOT.home).act(np.array([0.0, 0.0, 0.1]))
-    jacobian = pin.computeFrameJacobian(ROBOT.model, data, ROBOT.home, ROBOT.tool_id,
+    jacobian = pin.computeFrameJacobian(ROBOT.pinocchio, data, ROBOT.home, ROBOT.tool_id,
                                         pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     lever = com - ROBOT.fk()(ROBOT.home).translation
     expected = (jacobian[:3] + pin.skew(lever).T @ jacobian[3:]).T @ np.array([0.0, 0.0, 4.0 * 9.81])
@@ -196,7 +196,7 @@ def test_payload_is_carried() -> None:
 
 
 def test_individuals_differ_within_the_tolerance_and_stay_physical() -> None:
-    nominal = ROBOT.model.inertias
+    nominal = ROBOT.pinocchio.inertias
     masses = []
     for seed in range(1, 8):
         arm = draw_individual(ROBOT, DEFAULT.replace(individual=seed))
@@ -245,9 +245,9 @@ def test_the_true_kinematics_can_differ_from_the_urdf() -> None:
         np.testing.assert_allclose(np.array(link[4]) + arm.truth.tcp.rotation @ arm.tool_offset.rotation.T
                                    @ arm.tool_offset.translation, arm.truth.tcp.translation, atol=1e-6)
     turn = draw_individual(ROBOT, IDEAL.replace(zero_error=2e-3)).model
-    data, same = turn.createData(), ROBOT.model.createData()
+    data, same = turn.createData(), ROBOT.pinocchio.createData()
     pin.forwardKinematics(turn, data, ROBOT.home)
-    pin.forwardKinematics(ROBOT.model, same, ROBOT.home)
+    pin.forwardKinematics(ROBOT.pinocchio, same, ROBOT.home)
     for joint in range(1, 7):
         twist = pin.log3(same.liMi[joint].rotation.T @ data.liMi[joint].rotation)
         assert 1e-6 < np.linalg.norm(twist) <= 2e-3

@@ -32,7 +32,7 @@ def _state(body: int, n: int, client: int) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_forward_dynamics_agree_over_a_random_motion(name: str, client: int) -> None:
-    model = Robot.load(name).model
+    model = Robot.load(name).pinocchio
     data, n = model.createData(), model.nv
     body = load_links(model, client)
     rng = np.random.default_rng(5)
@@ -58,10 +58,10 @@ def test_forward_dynamics_agree_over_a_random_motion(name: str, client: int) -> 
 def test_kinematics_agree_in_every_joint(client: int) -> None:
     # PyBullet reports frames of links in single precision.
     robot = Robot.load("kr15")
-    body = load_links(robot.model, client)
+    body = load_links(robot.pinocchio, client)
     q = np.array([0.4, -1.0, 1.3, 0.7, -0.6, 1.9])
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, q)
+    data = robot.pinocchio.createData()
+    pin.forwardKinematics(robot.pinocchio, data, q)
     for joint in range(robot.n):
         pybullet.resetJointState(body, joint, q[joint], physicsClientId=client)
     for joint in range(robot.n):
@@ -73,7 +73,7 @@ def test_kinematics_agree_in_every_joint(client: int) -> None:
 
 def test_a_free_arm_keeps_its_energy(client: int) -> None:
     """No torque, gravity only: what PyBullet would damp on its own shows as lost energy."""
-    model = Robot.load("kr6").model
+    model = Robot.load("kr6").pinocchio
     data, n = model.createData(), model.nv
     body = load_links(model, client)
     for joint, (angle, speed) in enumerate(zip([0.2, -1.2, 1.0, 0.3, 0.5, 0.0], [0.8, 0.3, -0.5, 1.0, 1.0, 2.0],
@@ -94,7 +94,7 @@ def test_a_free_arm_keeps_its_energy(client: int) -> None:
 def test_ideal_arm_is_links_plus_rotors(name: str) -> None:
     """With every effect off, the arm moves as Pinocchio says links with rotor inertias move under the motor torque."""
     robot = Robot.load(name)
-    model = robot.model.copy()
+    model = robot.pinocchio.copy()
     model.armature = robot.rotor_inertia
     data = model.createData()
     with SimulatedArm(robot, World.ideal(name).replace(log_cycle=STEP), np.random.default_rng(0)) as arm:

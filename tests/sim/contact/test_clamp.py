@@ -23,9 +23,9 @@ def test_torques_balance_at_equilibrium() -> None:
     arm = ClampedArm(robot, world, Q)
     q_m = arm.qm0 + 1e-3 * np.array([1.0, -0.5, 0.7, 2.0, -1.0, 1.5])
     q = arm.equilibrium(q_m, Q)
-    data = robot.model.createData()
-    jacobian = pin.computeFrameJacobian(robot.model, data, q, robot.tool_id, pin.LOCAL)
-    load = pin.computeGeneralizedGravity(robot.model, data, q) + jacobian.T @ arm.wrench(q)
+    data = robot.pinocchio.createData()
+    jacobian = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.LOCAL)
+    load = pin.computeGeneralizedGravity(robot.pinocchio, data, q) + jacobian.T @ arm.wrench(q)
     np.testing.assert_allclose(world.stiffness * (q_m - q), load, rtol=1e-5, atol=1e-2)
     np.testing.assert_allclose(arm.wrench(arm.equilibrium(arm.qm0, Q)), 0.0, atol=1e-3)
 
@@ -61,7 +61,7 @@ def test_payload_bends_gears_as_springs() -> None:
     world = ClampWorld.ideal(robot)
     light = loaded_pose(robot, world, Q, 0.0, np.zeros(3))
     heavy = loaded_pose(robot, world, Q, 10.0, np.zeros(3))
-    jacobian = pin.computeFrameJacobian(robot.model, robot.model.createData(), Q, robot.tool_id,
+    jacobian = pin.computeFrameJacobian(robot.pinocchio, robot.pinocchio.createData(), Q, robot.tool_id,
                                         pin.LOCAL_WORLD_ALIGNED)[:3]
     expected = jacobian @ np.diag(1 / world.stiffness) @ jacobian.T @ np.array([0.0, 0.0, -98.1])
     np.testing.assert_allclose(heavy.translation - light.translation, expected, rtol=0.02, atol=1e-7)

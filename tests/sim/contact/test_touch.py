@@ -29,8 +29,8 @@ def test_a_force_at_the_tool_twists_the_gears_by_their_compliance() -> None:
             arm.cycle(ROBOT.home)
         pushed = arm.truth
     np.testing.assert_allclose(pushed.q_m, free.q_m, atol=2e-6)
-    data = ROBOT.model.createData()
-    jacobian = pin.computeFrameJacobian(ROBOT.model, data, free.q_a, ROBOT.tool_id,
+    data = ROBOT.pinocchio.createData()
+    jacobian = pin.computeFrameJacobian(ROBOT.pinocchio, data, free.q_a, ROBOT.tool_id,
                                         pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)[:3]
     twist = jacobian.T @ force / WORLD.per_joint("stiffness", 6)
     np.testing.assert_allclose(pushed.q_a - free.q_a, twist, atol=0.01 * np.abs(twist).max())
@@ -46,7 +46,7 @@ def test_a_ball_at_the_tcp_presses_on_a_table() -> None:
         table = pybullet.createMultiBody(0.0, shape, basePosition=[tcp[0], tcp[1], tcp[2] - radius - gap - 0.05],
                                          physicsClientId=arm.client)
         pybullet.changeDynamics(table, -1, contactStiffness=2e4, contactDamping=200.0, physicsClientId=arm.client)
-        jacobian = pin.computeFrameJacobian(ROBOT.model, ROBOT.model.createData(), ROBOT.home, ROBOT.tool_id,
+        jacobian = pin.computeFrameJacobian(ROBOT.pinocchio, ROBOT.pinocchio.createData(), ROBOT.home, ROBOT.tool_id,
                                             pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         down = np.linalg.solve(jacobian, np.array([0, 0, -1.0, 0, 0, 0]))
         arm.cycle(ROBOT.home)
@@ -63,7 +63,7 @@ def test_a_ball_at_the_tcp_presses_on_a_table() -> None:
 
 def test_rigid_rotors_feel_what_touches_the_links() -> None:
     """A push on the ideal arm moves links and rotors as Pinocchio says links with rotors move under it."""
-    model = ROBOT.model.copy()
+    model = ROBOT.pinocchio.copy()
     model.armature = ROBOT.rotor_inertia
     data = model.createData()
     with SimulatedArm(ROBOT, World.ideal("kr6").replace(log_cycle=STEP), np.random.default_rng(0)) as arm:
@@ -89,7 +89,7 @@ def test_rigid_rotors_feel_what_touches_the_links() -> None:
         untouched[k] = pin.aba(model, data, q, v, torque)
     # At 3 Hz half a millisecond is ω T = 1 % of the push. Until the rotor knows, the link bears it alone and moves by
     # (M + J) / M too much, a lot where the rotor outweighs the link.
-    outweighed = 1 + ROBOT.rotor_inertia / np.diag(pin.crba(ROBOT.model, ROBOT.model.createData(), ROBOT.home))
+    outweighed = 1 + ROBOT.rotor_inertia / np.diag(pin.crba(ROBOT.pinocchio, ROBOT.pinocchio.createData(), ROBOT.home))
     late = 2 * np.pi * 3.0 * STEP * outweighed
     effect = np.sqrt(np.mean((expected - untouched) ** 2, axis=0))
     assert np.all(np.sqrt(np.mean((actual - expected) ** 2, axis=0)) < 3 * late * effect)
