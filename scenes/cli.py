@@ -25,6 +25,7 @@ VERBS = {
     "close-loop": "close_loop",
     "precorrect": "precorrect",
     "rsi": "rsi",
+    "detect": "detect",
     "view": "view",
 }
 """Verb on the command line → module in ``scenes/commands`` whose function ``command`` it calls."""
