@@ -87,7 +87,8 @@ class JointLoad:
 
 def flange_jacobian(robot: Robot, q: Array) -> Array:
     """J(q_0) of [J] (3) in the tool frame ``(6, n)``."""
-    return np.array(pin.computeFrameJacobian(robot.pinocchio, robot.pinocchio.createData(), q, robot.tool_id, pin.LOCAL))
+    data = robot.pinocchio.createData()
+    return np.array(pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.LOCAL))
 
 
 def condition_number(robot: Robot, q: Array) -> float:
