@@ -13,6 +13,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import typer  # noqa: E402
 
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
+from scenes.terminal import shown  # noqa: E402
 
 VERBS = {
     "run": "run",
@@ -51,10 +52,10 @@ def main() -> None:
     try:
         app()
     except InputError as error:
-        print(f"ideal-robot: {error}", file=sys.stderr)
+        print(f"ideal-robot: {shown(error)}", file=sys.stderr)
         sys.exit(2)
     except IdealRobotError as error:
-        print(f"ideal-robot: {error}", file=sys.stderr)
+        print(f"ideal-robot: {shown(error)}", file=sys.stderr)
         sys.exit(1)
 
 

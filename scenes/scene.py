@@ -7,7 +7,7 @@ there are. Everything is checked before anything moves.
 from __future__ import annotations
 
 import importlib
-import tomllib
+import re
 from importlib import resources
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -15,6 +15,7 @@ from typing import Any, Self, TypeVar
 import pydantic
 
 from ideal_robot.errors import InputError
+from ideal_robot.plain_values import checked, read_toml
 
 S = TypeVar("S", bound="Scene")
 
@@ -25,6 +26,9 @@ KINDS = {
     "clamped": "scenes.clamped.play",
 }
 """Kind of scene → module with ``SceneModel``, ``METHODS``, ``run(scene, …)`` and ``compare(scene, …)``."""
+
+NAME = re.compile(r"[^\W_](?:[\w .+()-]{0,78}[\w+()-])?")
+"""What a scene may be called."""
 
 
 class Scene(pydantic.BaseModel):
@@ -42,6 +46,34 @@ class Scene(pydantic.BaseModel):
     """Where the ideal robot's model comes from: ``shipped`` (identified beforehand on recordings of the robot's
     default world, ``make models``) or the path of a model file."""
     world: dict[str, Any] = pydantic.Field(default_factory=dict)
+    _folder: Path | None = pydantic.PrivateAttr(default=None)
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the scene file lies, for files beside it; None for a scene made in memory."""
+        return self._folder
+
+    def beside(self, folder: Path | None) -> Self:
+        """The same scene as if its file lay in ``folder``."""
+        copy = self.model_copy()
+        copy._folder = folder
+        return copy
+
+    @pydantic.field_validator("name")
+    @classmethod
+    def _names_a_folder(cls, name: str) -> str:
+        """Output goes to a folder of this name, so it must not lead anywhere else."""
+        if not NAME.fullmatch(name):
+            raise ValueError("expected a name of up to 80 letters, digits and _ - + . ( ) or spaces that begins with a "
+                             "letter or digit: output goes to a folder of that name")
+        return name
+
+    @pydantic.field_validator("title", "robot", "model")
+    @classmethod
+    def _one_line(cls, text: str) -> str:
+        if len(text) > 500 or not text.isprintable():
+            raise ValueError("expected one line of up to 500 printable characters")
+        return text
 
     def changed(self, **changes: Any) -> Self:
         """A checked copy with some keys changed; nested tables are given as dictionaries and merged."""
@@ -49,7 +81,7 @@ class Scene(pydantic.BaseModel):
         for key, value in changes.items():
             both = isinstance(value, dict) and isinstance(values.get(key), dict)
             values[key] = {**values[key], **value} if both else value
-        return _checked(type(self), values, Path(f"scene {self.name}"))
+        return _checked(type(self), values, Path(f"scene {self.name}")).beside(self.folder)
 
 
 def module_of(scene: Scene) -> Any:
@@ -69,19 +101,13 @@ def load_scene(name_or_path: str | Path) -> Scene:
         InputError: no such scene, two scenes of the same name, broken TOML, an unknown key, a value out of range.
     """
     path = _find(str(name_or_path))
-    values = _parse(path)
+    values = read_toml(path, "a scene file")
     values.setdefault("name", path.stem)
     kind = values.get("kind")
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"expected one of {', '.join(KINDS)}", file=path, field="kind", value=kind)
-    return _checked(importlib.import_module(KINDS[kind]).SceneModel, values, path)
-
-
-def _parse(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(f"not a readable scene file ({error})", file=path) from error
+    scene: Scene = _checked(importlib.import_module(KINDS[kind]).SceneModel, values, path)
+    return scene.beside(path.absolute().parent)
 
 
 def _find(wanted: str) -> Path:
@@ -94,8 +120,8 @@ def _find(wanted: str) -> Path:
     names = set()
     for path in [*sorted(Path.cwd().glob("*.toml")), *sorted(library().glob("*.toml"))]:
         try:
-            values = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError):
+            values = read_toml(path, "a scene file")
+        except InputError:
             # A broken neighbour must not stop other scenes; asked for by name, it is reported when parsed.
             values = {}
         is_scene = "kind" in values or path.parent == library() or path.stem == wanted
@@ -115,6 +141,7 @@ def _find(wanted: str) -> Path:
 
 
 def _checked(model: type[S], values: dict[str, Any], path: Path) -> S:
+    checked(values, path)
     try:
         return model(**values)
     except pydantic.ValidationError as error:

@@ -5,16 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numexpr
 import numpy as np
 import pydantic
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from scenes.formula import evaluated
+from scenes.svg_file import first_path, parsed_path
 
 STEP = 0.0005
 """Spacing of the points that stand for the curve [m]; far below what a camera resolves."""
+
+LONGEST = 100.0
+"""Longest curve [m]: no arm follows more, and a slip of units must not fill the memory."""
 
 
 class Shape(pydantic.BaseModel):
@@ -59,14 +63,7 @@ class Shape(pydantic.BaseModel):
 
 def _formula(formula: str, length: float) -> Array:
     x = np.linspace(0.0, length, max(int(length / STEP), 200) + 1)
-    try:
-        y = numexpr.evaluate(formula, local_dict={"x": x, "pi": np.pi}, global_dict={})
-    except Exception as error:
-        raise InputError(f"cannot be evaluated ({error}); expected y [m] of x [m], e.g. 0.04*sin(2*pi*x/0.8)",
-                         field="line.formula", value=formula) from error
-    y = np.broadcast_to(np.asarray(y, dtype=float), x.shape)
-    if not np.all(np.isfinite(y)):
-        raise InputError("is not finite over the whole length", field="line.formula", value=formula)
+    y = evaluated(formula, x)
     return np.column_stack([x, y])
 
 
@@ -99,23 +96,7 @@ def _rounded(corners: Array, radius: float) -> Array:
 def _svg(svg: str, length: float | None, folder: Path | None) -> Array:
     import svgpathtools
 
-    path: Any
-    if svg.endswith(".svg"):
-        file = (folder or Path.cwd()) / svg
-        if not file.is_file():
-            raise InputError("no such SVG file", field="line.svg", value=svg)
-        try:
-            paths, _ = svgpathtools.svg2paths(str(file))
-        except Exception as error:
-            raise InputError(f"not a readable SVG file ({error})", file=file) from error
-        if not paths:
-            raise InputError("the SVG has no path", file=file)
-        path = paths[0]
-    else:
-        try:
-            path = svgpathtools.parse_path(svg)
-        except Exception as error:
-            raise InputError(f"broken SVG path ({error})", field="line.svg", value=svg[:60]) from error
+    path: Any = first_path(svg, folder or Path.cwd()) if svg.endswith(".svg") else parsed_path(svg)
     if len(path) == 0:
         raise InputError("broken SVG path: it draws nothing", field="line.svg", value=svg[:60])
     if not path.iscontinuous():
@@ -139,6 +120,8 @@ def _even(raw: Array) -> Array:
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(raw, axis=0), axis=1))])
     if len(raw) < 2 or s[-1] < 20 * STEP:
         raise InputError("the line is shorter than 10 mm", field="line", value=float(s[-1]) if len(s) else 0.0)
+    if not s[-1] <= LONGEST:
+        raise InputError(f"the line is longer than {LONGEST:g} m; is the unit right?", field="line", value=float(s[-1]))
     even = np.linspace(0.0, s[-1], round(s[-1] / STEP) + 1)
     # Straight pieces have few points: linear between them; curves come finely sampled and get a spline.
     if len(raw) > 300:

@@ -11,10 +11,12 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from ideal_robot.errors import InputError
 from scenes import result
 from scenes.scene import Scene
+from scenes.terminal import shown
 
 
 def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None) -> Scene:
@@ -34,25 +36,27 @@ def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None)
 @contextmanager
 def progress_bar(title: str) -> Iterator[result.Progress]:
     """A bar on standard error while the block runs; yields the function that moves it."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
                TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(title, total=1.0)
+        task = bar.add_task(shown(title), total=1.0)
 
         def move(fraction: float, text: str) -> None:
-            bar.update(task, completed=min(max(fraction, 0.0), 1.0), description=f"{title}: {text}" if text else title)
+            bar.update(task, completed=min(max(fraction, 0.0), 1.0),
+                       description=shown(f"{title}: {text}" if text else title))
 
         yield move
 
 
 def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     """Prints a table; floats with three significant digits."""
-    table = Table(title=title, title_justify="left")
+    # Text, not str: rich would take a name such as [/red] for its own markup.
+    table = Table(title=Text(shown(title)) if title else None, title_justify="left")
     for column in columns:
-        table.add_column(column)
+        table.add_column(Text(shown(column)))
     for row in rows:
         cells = (f"{cell:.3g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row)
-        table.add_row(*cells)
+        table.add_row(*(Text(shown(cell)) for cell in cells))
     Console().print(table)
 
 

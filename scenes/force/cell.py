@@ -118,8 +118,9 @@ def set_up(scene: ForceScene) -> Cell:
 def _as_line(scene: ForceScene) -> LineScene:
     """What of the scene says where line and reference are, as a line scene."""
     plane = Surface(**{key: getattr(scene.surface, key) for key in Surface.model_fields})
-    return LineScene(name=scene.name, kind="line", title=scene.title, surface=plane, line=scene.line,
+    line = LineScene(name=scene.name, kind="line", title=scene.title, surface=plane, line=scene.line,
                      reference=scene.reference, displacement=scene.displacement, seed=scene.seed)
+    return line.beside(scene.folder)
 
 
 def calibrate_tool(cell: Cell) -> ToolLoad:

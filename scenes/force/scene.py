@@ -135,4 +135,4 @@ class ForceScene(Scene):
 
     def path(self) -> np.ndarray:
         """The path in plane coordinates ``(N, 2)`` [m]."""
-        return Shape(**{key: getattr(self.line, key) for key in Shape.model_fields}).curve()
+        return Shape(**{key: getattr(self.line, key) for key in Shape.model_fields}).curve(self.folder)

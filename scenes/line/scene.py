@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -164,11 +163,11 @@ class Geometry:
     displacement: tuple[float, float, float]
 
 
-def geometry(scene: LineScene, rng: np.random.Generator, folder: Path | None = None) -> Geometry:
+def geometry(scene: LineScene, rng: np.random.Generator) -> Geometry:
     """Reference path and drawn line of a scene; ``rng`` draws where the line really is."""
     plane = scene.surface.pose()
-    nominal = Shape(**{key: getattr(scene.line, key) for key in Shape.model_fields}).curve(folder)
-    wanted = nominal if scene.reference.shape is None else scene.reference.shape.curve(folder)
+    nominal = Shape(**{key: getattr(scene.line, key) for key in Shape.model_fields}).curve(scene.folder)
+    wanted = nominal if scene.reference.shape is None else scene.reference.shape.curve(scene.folder)
     along, across, turn = scene.displacement.draw(rng)
     chord = nominal[-1] - nominal[0]
     # "Along" and "across" are the line's own directions, start to end; a closed line takes its x axis.

@@ -1,0 +1,119 @@
+"""Reading text files that others wrote: JSON and TOML within bounds of size, depth, count and magnitude.
+
+The bounds are checked on the text before a parser sees it and on the values before an array is made of them.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from ideal_robot.errors import InputError
+
+MAX_BYTES = 50_000_000
+"""Largest file [bytes]; a model of 30 joints takes 2 MB."""
+MAX_DEPTH = 30
+"""Deepest nesting of lists and tables."""
+MAX_ITEMS = 2_000_000
+"""Most values in one file."""
+MAX_NUMBER = 1e15
+"""Largest magnitude of a number; nothing that an arm has comes near it in SI units."""
+
+_QUOTED = re.compile(r'"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'')
+
+
+def read_text(path: Path, what: str, limit: int = MAX_BYTES) -> str:
+    """The text of a UTF-8 file.
+
+    Args:
+        path: the file.
+        what: what it should be, for the message, e.g. ``"a model file"``.
+        limit: largest size [bytes].
+
+    Raises:
+        InputError: not a plain file, larger than ``limit``, not UTF-8.
+    """
+    try:
+        if not path.is_file():
+            raise InputError(f"no such file; expected {what}", file=path)
+        if path.stat().st_size > limit:
+            raise InputError(f"larger than {limit / 1e6:.3g} MB; is this {what}?", file=path)
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read as {what} ({_short(error)})", file=path) from error
+
+
+def read_json(path: Path, what: str) -> Any:
+    """The checked values of a JSON file; raises InputError as ``read_text`` and ``checked`` do."""
+    text = read_text(path, what)
+    _shallow(text, path, what)
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=path) from error
+    return checked(values, path)
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The checked values of a TOML file; raises InputError as ``read_text`` and ``checked`` do."""
+    text = read_text(path, what, limit=2_000_000)
+    _shallow(text, path, what)
+    try:
+        values = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=path) from error
+    table: dict[str, Any] = checked(values, path)
+    return table
+
+
+def checked(values: Any, file: str | Path | None = None) -> Any:
+    """The same values, if they are finite numbers, texts, truth values, lists and tables within the bounds.
+
+    Raises:
+        InputError: not finite, larger than ``MAX_NUMBER``, too deep, too many; names the key.
+    """
+    todo: list[tuple[str, Any, int]] = [("", values, 0)]
+    count = 0
+    while todo:
+        key, value, depth = todo.pop()
+        count += 1
+        if count > MAX_ITEMS:
+            raise InputError(f"holds more than {MAX_ITEMS} values", file=file)
+        if depth > MAX_DEPTH:
+            raise InputError(f"nested deeper than {MAX_DEPTH}", file=file, field=key[:60])
+        if isinstance(value, dict):
+            todo.extend((f"{key}.{name}" if key else str(name), item, depth + 1) for name, item in value.items())
+        elif isinstance(value, (list, tuple)):
+            todo.extend((f"{key}.{i}", item, depth + 1) for i, item in enumerate(value))
+        elif isinstance(value, (int, float)) and not isinstance(value, bool):
+            _number(value, key, file)
+    return values
+
+
+def _number(value: float, key: str, file: str | Path | None) -> None:
+    if isinstance(value, float) and not math.isfinite(value):
+        raise InputError("expected a finite number", file=file, field=key, value=value)
+    if abs(value) > MAX_NUMBER:
+        raise InputError(f"larger than {MAX_NUMBER:g}; is the unit right?", file=file, field=key,
+                         value=value if isinstance(value, float) else f"{str(value)[:20]}…")
+
+
+def _shallow(text: str, path: Path, what: str) -> None:
+    """Refuses what would overflow a parser's stack: brackets outside quotes, or keys of many dots, nested too deep."""
+    bare = _QUOTED.sub("", text)
+    depth = 0
+    for bracket in re.finditer(r"[\[{\]}]", bare):
+        depth += 1 if bracket.group() in "[{" else -1
+        # Quotes that never close hide brackets or show too many; the parser itself names those.
+        if depth > 20 * MAX_DEPTH:
+            raise InputError(f"nested deeper than {MAX_DEPTH}; is this {what}?", file=path)
+    if re.search(rf"(?:[\w\"'-]+\s*\.\s*){{{10 * MAX_DEPTH},}}", text):
+        raise InputError(f"a key of more than {MAX_DEPTH} parts", file=path)
+
+
+def _short(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__
