@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-Progress = Callable[[float, str], None]
-"""Called with the fraction done (0 to 1) and a word for what is being done."""
+from ideal_robot.progress import Progress, silent
 
-
-def silent(fraction: float, text: str) -> None:
-    """Progress that nobody watches."""
+__all__ = ["Progress", "RunResult", "silent"]
 
 
 class RunResult(Protocol):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.execution.interface import RobotState
 
 
 class Feedforward(ABC):
@@ -41,6 +42,15 @@ class Feedforward(ABC):
         Returns:
             ``q_c (n,)`` [rad] and the next state.
         """
+
+    def observe(self, state: Any, measured: RobotState) -> Any:
+        """Takes what the controller told at the end of a cycle, returns the next state; changes nothing by default.
+
+        Args:
+            state: what the last ``step`` returned.
+            measured: motor angles ``(n,)`` [rad] and motor torques ``(n,)`` [N m] at the end of the cycle.
+        """
+        return state
 
     def along(self, q_d: Array) -> Array:
         """Commands ``(N, n)`` [rad] of a whole path ``q_d (N, n)`` [rad] that is known beforehand and ends at rest."""

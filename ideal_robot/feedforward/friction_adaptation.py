@@ -151,15 +151,18 @@ class AdaptedIdeal(Feedforward):
     Args:
         ideal: what is adapted.
         adaptation: how.
+        known: the factors to start with; 1, believed to 15 %, if None.
     """
 
-    def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None) -> None:
-        self.ideal = ideal
+    def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None,
+                 known: FrictionFactors | None = None) -> None:
+        self.ideal, self.known = ideal, known
         self.adaptation = FrictionAdaptation(ideal.loop) if adaptation is None else adaptation
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
 
     def init(self, q0: Array, factors: FrictionFactors | None = None) -> AdaptedState:
         """At rest at ``q0``, with the factors known from before, if any."""
+        factors = self.known if factors is None else factors
         return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
+from ideal_robot.feedforward.registry import methods
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors, reduction_percent
 from scenes.models import model_for
-from scenes.path.methods import METHODS as PLAIN
 from scenes.path.methods import Workshop
 from scenes.path.player import Play
 from scenes.path.scene import JointPath, PathScene, joint_path
@@ -22,8 +22,7 @@ from sim.arm.world import World
 
 SceneModel = PathScene
 DELAY = "_delay"
-METHODS = (*PLAIN, *(method + DELAY for method in PLAIN))
-"""Every key that ``--method`` takes."""
+"""Behind a method's key: the standard path planner's delay is in force."""
 REFERENCE = "none"
 """What reductions are relative to, with the planner's delay too: it is the smaller error, so the stricter measure."""
 
@@ -184,8 +183,9 @@ def run(scene: PathScene, *, method: str | None = None, out: Path | None = None,
         InputError: no such method, or a scene that cannot be played.
     """
     chosen = method or scene.method
-    if chosen not in METHODS:
-        raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=chosen)
+    if chosen.removesuffix(DELAY) not in methods():
+        raise InputError(f"expected one of {', '.join(methods())}, with or without {DELAY}", field="method",
+                         value=chosen)
     place = workshop(scene, delay=chosen.endswith(DELAY))
     result = _played(scene, place, chosen, progress)
     if out is None:
@@ -199,13 +199,14 @@ def compare(scene: PathScene, *, out: Path | None = None, progress: Progress = s
     """Plays the scene's path with every method, with and without the standard path planner's delay."""
     runs: dict[str, PathResult] = {}
     criterion: tuple[float, ...] = ()
+    keys = methods()
     for delay in (False, True):
         place = workshop(scene, delay=delay)
-        for i, method in enumerate(PLAIN):
+        for i, method in enumerate(keys):
             key = method + DELAY if delay else method
-            share = (i + len(PLAIN) * delay) / (2 * len(PLAIN))
+            share = (i + len(keys) * delay) / (2 * len(keys))
             progress(share, key)
-            runs[key] = _played(scene, place, key, _part(progress, share, 1 / (2 * len(PLAIN)), key))
+            runs[key] = _played(scene, place, key, _part(progress, share, 1 / (2 * len(keys)), key))
         if not delay:
             criterion = place.learned().criterion
     comparison = PathComparison(scene, runs, criterion)
@@ -221,8 +222,7 @@ def _part(progress: Progress, start: float, share: float, key: str) -> Progress:
 
 
 def _played(scene: PathScene, place: Workshop, key: str, progress: Progress) -> PathResult:
-    feedforward, state = place.feedforward(key.removesuffix(DELAY), progress)
-    played = place.play(feedforward, state=state)
+    played = place.play(place.feedforward(key.removesuffix(DELAY), progress))
     progress(1.0, key)
     meta = {**played.recording.meta, "scene": scene.name, "method": key, "seed": scene.seed}
     played = replace(played, recording=replace(played.recording, meta=meta))

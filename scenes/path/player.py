@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.tcp_errors import AXES, joint_errors, pose_errors
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -53,24 +52,30 @@ class Play:
     state: object
 
 
-def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, rng: np.random.Generator,
-         *, state: object = None) -> Play:
-    """Plays ``path`` once, from rest at its start; ``state`` of the feedforward if not a fresh one."""
+def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, rng: np.random.Generator
+         ) -> Play:
+    """Plays ``path`` once, from rest at its start.
+
+    Args:
+        robot, world: the arm.
+        path: what is played.
+        feedforward: what corrects it.
+        rng: of the arm's noise.
+    """
     q_d, n_d = path.q_d, feedforward.n_d
     ahead = np.concatenate([q_d, np.tile(q_d[-1], (n_d, 1))])
     q_c, times = np.empty_like(q_d), np.empty(len(q_d))
     with SimulatedArm(robot, world, rng, q_d[0]) as arm:
-        current = feedforward.init(q_d[0]) if state is None else state
+        current = feedforward.init(q_d[0])
         begun = time.perf_counter()
         for k in range(len(q_d)):
             started = time.perf_counter()
             q_c[k], current = feedforward.step(current, ahead[k : k + n_d])
             times[k] = time.perf_counter() - started
             measured = arm.cycle(q_c[k])
-            if isinstance(feedforward, AdaptedIdeal):
-                started = time.perf_counter()
-                current = feedforward.observe(current, measured)
-                times[k] += time.perf_counter() - started
+            started = time.perf_counter()
+            current = feedforward.observe(current, measured)
+            times[k] += time.perf_counter() - started
         wall = time.perf_counter() - begun
         history = arm.history()
         recording = arm.recording(external=True)

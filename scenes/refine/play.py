@@ -23,7 +23,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
 from scenes.line.scene import LineScene
 from scenes.metrics import PathErrors
-from scenes.path.methods import Workshop, training_motion
+from scenes.path.methods import Workshop, training_path
 from scenes.path.play import workshop
 from scenes.path.scene import JointPath, PathScene
 from scenes.result import Progress, silent
@@ -99,7 +99,7 @@ def close_loop(scene: Scene, *, out: Path | None = None,
     place = workshop(scene, delay=False)
     undeclared = undeclared_effects(scene, place.robot.n)
     progress(0.0, "before")
-    before = place.play(place.feedforward("ideal")[0])
+    before = place.play(place.feedforward("ideal"))
     progress(0.15, "diagnostic motion")
     recording = place.play(PassThrough(place.world.t_ipo), path=diagnostic_motion(place)).recording
     progress(0.3, "diagnose")
@@ -138,7 +138,7 @@ def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
 
 def diagnostic_motion(place: Workshop) -> JointPath:
     """All joints about the path's postures, at full, half and a fifth of the path's speed, one after another."""
-    fast = training_motion(place.path, place.world.t_ipo)
+    fast = training_path(place.path, place.world.t_ipo)
     parts = [fast.q_d]
     for slowness in (2, 5):
         at = np.arange(0.0, len(fast.q_d) - 1, 1.0 / slowness)
@@ -157,4 +157,4 @@ def _joined(end: np.ndarray, part: np.ndarray, steps: int = 80) -> np.ndarray:
 
 def _played(place: Workshop, model: Model) -> PathErrors:
     again = dataclasses.replace(place, model=model)
-    return again.play(again.feedforward("ideal")[0]).errors
+    return again.play(again.feedforward("ideal")).errors

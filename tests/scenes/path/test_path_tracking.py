@@ -57,7 +57,7 @@ def test_the_same_seed_gives_the_same_recording():
 @pytest.mark.parametrize("source", ["arm", "tcp"])
 def test_what_learning_measures_is_what_happened(source):
     place = workshop(short("iso9283_3"), delay=False)
-    played = place.play(place.feedforward("none")[0])
+    played = place.play(place.feedforward("none"))
     measured = measured_errors(place.robot, place.path, played.recording, source)
     true = place.path.q_d - played.q_a[: len(place.path.q_d)]
     # The device's noise, 20 µm and 20 µrad, shows as up to a tenth of a milliradian in the wrist.
@@ -67,7 +67,7 @@ def test_what_learning_measures_is_what_happened(source):
 def test_two_degrees_of_freedom_are_enough_to_learn_from():
     scene = short("iso9283_3").changed(learn_from="two_dof")
     place = workshop(scene, delay=False)
-    errors = [place.play(place.feedforward(method)[0]).errors.time_matched.E_car for method in ("none", "learned_3")]
+    errors = [place.play(place.feedforward(method)).errors.time_matched.E_car for method in ("none", "learned_3")]
     assert errors[1] < 0.5 * errors[0]
 
 

@@ -1,0 +1,102 @@
+"""Methods by their key: laws over all of them, and one that a user adds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.method import Needs, Setting
+from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.feedforward.practice import Practice, Rehearsed
+from ideal_robot.feedforward.registry import feedforward, method, methods, register, unregister
+from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+
+MODELS = Path(__file__).parents[3] / "scenes" / "models"
+ROBOT = Robot.load("kr6")
+MODEL = Model.load(MODELS / "kr6.json")
+
+
+def path() -> np.ndarray:
+    """Half a second of rest, a smooth move of all joints, rest again."""
+    s = np.clip(np.linspace(-0.5, 1.5, 120), 0.0, 1.0)[:, None]
+    return ROBOT.home + 0.1 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def practice() -> Practice:
+    """An arm to play on: the identified loop itself, with gears a little softer."""
+    loop = loop_model(MODEL, ROBOT, delay=0)
+    arm = loop.replace(stiffness=0.9 * loop.stiffness)
+
+    def play(law: Feedforward, q_d: np.ndarray) -> Rehearsed:
+        return Rehearsed(law.init(q_d[0]), lambda: np.asarray(q_d - simulate(arm, law.along(q_d)).q_a[:-1]))
+
+    return Practice(play, ROBOT)
+
+
+@pytest.mark.parametrize("key", [key for key in methods() if method(key).needs <= Needs.PATH])
+def test_every_method_is_made_by_its_key_and_holds_an_arm_at_rest(key: str) -> None:
+    law = feedforward(key, MODEL, ROBOT, q_d=path())
+    state = law.init(ROBOT.home)
+    for _ in range(20):
+        q_c, state = law.step(state, np.tile(ROBOT.home, (law.n_d, 1)))
+    assert np.max(np.abs(q_c - ROBOT.home)) < 0.01
+    assert method(key).description
+
+
+def test_a_method_that_learns_on_the_arm_shares_its_plays() -> None:
+    place = practice()
+    laws = [feedforward(f"learned_{p}", MODEL, ROBOT, q_d=path(), practice=place) for p in (1, 4)]
+    q_d = path()
+    off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in laws]
+    plain = np.sqrt(np.mean(place.play(PassThrough(ROBOT.t_ipo), q_d).errors() ** 2))
+    assert off[1] <= off[0] < 0.3 * plain
+
+
+@pytest.mark.parametrize(("key", "field"), [("ideal", "model"), ("linear", "q_d"), ("trained", "practice"),
+                                            ("unknown", "method")])
+def test_what_is_missing_is_named(key: str, field: str) -> None:
+    given = {"model": None if field == "model" else MODEL, "q_d": None if field == "q_d" else path()}
+    with pytest.raises(InputError) as caught:
+        feedforward(key, given["model"], ROBOT, q_d=given["q_d"])
+    assert caught.value.field == field
+
+
+class HalfAhead(PassThrough):
+    """Commands the middle of the next cycle."""
+
+    n_d = 2
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting.robot.t_ipo)
+
+    def step(self, state: None, q_d: np.ndarray, tau_ext_d: np.ndarray | None = None) -> tuple[np.ndarray, None]:
+        return 0.5 * (q_d[0] + q_d[-1]), None
+
+
+@pytest.fixture
+def own() -> Iterator[str]:
+    register("half_ahead", HalfAhead, needs=Needs.NOTHING)
+    yield "half_ahead"
+    unregister("half_ahead")
+
+
+def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
+    assert methods()[-1] == own
+    assert own in methods(Needs.NOTHING)
+    assert "ideal" not in methods(Needs.NOTHING)
+    assert method(own).description == "Commands the middle of the next cycle."
+    q_d = path()
+    commands = feedforward(own, None, ROBOT).along(q_d)
+    np.testing.assert_allclose(commands[:-1], 0.5 * (q_d[:-1] + q_d[1:]))
+    with pytest.raises(InputError, match="another name"):
+        register(own, PassThrough)
+    with pytest.raises(InputError, match="lower case"):
+        register("My Method", HalfAhead)
