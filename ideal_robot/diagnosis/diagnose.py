@@ -135,8 +135,8 @@ class TorqueDiagnosis:
     def _search(self, raw: Experiment, data: Data) -> tuple[list[Choice], Array | None]:
         effects = tuple(effect for effect in library() if effect.domain == MOTOR_TORQUE)
 
-        def search(prior: Array | None, in_base: bool) -> Search:
-            return Search(raw, data, effects, prior=prior, in_base=in_base, options=self.options, rng=self.rng,
+        def search(prior: Array | None, absorbed: bool) -> Search:
+            return Search(raw, data, effects, prior=prior, absorbed=absorbed, options=self.options, rng=self.rng,
                           progress=self.report, only=self.only)
 
         if self.given is None or not np.any(self.start.covariance):
@@ -148,7 +148,7 @@ class TorqueDiagnosis:
         held.run()
         held.settle(prior)
         free = search(None, False)
-        free.choices = [c for c in held.choices if not c.candidate.effect.in_base]
+        free.choices = [c for c in held.choices if not c.candidate.effect.absorbed_by_base]
         free.adopt(held)
         if self._loss(held) < 1.05 * self._loss(free):
             return held.choices, prior
@@ -217,11 +217,11 @@ class TorqueDiagnosis:
             made = build(self.recording, self.robot, raw, stiffness)
             if made is None:
                 continue
-            self.report(0.85, domain.replace("_", " "))
+            self.report(0.85, domain.name.replace("_", " "))
             other = None if seen is None or self.validate is None else build(self.validate, self.robot, seen, stiffness)
             blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
             data = Data(made.y, made.W, made.use, blocks)
-            search = Search(made, data, tuple(e for e in library() if e.domain == domain), prior=None, in_base=True,
+            search = Search(made, data, tuple(e for e in library() if e.domain == domain), prior=None, absorbed=True,
                             options=self.options, rng=self.rng, progress=lambda share, word: None, only=self.only)
             choices = search.run()
             if domain == TCP_POSITION:
@@ -245,7 +245,7 @@ class TorqueDiagnosis:
         effects = tuple(e for e in library() if e.domain == SENSOR)
         allowed = tuple((e.name, 0) for e in effects if self.only is None or (e.name, 0) in self.only)
         data = Data(made.y, made.W, made.use, blocks)
-        choices = Search(made, data, effects, prior=None, in_base=True, options=self.options, rng=self.rng,
+        choices = Search(made, data, effects, prior=None, absorbed=True, options=self.options, rng=self.rng,
                          progress=lambda share, word: None, only=allowed).run()
         every = Blocks(blocks.edges, np.zeros(blocks.count, dtype=int), 0)
         final = estimate(made, Data(made.y, made.W, made.use, every), [c.candidate for c in choices], None)

@@ -10,7 +10,9 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.domain import MOTOR_TORQUE, TCP_POSITION, Domain, domain_of
+from ideal_robot.effects.signals import Signals
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Unknown(Effect):
         depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
         directed: whether the curve is multiplied by the sign of the joint's velocity.
         knots: knots of each signal's spline, ends included.
-        head: first part of the name of the channel it acts on.
+        domain: where it acts.
         frequency: for a term periodic in the signal: its angular frequency instead of a spline.
     """
 
@@ -32,9 +34,10 @@ class Unknown(Effect):
     knots: tuple[tuple[float, ...], ...]
     frequency: float = 0.0
     margin: float = 0.1
-    head: str = "tau"
+    domain: Domain = MOTOR_TORQUE
 
     name = "unknown"
+    learned = True
     source = "learned from the residual"
 
     @classmethod
@@ -42,23 +45,25 @@ class Unknown(Effect):
         """Reads what ``to_data`` wrote."""
         return cls(tuple(str(s) for s in data["depends_on"]), bool(data["directed"]),
                    tuple(tuple(float(v) for v in k) for k in data["knots"]), float(data.get("frequency", 0.0)),
-                   head=str(data.get("head", "tau")))
+                   # Files of earlier versions call it "head".
+                   domain=domain_of(str(data.get("prefix", data.get("head", MOTOR_TORQUE.prefix)))))
 
     def to_data(self) -> dict[str, Any]:
         """What the model file has to remember."""
         return {"depends_on": list(self.depends_on), "directed": self.directed,
-                "knots": [list(k) for k in self.knots], "frequency": self.frequency, "head": self.head}
+                "knots": [list(k) for k in self.knots], "frequency": self.frequency, "prefix": self.domain.prefix}
 
-    def channel(self, joint: int) -> str:
-        """Name of the channel it acts on."""
-        return f"{self.head}_{joint}"
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """None: a curve has no physical numbers."""
+        return []
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, m)``: the basis functions on the joint's channel."""
         basis = self.basis(signals)
         if self.directed:
             basis = basis * signals.sliding_direction(joint)[:, None]
-        if self.head == "tcp":
+        if self.domain == TCP_POSITION:
             result = np.zeros((len(signals.t), 3, basis.shape[1]))
             result[:, joint - 1] = basis
             return result
@@ -96,10 +101,10 @@ def signal_of(signals: Signals, name: str) -> Array:
     """The signal ``(N,)`` of a name such as ``q_2``, ``qd_1``, ``qdd_3``, ``load_2``, ``temp_1``, ``t``."""
     if name == "t":
         return signals.t
-    head, _, tail = name.rpartition("_")
+    kind, _, tail = name.rpartition("_")
     table = {"q": signals.q, "qd": signals.qd, "qdd": signals.qdd, "load": signals.load, "temp": signals.temperature}
-    if tail.isdigit() and head in table:
-        values = table[head]
+    if tail.isdigit() and kind in table:
+        values = table[kind]
         # A temperature that one recording has and another has not: then the term says nothing.
         return np.zeros_like(signals.t) if values is None else np.asarray(values[:, int(tail) - 1])
     if name in signals.extra:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import EffectParameter, FittedEffect
+from ideal_robot.effects import EffectParameter, FittedEffect
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording

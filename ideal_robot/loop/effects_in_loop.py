@@ -1,8 +1,7 @@
 """Found effects in the simulation of the identified loop, where the loop has a place for them.
 
-The loop knows friction as a table over speed, friction by load, bending after reversals, offsets and soft gears.
-Effects without such a place (ripple, springs, delays of the measurement, learned terms) act in
-``Model.inverse_dynamics`` only.
+Each effect says what it changes in its joint's drive (``Effect.drive_change``). Effects without such a place (springs,
+delays of the measurement, learned terms) act in ``Model.inverse_dynamics`` only.
 """
 
 from __future__ import annotations
@@ -10,10 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects import FittedEffect, Signals
+from ideal_robot.effects import DriveChange, FittedEffect, Signals
 from ideal_robot.loop.loop_model import LoopModel
-
-_CURVES = ("viscous", "coulomb", "degressive", "stribeck", "asymmetric_friction")
 
 
 def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopModel:
@@ -21,35 +18,44 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
     torque, load, bend = loop.friction_torque.copy(), loop.friction_load.copy(), loop.friction_bend.copy()
     offset, rotor = loop.offset.copy(), loop.rotor_inertia.copy()
     compliance = loop.compliance.copy()
-    measured_behind = {e.joint for e in effects if e.name == "joint_elasticity" and e.channel.startswith("qa")}
-    for effect in effects:
+    ripples = [loop.ripple] if len(loop.ripple) else []
+    changes = _changes(effects)
+    from_arm_angle = {effect.joint for effect, change in changes if change.from_arm_angle}
+    for effect, change in changes:
         j = effect.joint - 1
-        if j < 0:
-            continue
-        size = effect.coefficients[0]
-        if effect.name in _CURVES and effect.channel.startswith("tau"):
+        if change.friction_curve:
             for side, sense in enumerate((1.0, -1.0)):
                 torque[side] += sense * _curve(effect, sense * loop.friction_velocity)
-        elif effect.name == "load_dependent_friction":
-            load[j] += size
-        elif effect.name == "presliding_hysteresis":
-            bend[j] = max(bend[j], effect.theta[0])
-        elif effect.name == "current_offset":
-            offset[j] += size
-        elif effect.name == "rotor_inertia":
-            rotor[j] = max(rotor[j] + size, 1e-6)
-        elif effect.name == "joint_elasticity" and not _weaker(effect, measured_behind):
-            # A gear that was known already: the effect is what it gives beyond that.
-            compliance[j] = max(compliance[j] + size, 0.0) if effect.channel.startswith(("qa", "tcp")) else size
+        load[j] += change.friction_per_load
+        bend[j] = max(bend[j], change.presliding)
+        offset[j] += change.offset
+        if change.rotor_inertia:
+            rotor[j] = max(rotor[j] + change.rotor_inertia, 1e-6)
+        if change.ripple is not None:
+            row = np.zeros((1, 3, len(offset)))
+            row[0, :, j] = change.ripple
+            ripples.append(row)
+        if effect.joint in from_arm_angle and not change.from_arm_angle:
+            continue
+        if change.gear_compliance is not None:
+            compliance[j] = change.gear_compliance
+        if change.further_compliance is not None:
+            compliance[j] = max(compliance[j] + change.further_compliance, 0.0)
     with np.errstate(divide="ignore"):
         stiffness = np.where(compliance > 0.0, 1.0 / np.maximum(compliance, 1e-300), np.inf)
+    ripple = np.concatenate(ripples) if ripples else np.zeros((0, 3, len(offset)))
     return loop.replace(friction_torque=np.maximum(torque, 0.0), friction_load=np.maximum(load, 0.0),
-                        friction_bend=bend, offset=offset, rotor_inertia=rotor, stiffness=stiffness)
+                        friction_bend=bend, offset=offset, rotor_inertia=rotor, stiffness=stiffness, ripple=ripple)
 
 
-def _weaker(effect: FittedEffect, measured_behind: set[int]) -> bool:
-    """Whether a better witness of the same gear is there: the measured arm angle beats the torque."""
-    return effect.joint in measured_behind and not effect.channel.startswith("qa")
+def _changes(effects: tuple[FittedEffect, ...]) -> list[tuple[FittedEffect, DriveChange]]:
+    """Effects of single joints for which the loop has a place, with what they change."""
+    result = []
+    for effect in effects:
+        change = effect.effect.drive_change(effect.coefficients, effect.theta) if effect.joint > 0 else None
+        if change is not None:
+            result.append((effect, change))
+    return result
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:

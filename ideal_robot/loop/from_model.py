@@ -63,7 +63,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         delay=whole,
         t_ipo=robot.t_ipo, t_position=robot.t_position, t_velocity=robot.t_velocity,
         tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
-        v_max=np.array(robot.v_max), ripple=_ripple(model),
+        v_max=np.array(robot.v_max), ripple=np.zeros((0, 3, n)),
     )
     return with_effects(loop, model.effects) if model.effects else loop
 
@@ -74,15 +74,6 @@ def _elastic(model: Model) -> Array:
         return np.full(model.n, np.inf)
     rigid = model.stiffness > (2 * np.pi * _FASTEST) ** 2 * np.maximum(model.rotor_inertia, 1e-6)
     return np.where(rigid, np.inf, model.stiffness)
-
-
-def _ripple(model: Model) -> Array:
-    """Effects ``torque_ripple`` of the model as ``(m, 3, n)``, see ``LoopModel``."""
-    effects = [effect for effect in model.effects if effect.name == "torque_ripple" and effect.joint > 0]
-    rows = np.zeros((len(effects), 3, model.n))
-    for row, effect in zip(rows, effects, strict=True):
-        row[:, effect.joint - 1] = (effect.theta[0], *effect.coefficients)
-    return rows
 
 
 def cascade_gains(controller: ControllerModel) -> tuple[Array, Array, Array, Array]:

@@ -21,7 +21,7 @@ from ideal_robot.dynamics import (
     torques,
     with_link_parameters,
 )
-from ideal_robot.effects.base import MOTOR_TORQUE, FittedEffect, Signals
+from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.controller_model import ControllerModel

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.dynamics import BaseParameters
-from ideal_robot.effects.base import FittedEffect
+from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.controller_model import ControllerModel

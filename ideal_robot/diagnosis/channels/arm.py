@@ -14,8 +14,7 @@ from ideal_robot.diagnosis.channels.motor_torque import Experiment
 from ideal_robot.diagnosis.search.choice import Choice
 from ideal_robot.diagnosis.statistics.cross_products import Data
 from ideal_robot.diagnosis.statistics.estimate import estimate
-from ideal_robot.effects.base import Frames, Signals
-from ideal_robot.effects.tcp.tcp import KinematicError, ThermalGrowth
+from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames, Signals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import resampled
 from ideal_robot.signals.recording import Recording
@@ -68,7 +67,8 @@ def arm_experiment(recording: Recording, robot: Robot, torque: Experiment,
     names = tuple(f"qa_{j + 1}" for j in range(n))
     units = tuple("m" if unit == "N" else "rad" for unit in torque.units)
     return dataclasses.replace(torque, channels=names, units=units, y=y, measured=y - y.mean(axis=0),
-                               W=W, use=np.ones(y.shape, dtype=bool), quiet=noise_in_band(y, torque), head="qa")
+                               W=W, use=np.ones(y.shape, dtype=bool), quiet=noise_in_band(y, torque),
+                               domain=ARM_POSITION)
 
 
 def tcp_experiment(recording: Recording, robot: Robot, torque: Experiment,
@@ -101,7 +101,7 @@ def tcp_experiment(recording: Recording, robot: Robot, torque: Experiment,
     signals = dataclasses.replace(torque.signals, q=q, load=load, frames=frames)
     own = {f.name: getattr(torque, f.name) for f in dataclasses.fields(Experiment)}
     own |= {"channels": ("x", "y", "z"), "units": ("m",) * 3, "y": y, "measured": y - y.mean(axis=0),
-            "W": torque.decimate(W), "use": np.ones(y.shape, dtype=bool), "signals": signals, "head": "tcp",
+            "W": torque.decimate(W), "use": np.ones(y.shape, dtype=bool), "signals": signals, "domain": TCP_POSITION,
             "quiet": noise_in_band(y, torque)}
     return ToolExperiment(**own, prismatic=tuple(unit == "N" for unit in torque.units))
 
@@ -120,7 +120,7 @@ def with_equivalents(made: Experiment, data: Data, choices: list[Choice], share:
     for k, choice in enumerate(choices):
         effect, joint, theta = choice.candidate.effect, choice.candidate.joint, choice.candidate.theta
         more: list[tuple[str, int, float]] = []
-        if isinstance(effect, KinematicError | ThermalGrowth):
+        if effect.geometric:
             own = made.decimate(effect.columns(made.signals, joint, theta) @ found.coefficients[k]).reshape(-1)
             W = made.W.reshape(len(own), -1)
             alone = float(np.sum(_without(W, own) ** 2))

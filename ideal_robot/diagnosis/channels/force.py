@@ -18,6 +18,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm import frames_along, noise_in_band
 from ideal_robot.diagnosis.channels.motor_torque import Experiment
 from ideal_robot.diagnosis.statistics.cross_products import Blocks, time_blocks
+from ideal_robot.effects import SENSOR
 from ideal_robot.effects.learned import spline_basis
 from ideal_robot.effects.sensor.force_bias import MOMENTS
 from ideal_robot.effects.sensor.force_compliance import ASSUMED_GIVE, CONTACT_FORCE
@@ -187,7 +188,7 @@ def wrench_experiment(wrench: Wrench, torque: Experiment, turns: bool) -> Experi
              **{f"gravity_{axis}": wrench.pull[:, i] for i, axis in enumerate("xyz")}}
     names = ("fx", "fy", "fz", "mx", "my", "mz")[:count]
     units = ("N", "N", "N", "N m", "N m", "N m")[:count]
-    return _made(torque, filtered, names, units, y, filtered.decimate(W), extra, y, "force")
+    return _made(torque, filtered, names, units, y, filtered.decimate(W), extra, y)
 
 
 def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torque: Experiment,
@@ -223,7 +224,7 @@ def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torqu
     small = filtered.decimate(y)
     extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
     made = _made(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra,
-                 (small - small.mean())[:, None], "force")
+                 (small - small.mean())[:, None])
     return dataclasses.replace(made, quiet=wide * np.sqrt(2.0 * band * dt * filtered.factor))
 
 
@@ -300,8 +301,8 @@ def _only(torque: Experiment, mask: np.ndarray) -> FilteredSignals:
 
 
 def _made(torque: Experiment, filtered: FilteredSignals, channels: tuple[str, ...], units: tuple[str, ...], y: Array,
-          W: Array, extra: dict[str, Array], measured: Array, head: str) -> Experiment:
+          W: Array, extra: dict[str, Array], measured: Array) -> Experiment:
     signals = dataclasses.replace(torque.signals, extra=extra, frames=None)
     return dataclasses.replace(torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
                                measured=measured, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
-                               filtered=filtered, quiet=noise_in_band(y, torque), head=head)
+                               filtered=filtered, quiet=noise_in_band(y, torque), domain=SENSOR)

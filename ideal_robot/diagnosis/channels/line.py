@@ -134,7 +134,7 @@ def line_experiment(recording: Recording, robot: Robot, torque: Experiment,
     quiet = np.array([np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0) if len(jumps) else 0.0])
     y, constant = residual[:, None], np.ones((len(residual), 1, 1))
     return LineExperiment(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
-                          torque.filtered, {}, quiet, "line", field=number[rows])
+                          torque.filtered, {}, quiet, SENSOR, field=number[rows])
 
 
 def line_blocks(made: LineExperiment, held_out: bool) -> Blocks:

@@ -14,7 +14,7 @@ from scipy import interpolate
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
-from ideal_robot.effects.base import MOTOR_TORQUE, Signals
+from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.robots.robot import Robot
@@ -48,7 +48,7 @@ class Experiment:
         signals: undecimated signals for effects.
         filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
         undecided: joints (from 1) that move too little, with the reason.
-        head: first part of the channels' names in effects.
+        domain: where its effects act.
         quiet: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
     """
 
@@ -63,11 +63,11 @@ class Experiment:
     filtered: FilteredSignals = field(repr=False)
     undecided: dict[int, str]
     quiet: Array
-    head: str = "tau"
+    domain: Domain = MOTOR_TORQUE
 
     def channel_of(self, joint: int) -> int | None:
         """Index of the channel of a joint; None where effects do not belong to one channel."""
-        return joint - 1 if joint and self.head != "tcp" else None
+        return joint - 1 if joint else None
 
     def decimate(self, columns: Array) -> Array:
         """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""

@@ -11,7 +11,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import Experiment
 from ideal_robot.diagnosis.statistics.cross_products import Columns, Data
 from ideal_robot.effects import Effect, Signals
-from ideal_robot.effects.torque.torque_ripple import TorqueRipple
 
 
 @dataclass(frozen=True)
@@ -62,60 +61,23 @@ def prepared(experiment: Experiment, data: Data, columns: Array) -> Columns:
 
 
 def candidates(library: tuple[Effect, ...], signals: Signals, undecided: dict[int, str],
-               in_base: bool) -> Iterator[list[Candidate]]:
+               absorbed: bool) -> Iterator[list[Candidate]]:
     """For every effect and joint the list of its starts, joints that move too little left out.
 
     Args:
         library: effects to try.
         signals: of the recording.
         undecided: joints that cannot be decided.
-        in_base: whether effects may be tried that the model's own parameters can take over.
+        absorbed: whether effects may be tried that the model's own parameters can take over.
     """
     for effect in library:
-        if effect.in_base and not in_base:
+        if effect.absorbed_by_base and not absorbed:
             continue
         for joint in effect.joints(signals):
             if joint in undecided or not effect.usable(signals, joint):
                 continue
-            if isinstance(effect, TorqueRipple):
+            if effect.scanned:
                 yield [Candidate(effect, joint)]
                 continue
             starts = effect.starts(signals, joint)
             yield [Candidate(effect, joint, theta, len(starts)) for theta in starts]
-
-
-def scanned(effect: TorqueRipple, joint: int, signals: Signals, residual: Array, use: np.ndarray,
-            peaks: int = 3) -> list[Candidate]:
-    """Orders of a ripple at the highest peaks of the residual's spectrum over position.
-
-    The residual is summed in narrow bins of position; the Fourier transform of those sums is that of the residual at
-    the (unevenly spread) positions.
-
-    Args:
-        effect, joint: the ripple.
-        signals: at the rows of the residual.
-        residual, use: of the joint's channel ``(N,)``.
-        peaks: how many peaks.
-    """
-    q = signals.q[:, joint - 1]
-    low, high = effect.bounds(signals, joint)[0]
-    span = float(np.ptp(q)) + 1e-12
-    # Fine enough that a bin is an eighth of the shortest period.
-    count = int(np.clip(8.0 * high * span / (2.0 * np.pi), 64, 1 << 17))
-    index = np.clip(((q - q.min()) / span * count).astype(int), 0, count - 1)
-    sums = np.bincount(index, residual * use, count)
-    weights = np.bincount(index, use.astype(float), count)
-    padded = 4 * count
-    step = 2.0 * np.pi / (span * padded / count)
-    power = np.abs(np.fft.rfft(sums, padded)) ** 2 / max(weights.sum(), 1.0)
-    orders = step * np.arange(len(power))
-    power = np.where((orders >= low) & (orders <= high), power, 0.0)
-    tries = max(int((high - low) * span / (2.0 * np.pi)), 1)
-    found: list[Candidate] = []
-    for _ in range(peaks):
-        k = int(np.argmax(power))
-        if power[k] <= 0.0:
-            break
-        found.append(Candidate(effect, joint, (float(orders[k]),), tries))
-        power[max(0, k - 8) : k + 9] = 0.0
-    return found

@@ -12,6 +12,7 @@ from ideal_robot.diagnosis.search.choice import Choice, Scored
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.block_regression import Fit
 from ideal_robot.diagnosis.statistics.dependence import terms, time_period
+from ideal_robot.effects import TCP_POSITION
 
 
 class Search(Scoring):
@@ -64,7 +65,7 @@ class Search(Scoring):
         self.prior = prior
         self.weights = self._weights(self.keys())
         for choice in sorted(self.choices, key=lambda c: c.share):
-            if choice.candidate.effect.in_base:
+            if choice.candidate.effect.absorbed_by_base:
                 continue
             trial = self._tried(self.fit(without=choice), choice.candidate, choice.dependence)
             if trial.p_value > self.options.false_discovery or trial.share < self._smallest(choice.candidate, choice):
@@ -88,13 +89,13 @@ class Search(Scoring):
         blocks = self.data.blocks.of_samples()
         selecting = self.data.blocks.fold[blocks] >= 0
         for j in range(self.data.c):
-            if j + 1 in self.experiment.undecided and self.experiment.head != "tcp":
+            if j + 1 in self.experiment.undecided and self.experiment.domain != TCP_POSITION:
                 continue
             use = self.data.use[:, j] & selecting
             squares = float(np.sum(residual[use, j] ** 2) * self.weights[j])
             tests = [self.sieve.test(residual[:, j], use, j, term)
-                     for term in terms(self.at_rows, j, best is None, self.experiment.head)]
-            period = time_period(residual[:, j], use, self.at_rows.t, self.experiment.head)
+                     for term in terms(self.at_rows, j, best is None, self.experiment.domain)]
+            period = time_period(residual[:, j], use, self.at_rows.t, self.experiment.domain)
             if period is not None:
                 tests.append(self.sieve.test(residual[:, j], use, j, period))
             tests.sort(key=lambda d: -(d.share - d.expected))
@@ -120,7 +121,7 @@ class Search(Scoring):
 
     def _prune(self) -> None:
         """Takes out what the others have made superfluous; a learned curve never pushes out a physical cause."""
-        if self.choices[-1].candidate.effect.name == "unknown":
+        if self.choices[-1].candidate.effect.learned:
             return
         for choice in list(self.choices[:-1]):
             trial = self._tried(self._rivalling(choice), choice.candidate)
@@ -133,7 +134,7 @@ class Search(Scoring):
         if len(self.choices) < 2:
             return
         newest = self.choices[-1].candidate
-        if newest.effect.name == "unknown":
+        if newest.effect.learned:
             return
         for position, choice in enumerate(list(self.choices[:-1])):
             if not self._overlap(choice.candidate, newest):
@@ -154,7 +155,7 @@ class Search(Scoring):
 
     def _rivalling(self, choice: Choice) -> Fit:
         """The fit against which a choice has to hold its place: without it, and for a physical cause without curves."""
-        if choice.candidate.effect.name == "unknown":
+        if choice.candidate.effect.learned:
             return self.fit(without=choice)
-        keys = [key for key in self.keys(without=choice) if not key.startswith("unknown:")]
+        keys = ["W", *[c.candidate.key for c in self.choices if c is not choice and not c.candidate.effect.learned]]
         return Fit(self.design, keys, self.weights, self.prior)

@@ -10,13 +10,12 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import Experiment
-from ideal_robot.diagnosis.search.candidates import Candidate, candidates, scanned
+from ideal_robot.diagnosis.search.candidates import Candidate, candidates
 from ideal_robot.diagnosis.search.choice import Choice, Options, Scored
 from ideal_robot.diagnosis.statistics.block_regression import Design, Fit, channel_weights
 from ideal_robot.diagnosis.statistics.cross_products import Data
 from ideal_robot.diagnosis.statistics.dependence import Dependence, Sieve
 from ideal_robot.effects import Effect
-from ideal_robot.effects.torque.torque_ripple import TorqueRipple
 
 Progress = Callable[[float, str], None]
 _ITERATIONS = 4
@@ -31,7 +30,7 @@ class Scoring:
         data: its rows and blocks.
         library: effects to choose from.
         prior: precision of the model's parameters, or None where they are free.
-        in_base: whether effects are tried that the model's own parameters could take over.
+        absorbed: whether effects are tried that the model's own parameters could take over.
         options: thresholds.
         rng: for null distributions.
         progress: called with a share done and a word.
@@ -39,14 +38,14 @@ class Scoring:
     """
 
     def __init__(self, experiment: Experiment, data: Data, library: tuple[Effect, ...], *, prior: Array | None,
-                 in_base: bool, options: Options, rng: np.random.Generator, progress: Progress,
+                 absorbed: bool, options: Options, rng: np.random.Generator, progress: Progress,
                  only: tuple[tuple[str, int], ...] | None = None) -> None:
         self.experiment, self.data, self.prior = experiment, data, prior
         self.options, self.progress = options, progress
         self.design = Design(data)
         self.at_rows = experiment.decimated_signals()
         self.sieve = Sieve(self.at_rows, data.blocks.edges, rng)
-        self.pool = [starts for starts in candidates(library, experiment.signals, experiment.undecided, in_base)
+        self.pool = [starts for starts in candidates(library, experiment.signals, experiment.undecided, absorbed)
                      if only is None or (starts[0].effect.name, starts[0].joint) in only]
         self.learns = only is None
         self.weights = self._weights(["W"])
@@ -108,9 +107,9 @@ class Scoring:
     def _smallest(self, candidate: Candidate, own: Choice | None = None) -> float:
         """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
         occupied = any(c.candidate.joint == candidate.joint for c in self.choices if c is not own)
-        if candidate.effect.name == "unknown":
+        if candidate.effect.learned:
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
-        if candidate.effect.in_base:
+        if candidate.effect.absorbed_by_base:
             return self.options.smallest_in_base
         return self.options.smallest_next if occupied else self.options.smallest
 
@@ -129,15 +128,11 @@ class Scoring:
     def _refined(self, fit: Fit, s: Scored) -> Scored:
         """Theta by bounded search from the best start, all linear parameters eliminated."""
         effect, joint = s.candidate.effect, s.candidate.joint
-        bounds = effect.bounds(self.experiment.signals, joint)
-        if not bounds or len(bounds) != len(s.candidate.theta) or (len(bounds) == 1 and s.candidate.theta[0] == 0.0):
-            return s
         if not effect.theta_is_physical:
-            return self._agreeing(fit, s)
-        theta0 = np.array(s.candidate.theta)
-        if isinstance(effect, TorqueRipple):
-            width = 1.5 / float(np.ptp(self.experiment.signals.q[:, joint - 1]))
-            bounds = [(theta0[0] - width, theta0[0] + width)]
+            return self._made_consistent(fit, s)
+        bounds = effect.bounds_near(self.experiment.signals, joint, s.candidate.theta)
+        if not bounds:
+            return s
 
         def loss(theta: Array) -> float:
             candidate = replace(s.candidate, theta=tuple(float(v) for v in theta))
@@ -149,14 +144,11 @@ class Scoring:
 
         if len(bounds) == 1:
             low, high = bounds[0]
-            if not isinstance(effect, TorqueRipple):
-                near, far = sorted((theta0[0] / 3.0, theta0[0] * 3.0))
-                low, high = max(low, near), min(high, far)
             found = optimize.minimize_scalar(lambda v: loss(np.array([v])), bounds=(low, high), method="bounded",
                                              options={"maxiter": 14, "xatol": 1e-3 * (high - low)})
             theta = np.array([float(found.x)])
         else:
-            found = optimize.minimize(loss, theta0, method="Nelder-Mead", bounds=bounds,
+            found = optimize.minimize(loss, np.array(s.candidate.theta), method="Nelder-Mead", bounds=bounds,
                                       options={"maxfev": 40, "xatol": 1e-3, "fatol": 1e-2})
             theta = np.asarray(found.x)
         better = replace(s.candidate, theta=tuple(float(v) for v in theta))
@@ -165,10 +157,10 @@ class Scoring:
         tried = self._tried(fit, better)
         return tried if tried.trial.total > s.trial.total else s
 
-    def _agreeing(self, fit: Fit, s: Scored) -> Scored:
+    def _made_consistent(self, fit: Fit, s: Scored) -> Scored:
         """Theta that agrees with the coefficients, by fixed-point iteration."""
         for _ in range(_ITERATIONS):
-            theta = s.candidate.effect.agreeing(s.trial.coefficients, s.candidate.theta)
+            theta = s.candidate.effect.consistent_theta(s.trial.coefficients, s.candidate.theta)
             if np.allclose(theta, s.candidate.theta, rtol=0.01):
                 break
             better = replace(s.candidate, theta=theta)
@@ -185,12 +177,11 @@ class Scoring:
         taken = {(c.candidate.effect.name, c.candidate.joint) for c in self.choices if c.candidate.key in fit.keys}
         for starts in pool:
             first = starts[0]
-            repeatable = isinstance(first.effect, TorqueRipple)
-            if (first.effect.name, first.joint) in taken and not repeatable:
+            if (first.effect.name, first.joint) in taken and not first.effect.scanned:
                 continue
-            if isinstance(first.effect, TorqueRipple):
-                seen = first.effect.seen(self.at_rows, first.joint, residual, self.data.use)
-                starts = scanned(first.effect, first.joint, self.at_rows, *seen)
+            if first.effect.scanned:
+                found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, self.data.use)
+                starts = [replace(first, theta=theta, tries=tries) for theta in found]
             best: tuple[float, Candidate] | None = None
             for candidate in starts:
                 gain = self._plausible_gain(fit, candidate)

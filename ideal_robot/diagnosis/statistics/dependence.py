@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects import Signals
+from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.effects.learned import Unknown, signal_of, spline_basis
 
 _FLIPS = 400
@@ -60,13 +60,13 @@ def signal_names(signals: Signals, channel: int) -> list[str]:
     return [name for name in names if _varies(signal_of(signals, name))]
 
 
-def terms(signals: Signals, channel: int, pairs: bool, head: str = "tau") -> list[Unknown]:
+def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TORQUE) -> list[Unknown]:
     """Curves to try on a channel: single signals, directed ones, and with ``pairs`` products of two."""
     names = signal_names(signals, channel)
-    result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), head=head)
+    result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), domain=domain)
               for name in names for intervals in (_SLOW if name == "t" else (9,))]
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
-    if head == "tau":
+    if domain == MOTOR_TORQUE:
         result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
     if pairs:
         j = channel + 1
@@ -75,7 +75,7 @@ def terms(signals: Signals, channel: int, pairs: bool, head: str = "tau") -> lis
         both = {tuple(sorted((a, b))) for a in own for b in smooth if a != b and a in names}
         both |= {tuple(sorted((a, b))) for a in smooth for b in smooth
                  if a != b and a.split("_")[0] == b.split("_")[0]}
-        result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair), head=head)
+        result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair), domain=domain)
                    for pair in sorted(both)]
     return result
 
@@ -138,7 +138,7 @@ class Sieve:
         return self._curves[name, knots]
 
 
-def time_period(residual: Array, use: np.ndarray, t: Array, head: str) -> Unknown | None:
+def time_period(residual: Array, use: np.ndarray, t: Array, domain: Domain) -> Unknown | None:
     """The strongest oscillation over time of a residual as a candidate term; None for a short recording."""
     r = np.where(use, residual, 0.0)
     N = len(r)
@@ -149,7 +149,7 @@ def time_period(residual: Array, use: np.ndarray, t: Array, head: str) -> Unknow
     f = np.fft.rfftfreq(4 * N, dt)
     power[f < 3.0 / (N * dt)] = 0.0
     best = float(f[int(np.argmax(power))])
-    return Unknown(("t",), False, ((float(t[0]), float(t[-1])),), 2.0 * np.pi * best, head=head)
+    return Unknown(("t",), False, ((float(t[0]), float(t[-1])),), 2.0 * np.pi * best, domain=domain)
 
 
 def _varies(x: Array) -> bool:

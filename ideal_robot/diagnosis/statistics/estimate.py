@@ -12,7 +12,6 @@ from ideal_robot.diagnosis.search.candidates import Candidate, prepared
 from ideal_robot.diagnosis.statistics.block_regression import Design, Fit, channel_weights
 from ideal_robot.diagnosis.statistics.cross_products import Data
 from ideal_robot.effects import EffectParameter, FittedEffect
-from ideal_robot.effects.learned import Unknown
 
 
 @dataclass(frozen=True)
@@ -96,18 +95,13 @@ def fitted_effect(candidate: Candidate, coefficients: Array, std: Array, theta_s
     """The effect with its numbers, ready for a model file; units of a prismatic joint in metres and newtons."""
     effect = candidate.effect
     theta = candidate.theta
-    if isinstance(effect, Unknown):
-        parameters: list[EffectParameter] = []
-        data = effect.to_data()
-    else:
-        parameters = effect.parameters(coefficients, std, theta, tuple(float(v) for v in theta_std))
-        data = {}
+    parameters = effect.parameters(coefficients, std, theta, tuple(float(v) for v in theta_std))
     if prismatic:
         parameters = [EffectParameter(p.name, p.value, p.std, linear_unit(p.unit)) for p in parameters]
     return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint),
                         tuple(float(v) for v in coefficients), tuple(float(v) for v in std),
-                        tuple(float(v) for v in theta), tuple(float(v) for v in theta_std), data, tuple(parameters),
-                        evidence)
+                        tuple(float(v) for v in theta), tuple(float(v) for v in theta_std), effect.to_data(),
+                        tuple(parameters), evidence)
 
 
 def linear_unit(unit: str) -> str:

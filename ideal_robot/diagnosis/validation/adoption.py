@@ -15,7 +15,7 @@ import numpy as np
 from ideal_robot.diagnosis.channels.arm import arm_experiment
 from ideal_robot.diagnosis.channels.motor_torque import experiment
 from ideal_robot.diagnosis.validation.result import Diagnosis
-from ideal_robot.effects import FittedEffect
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -37,7 +37,8 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
     kept = dataclasses.replace(known, effects=known.effects + _behind_gears(known, found, run, robot))
     if found.model is None:
         return kept
-    at_torque = [f.fitted for f in (*found.effects, *found.unknown) if f.fitted.channel.startswith("tau")]
+    at_torque = [f.fitted for f in (*found.effects, *found.unknown)
+                 if f.fitted.effect.channel_prefix == MOTOR_TORQUE.prefix]
     error = kept.predict(run).relative_error_percent
     for joint in sorted({effect.joint for effect in at_torque}):
         own = tuple(effect for effect in at_torque if effect.joint == joint)
@@ -65,7 +66,7 @@ def with_joint(model: Model, fitted: Model, joint: int, effects: tuple[FittedEff
 
 def _behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> tuple[FittedEffect, ...]:
     """Effects of the measured arm angles that also lower the error of those of the run."""
-    behind = [f.fitted for f in found.effects if f.fitted.channel.startswith("qa")]
+    behind = [f.fitted for f in found.effects if f.fitted.domain == ARM_POSITION]
     arm = arm_experiment(run, robot, experiment(run, robot, known), known.stiffness) if behind else None
     if arm is None:
         return ()

@@ -12,7 +12,7 @@ from ideal_robot.diagnosis.search.candidates import Candidate
 from ideal_robot.diagnosis.statistics.cross_products import Blocks, Data, time_blocks
 from ideal_robot.diagnosis.statistics.estimate import estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.rebase import with_parameters
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, FittedEffect, library
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Domain, Effect, FittedEffect, library
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
@@ -52,7 +52,7 @@ def told(recording: Recording, robot: Robot, model: Model, effects: tuple[tuple[
     return result.with_effects(tuple(found))
 
 
-def _named(name: str, domain: str) -> list[Effect]:
+def _named(name: str, domain: Domain) -> list[Effect]:
     return [effect for effect in library() if effect.name == name and effect.domain == domain]
 
 

@@ -18,7 +18,6 @@ from ideal_robot.diagnosis.statistics.estimate import Estimate, estimate, fitted
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import SENSOR
-from ideal_robot.effects.tcp.tcp import AtTool, ToolTransmissionError
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ class Part:
         candidate = choice.candidate
         gains = (levels[k] - levels[k + 1]) / (levels[k] + 1e-300)
         j = seen.channel_of(candidate.joint)
-        if j is None and seen.head == "force":
+        if j is None and seen.domain == SENSOR:
             # Not where it helps most by chance, but where it says most against the noise.
             columns = candidate.effect.columns(seen.signals, candidate.joint, candidate.theta)
             added = seen.decimate(columns @ self.final.coefficients[k])
@@ -115,10 +114,9 @@ class Part:
 
 def _slides(seen: Experiment, candidate: Candidate, j: int) -> bool:
     """Whether an effect's parameters are those of a sliding joint."""
-    if isinstance(seen, ToolExperiment):
-        gear = isinstance(candidate.effect, AtTool | ToolTransmissionError)
-        return gear and seen.prismatic[candidate.joint - 1]
-    return candidate.effect.domain != SENSOR and seen.units[j] in ("N", "m")
+    if not candidate.effect.depends_on_joint:
+        return False
+    return seen.prismatic[candidate.joint - 1] if isinstance(seen, ToolExperiment) else seen.units[j] in ("N", "m")
 
 
 def predicted(seen: Experiment, found: Estimate, chosen: list[Candidate]) -> Array:

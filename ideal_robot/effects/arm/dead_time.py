@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import ARM_POSITION, Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.domain import ARM_POSITION
+from ideal_robot.effects.signals import Signals
 
 
 class ArmDeadTime(Effect):

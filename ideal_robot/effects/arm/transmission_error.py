@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import ARM_POSITION, EffectParameter
+from ideal_robot.effects.base import EffectParameter
+from ideal_robot.effects.domain import ARM_POSITION
+from ideal_robot.effects.drive_change import DriveChange
 from ideal_robot.effects.torque.torque_ripple import TorqueRipple
 
 
@@ -20,3 +22,7 @@ class TransmissionError(TorqueRipple):
         """Amplitude in radians."""
         size, phase, order = super().parameters(coefficients, std, theta, theta_std)
         return [EffectParameter(size.name, size.value, size.std, "rad"), phase, order]
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """None: the simulated gear turns evenly."""
+        return None

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import EffectParameter, Signals
+from ideal_robot.effects.base import EffectParameter
 from ideal_robot.effects.sensor.seen_line import ACROSS, ALONG, YAW, SeenLineEffect
+from ideal_robot.effects.signals import Signals
 
 
 class CameraOffset(SeenLineEffect):

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import SENSOR, Effect, EffectParameter, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.domain import SENSOR
+from ideal_robot.effects.signals import Signals
 
 MOMENTS = "moments"
 """Signal that says whether the sensor measures moments (1) or only forces (0)."""
@@ -21,17 +23,11 @@ class ForceBias(Effect):
 
     name = "force_bias"
     domain = SENSOR
+    prefix = "force"
+    depends_on_joint = False
     coefficient_names = ("fx", "fy", "fz", "mx", "my", "mz")
     coefficient_units = ("N", "N", "N", "N m", "N m", "N m")
     source = "[L] 4.4: bias and weight of the tool from several orientations"
-
-    def acts_on(self, channel: str) -> bool:
-        """The wrench."""
-        return channel == "force"
-
-    def channel(self, joint: int) -> str:
-        """The wrench."""
-        return "force"
 
     def joints(self, signals: Signals) -> Iterator[int]:
         """The sensor."""

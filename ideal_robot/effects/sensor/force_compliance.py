@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import SENSOR, Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.domain import SENSOR
+from ideal_robot.effects.signals import Signals
 
 CONTACT_FORCE = "contact_force"
 """Signal: force along the surface's normal [N]."""
@@ -26,17 +28,11 @@ class ForceCompliance(Effect):
 
     name = "force_compliance"
     domain = SENSOR
+    prefix = "force_contact"
+    depends_on_joint = False
     coefficient_names = ("compliance",)
     coefficient_units = ("m/N",)
     source = "[L] (3): F_r - F = E delta x"
-
-    def acts_on(self, channel: str) -> bool:
-        """Place of the tip in contact."""
-        return channel == "force_contact"
-
-    def channel(self, joint: int) -> str:
-        """Place of the tip in contact."""
-        return "force_contact"
 
     def joints(self, signals: Signals) -> Iterator[int]:
         """The tool."""

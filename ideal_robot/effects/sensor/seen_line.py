@@ -13,7 +13,9 @@ from typing import ClassVar
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import SENSOR, Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.domain import SENSOR
+from ideal_robot.effects.signals import Signals
 
 SPEED, DRIFT, ALONG, ACROSS, YAW, SCALE, CUBIC = ("line_speed", "line_drift", "line_along", "line_across", "line_yaw",
                                                   "line_scale", "line_cubic")
@@ -25,11 +27,8 @@ class SeenLineEffect(Effect):
     """An effect whose columns are signals of the line's regression."""
 
     domain = SENSOR
+    depends_on_joint = False
     needs: ClassVar[tuple[str, ...]] = ()
-
-    def acts_on(self, channel: str) -> bool:
-        """The line."""
-        return channel == "line"
 
     def joints(self, signals: Signals) -> Iterator[int]:
         """The camera."""

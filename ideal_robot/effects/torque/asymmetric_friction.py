@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class AsymmetricFriction(Effect):
@@ -23,3 +25,7 @@ class AsymmetricFriction(Effect):
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.abs(signals.qd[:, joint - 1]))
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Friction over speed."""
+        return DriveChange(friction_curve=True)

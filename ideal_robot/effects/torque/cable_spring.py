@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.signals import Signals
 
 
 class CableSpring(Effect):

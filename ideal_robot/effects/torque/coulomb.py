@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class Coulomb(Effect):
@@ -11,9 +13,13 @@ class Coulomb(Effect):
 
     name = "coulomb"
     coefficient_names = ("change of Coulomb friction",)
-    in_base = True
+    absorbed_by_base = True
     source = "[G] (1)"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.sliding_direction(joint))
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Friction over speed."""
+        return DriveChange(friction_curve=True)

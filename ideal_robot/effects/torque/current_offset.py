@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class CurrentOffset(Effect):
@@ -13,9 +15,13 @@ class CurrentOffset(Effect):
 
     name = "current_offset"
     coefficient_names = ("offset",)
-    in_base = True
+    absorbed_by_base = True
     source = "[J] section 3: offset of the current sensors"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.ones_like(signals.t))
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """A constant torque."""
+        return DriveChange(offset=coefficients[0])

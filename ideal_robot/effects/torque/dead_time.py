@@ -1,4 +1,4 @@
-"""A channel that is late."""
+"""A motor torque that is recorded late."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import numpy as np
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.signals import Signals
 
 
 def delayed(values: Array, delay: float, dt: float) -> Array:
@@ -28,6 +29,12 @@ class DeadTime(Effect):
     theta_is_physical = False
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
+    discriminating_motion = (
+        ("joint_elasticity", "the same path at half and at double speed: a delay grows with the torque's rate, a soft "
+                             "gear with its second derivative"),
+        ("presliding_hysteresis", "long strokes with few reversals at high speed: hysteresis shows after reversals "
+                                  "only, a delay everywhere"),
+    )
     source = "first-order expansion of a pure delay"
     longest = 0.06
     _shortest = 5e-5
@@ -45,7 +52,7 @@ class DeadTime(Effect):
         """The longest delay to either side."""
         return [(-self.longest, self.longest)]
 
-    def agreeing(self, coefficients: Array, theta: tuple[float, ...]) -> tuple[float, ...]:
+    def consistent_theta(self, coefficients: Array, theta: tuple[float, ...]) -> tuple[float, ...]:
         """The chord as long as the delay, where it is exact."""
         delay = float(np.clip(coefficients[0], -self.longest, self.longest))
         return (float(np.copysign(max(abs(delay), self._shortest), delay)),)
@@ -54,53 +61,6 @@ class DeadTime(Effect):
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
         """The delay alone; the chord is only how it was computed."""
         return [EffectParameter("delay", float(coefficients[0]), float(std[0]), "s")]
-
-    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Milliseconds, not tenths of a second."""
-        return bool(abs(coefficients[0]) < self.longest)
-
-
-class PositionDeadTime(Effect):
-    """The position of one joint is recorded late by ``delta``: every torque is computed from an old angle.
-
-    ``delta tau = delta (dtau/dq_j qd_j + dtau/dqd_j qdd_j + dtau/dqdd_j d(qdd_j)/dt)`` on all joints, from differences
-    of the rigid body.
-    """
-
-    name = "dead_time"
-    coefficient_names = ("delay",)
-    coefficient_units = ("s",)
-    source = "first-order expansion of a pure delay"
-    longest = 0.06
-    _step = 1e-3
-
-    def acts_on(self, channel: str) -> bool:
-        """Reported in the position's channel, to be told from a late torque."""
-        return channel.startswith("q_")
-
-    def channel(self, joint: int) -> str:
-        """The late channel."""
-        return f"q_{joint}"
-
-    def usable(self, signals: Signals, joint: int) -> bool:
-        """With one joint alone it is the torque's delay with the other sign."""
-        return signals.n > 1 and signals.rigid is not None
-
-    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
-        if signals.rigid is None or len(signals.t) < 3:
-            return np.zeros((len(signals.t), signals.n, 1))
-        j, h = joint - 1, self._step
-        ahead = []
-        for sign in (1.0, -1.0):
-            q, qd, qdd = signals.q.copy(), signals.qd.copy(), signals.qdd.copy()
-            q[:, j] += sign * h * signals.qd[:, j]
-            qd[:, j] += sign * h * signals.qdd[:, j]
-            qdd[:, j] += sign * h * signals.rate(signals.qdd[:, j])
-            ahead.append(signals.rigid(q, qd, qdd))
-        column = (ahead[0] - ahead[1]) / (2.0 * h)
-        column[:, j] += signals.rate(signals.torque[:, j] - signals.load[:, j])
-        return np.asarray(column[:, :, None])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """Milliseconds, not tenths of a second."""

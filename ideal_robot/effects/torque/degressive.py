@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class Degressive(Effect):
@@ -18,6 +20,9 @@ class Degressive(Effect):
     theta_names = ("a_4",)
     theta_units = ("s/rad",)
     coefficient_names = ("a_3",)
+    discriminating_motion = (
+        ("viscous", "constant-velocity runs over the whole range of speeds"),
+    )
     source = "[G] (2), (3)"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
@@ -37,3 +42,7 @@ class Degressive(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """The characteristic bends downwards from a rise."""
         return bool(coefficients[0] > 0.0)
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Friction over speed."""
+        return DriveChange(friction_curve=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.signals import Signals
 
 
 class DriveGain(Effect):
@@ -17,7 +18,7 @@ class DriveGain(Effect):
     name = "drive_gain"
     coefficient_names = ("relative error of the gain",)
     coefficient_units = ("1",)
-    in_base = True
+    absorbed_by_base = True
     source = "[J] (15): drive gains"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.signals import Signals
 
 
 class GravitySpring(Effect):
@@ -24,6 +25,9 @@ class GravitySpring(Effect):
     theta_units = ("rad", "1")
     coefficient_names = ("stiffness term", "preload term")
     coefficient_units = ("N m", "N m")
+    discriminating_motion = (
+        ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
+    )
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:

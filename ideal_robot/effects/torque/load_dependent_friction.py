@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class LoadDependentFriction(Effect):
@@ -14,6 +16,9 @@ class LoadDependentFriction(Effect):
     name = "load_dependent_friction"
     coefficient_names = ("friction per load",)
     coefficient_units = ("1",)
+    discriminating_motion = (
+        ("coulomb", "the same strokes at postures of high and of low gravity load"),
+    )
     source = "P. Hamon, M. Gautier, P. Garrec, IROS 2010: dry friction depending on load"
 
     def usable(self, signals: Signals, joint: int) -> bool:
@@ -29,3 +34,7 @@ class LoadDependentFriction(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """More load, more friction; never as much as the load itself."""
         return bool(0.0 < coefficients[0] < 1.0)
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Friction by load."""
+        return DriveChange(friction_per_load=coefficients[0])

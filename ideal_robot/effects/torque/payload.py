@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.signals import Signals
 
 
 class Payload(Effect):
@@ -19,7 +20,8 @@ class Payload(Effect):
     name = "payload"
     coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
-    in_base = True
+    absorbed_by_base = True
+    depends_on_joint = False
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:
@@ -27,7 +29,7 @@ class Payload(Effect):
         yield 0
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """The regressor of the last link has to be at hand."""
+        """The regressor of the last link has to be known."""
         return signals.payload is not None
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:

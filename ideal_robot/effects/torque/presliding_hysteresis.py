@@ -6,7 +6,12 @@ import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
+
+_SPEED_OR_DISTANCE = ("reversals at very different accelerations: presliding follows the distance since the reversal, "
+                      "friction laws the speed")
 
 
 @numba.njit(cache=True)
@@ -34,6 +39,11 @@ class PreslidingHysteresis(Effect):
     theta_names = ("sigma",)
     theta_units = ("rad",)
     coefficient_names = ("hysteretic friction",)
+    discriminating_motion = (
+        ("degressive", _SPEED_OR_DISTANCE),
+        ("stribeck", _SPEED_OR_DISTANCE),
+        ("backlash", "reversals at postures with and without load on the gear"),
+    )
     source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
@@ -54,3 +64,7 @@ class PreslidingHysteresis(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """Friction opposes motion."""
         return bool(coefficients[0] > 0.0)
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Friction builds up over the displacement."""
+        return DriveChange(presliding=theta[0])

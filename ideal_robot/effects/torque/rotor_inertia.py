@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class RotorInertia(Effect):
@@ -12,9 +14,13 @@ class RotorInertia(Effect):
     name = "rotor_inertia"
     coefficient_names = ("change of rotor inertia",)
     coefficient_units = ("kg m²",)
-    in_base = True
+    absorbed_by_base = True
     source = "[J] (1): I_a"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.qdd[:, joint - 1])
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Inertia of the motor."""
+        return DriveChange(rotor_inertia=coefficients[0])

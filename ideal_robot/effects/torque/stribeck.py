@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, Signals
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
 
 
 class Stribeck(Effect):
@@ -18,6 +20,9 @@ class Stribeck(Effect):
     theta_names = ("v_s",)
     theta_units = ("rad/s",)
     coefficient_names = ("excess at standstill",)
+    discriminating_motion = (
+        ("degressive", "constant-velocity runs at ten speeds, the slowest below 1 % of the highest"),
+    )
     source = "[G] (4)"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
@@ -38,3 +43,7 @@ class Stribeck(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """Friction is larger, not smaller, near standstill."""
         return bool(coefficients[0] > 0.0)
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """Friction over speed."""
+        return DriveChange(friction_curve=True)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.signals import Signals
 
 
 def warming_starts(signals: Signals, joint: int) -> list[tuple[float, ...]]:

@@ -5,13 +5,55 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter, Signals
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.signals import Signals
+
+
+def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float, float],
+                   peaks: int = 3) -> tuple[list[float], int]:
+    """Orders at the highest peaks of a residual's spectrum over position.
+
+    The residual is summed in narrow bins of position; the Fourier transform of those sums is that of the residual at
+    the (unevenly spread) positions.
+
+    Args:
+        q: position ``(N,)`` [rad or m].
+        residual: ``(N,)``, in any unit.
+        use: samples that count ``(N,)``.
+        band: lowest and highest order [1/rad or 1/m].
+        peaks: how many.
+
+    Returns:
+        The orders, highest peak first, and how many periods the band has room for.
+    """
+    low, high = band
+    span = float(np.ptp(q)) + 1e-12
+    # Fine enough that a bin is an eighth of the shortest period.
+    count = int(np.clip(8.0 * high * span / (2.0 * np.pi), 64, 1 << 17))
+    index = np.clip(((q - q.min()) / span * count).astype(int), 0, count - 1)
+    sums = np.bincount(index, residual * use, count)
+    weights = np.bincount(index, use.astype(float), count)
+    padded = 4 * count
+    step = 2.0 * np.pi / (span * padded / count)
+    power = np.abs(np.fft.rfft(sums, padded)) ** 2 / max(weights.sum(), 1.0)
+    orders = step * np.arange(len(power))
+    power = np.where((orders >= low) & (orders <= high), power, 0.0)
+    tries = max(int((high - low) * span / (2.0 * np.pi)), 1)
+    found: list[float] = []
+    for _ in range(peaks):
+        k = int(np.argmax(power))
+        if power[k] <= 0.0:
+            break
+        found.append(float(orders[k]))
+        power[max(0, k - 8) : k + 9] = 0.0
+    return found, tries
 
 
 class TorqueRipple(Effect):
     """``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre) from the data.
 
-    The order is found by scanning the residual over position (``scan``); a ripple has more than four periods within
+    The order is found by scanning the residual over position; a ripple has more than four periods within
     the range that was driven, else a spring, gravity or an odd shape explains it as well.
     """
 
@@ -24,7 +66,7 @@ class TorqueRipple(Effect):
     scanned = True
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
-        """Orders on a grid of a third of a period over the range; ``scan`` narrows them down by the residual."""
+        """Orders on a grid of a third of a period over the range; the residual narrows them down."""
         low, high = self.bounds(signals, joint)[0]
         span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
         count = int(np.clip((high - low) * span / 2.0, 2, 4000))
@@ -40,8 +82,29 @@ class TorqueRipple(Effect):
         high = max(0.35 * 2.0 * np.pi / signals.dt / typical, 2.0 * low)
         return [(low, min(high, low + 3000.0 * 2.0 / span))]
 
-    def seen(self, signals: Signals, joint: int, residual: Array, use: np.ndarray) -> tuple[Array, np.ndarray]:
-        """What of a residual ``(N, c)`` a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``."""
+    def bounds_near(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> list[tuple[float, float]]:
+        """Within half a period over the range, where the scan's peak is."""
+        width = 1.5 / float(np.ptp(signals.q[:, joint - 1]))
+        return [(theta[0] - width, theta[0] + width)]
+
+    def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
+                             use: np.ndarray) -> tuple[list[tuple[float, ...]], int]:
+        """Orders at the highest peaks of the residual's spectrum over position."""
+        low, high = self.bounds(signals, joint)[0]
+        part, counts = self.visible_part(signals, joint, residual, use)
+        orders, tries = spectral_peaks(signals.q[:, joint - 1], part, counts, (low, high))
+        return [(order,) for order in orders], tries
+
+    def visible_part(self, signals: Signals, joint: int, residual: Array,
+                     use: np.ndarray) -> tuple[Array, np.ndarray]:
+        """What of a residual ``(N, c)`` a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``.
+
+        Args:
+            signals: at the rows of the residual.
+            joint: from 1.
+            residual: of all channels ``(N, c)`` [N m].
+            use: samples that count ``(N, c)``.
+        """
         return residual[:, joint - 1], use[:, joint - 1]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
@@ -58,3 +121,7 @@ class TorqueRipple(Effect):
         return [EffectParameter("amplitude", size, sigma, "N m"),
                 EffectParameter("phase", float(np.arctan2(b, a)), sigma / max(size, 1e-12), "rad"),
                 EffectParameter("order", theta[0], theta_std[0] if theta_std else 0.0, "1/rad")]
+
+    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+        """The ripple itself."""
+        return DriveChange(ripple=(theta[0], coefficients[0], coefficients[1]))

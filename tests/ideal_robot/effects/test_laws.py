@@ -129,7 +129,7 @@ def test_a_delay_is_exact_where_the_chord_is_as_long(delay):
     still = np.zeros((len(t), 1))
     torque = np.sin(2.0 * np.pi * 8.0 * t)[:, None]
     effect = DeadTime()
-    theta = effect.agreeing(np.array([delay]), (1e-3,))
+    theta = effect.consistent_theta(np.array([delay]), (1e-3,))
     signals = Signals(t, still, still, still, still, torque, still)
     late = torque[:, 0] + delay * effect.columns(signals, 1, theta)[:, 0, 0]
     inner = slice(50, -50)

@@ -1,0 +1,108 @@
+"""What effects look at: the signals of a recording, or of a motion, on one time grid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+
+RigidBody = Callable[[Array, Array, Array], Array]
+"""Rigid-body torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each, without friction and rotors."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Kinematics along a motion.
+
+    Attributes:
+        axis: joint axes in the base frame ``(N, n, 3)``.
+        normal: a direction of each joint's frame across its axis ``(N, n, 3)``.
+        position: origins of the joint frames ``(N, n, 3)`` [m].
+        tool: TCP ``(N, 3)`` [m].
+        jacobian: of the TCP's position ``(N, 3, n)``.
+    """
+
+    axis: Array
+    normal: Array
+    position: Array
+    tool: Array
+    jacobian: Array
+
+
+@dataclass(frozen=True)
+class Signals:
+    """What effects may look at: everything on one uniform time grid of ``N`` samples.
+
+    Attributes:
+        t: time since the start of the recording ``(N,)`` [s].
+        q, qd, qdd: motor position, velocity and acceleration on the joint side ``(N, n)`` [rad or m, SI].
+        load: torque at the gear output, i.e. of the rigid body without friction and rotors ``(N, n)`` [N m].
+        torque: what the model so far predicts for the motor ``(N, n)`` [N m].
+        friction: the part of ``torque`` that is friction ``(N, n)`` [N m].
+        temperature: gear temperature ``(N, n)`` [°C], or None where it was not measured.
+        rigid: the rigid body as a function, for effects that change positions; None where there is none.
+        extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
+        frames: kinematics along the motion, or None.
+        payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
+        cutoff: of the zero-phase filter that the positions went through [Hz]; None where they are exact.
+        v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
+        sliding: direction of sliding ``(N, n)``, -1 to 1, of joints whose friction in the model builds up over a
+            displacement, NaN for others; None where no model says so.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    load: Array
+    torque: Array
+    friction: Array
+    temperature: Array | None = None
+    rigid: RigidBody | None = None
+    extra: Mapping[str, Array] = field(default_factory=dict)
+    payload: Array | None = None
+    frames: Frames | None = None
+    v_small: Array | None = None
+    cutoff: float | None = None
+    sliding: Array | None = None
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.q.shape[1])
+
+    @property
+    def dt(self) -> float:
+        """Sampling interval [s]; 1 for a single sample, where nothing may depend on it."""
+        return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
+
+    def direction(self, qd: Array, joint: int) -> Array:
+        """Sign of a velocity ``(N,)`` of ``joint`` (from 1), smooth where it is lost in noise."""
+        if self.v_small is None:
+            return np.sign(qd)
+        return np.tanh(qd / self.v_small[joint - 1])
+
+    def sliding_direction(self, joint: int) -> Array:
+        """Direction ``(N,)`` in which dry friction of ``joint`` (from 1) acts, with the memory that the model gives it.
+
+        What belongs to dry friction builds up after a reversal like dry friction itself.
+        """
+        if self.sliding is not None and len(self.t) and np.isfinite(self.sliding[0, joint - 1]):
+            return np.asarray(self.sliding[:, joint - 1])
+        return self.direction(self.qd[:, joint - 1], joint)
+
+    def on_joint(self, joint: int, *columns: Array) -> Array:
+        """Columns ``(N,)`` that act on one joint (from 1) only, as ``(N, n, m)``."""
+        result = np.zeros((len(self.t), self.n, len(columns)))
+        for i, column in enumerate(columns):
+            result[:, joint - 1, i] = column
+        return result
+
+    def rate(self, values: Array) -> Array:
+        """Time derivative ``(N, …)`` by central differences; zero for a single sample."""
+        if len(self.t) < 3:
+            return np.zeros_like(values)
+        return np.gradient(values, self.dt, axis=0)

@@ -1,0 +1,49 @@
+"""A motor position that is recorded late."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.signals import Signals
+
+
+class PositionDeadTime(Effect):
+    """The position of one joint is recorded late by ``delta``: every torque is computed from an old angle.
+
+    ``delta tau = delta (dtau/dq_j qd_j + dtau/dqd_j qdd_j + dtau/dqdd_j d(qdd_j)/dt)`` on all joints, from differences
+    of the rigid body.
+    """
+
+    name = "dead_time"
+    prefix = "q"
+    coefficient_names = ("delay",)
+    coefficient_units = ("s",)
+    source = "first-order expansion of a pure delay"
+    longest = 0.06
+    _step = 1e-3
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """With one joint alone it is the torque's delay with the other sign."""
+        return signals.n > 1 and signals.rigid is not None
+
+    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """Shape ``(N, n, 1)``."""
+        if signals.rigid is None or len(signals.t) < 3:
+            return np.zeros((len(signals.t), signals.n, 1))
+        j, h = joint - 1, self._step
+        ahead = []
+        for sign in (1.0, -1.0):
+            q, qd, qdd = signals.q.copy(), signals.qd.copy(), signals.qdd.copy()
+            q[:, j] += sign * h * signals.qd[:, j]
+            qd[:, j] += sign * h * signals.qdd[:, j]
+            qdd[:, j] += sign * h * signals.rate(signals.qdd[:, j])
+            ahead.append(signals.rigid(q, qd, qdd))
+        column = (ahead[0] - ahead[1]) / (2.0 * h)
+        column[:, j] += signals.rate(signals.torque[:, j] - signals.load[:, j])
+        return np.asarray(column[:, :, None])
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """Milliseconds, not tenths of a second."""
+        return bool(abs(coefficients[0]) < self.longest)
