@@ -48,7 +48,7 @@ def parts(robot: Robot, calls: int = 4000) -> dict[str, float]:
             "PyBullet's step": lambda: pybullet.stepSimulation(physicsClientId=client),
             "joint states from PyBullet": lambda: pybullet.getJointStates(body, joints, physicsClientId=client),
             "controller, motors, gears, friction": lambda: drive_step(
-                1, arm._p, arm._shared, arm._counts, arm._x, arm._links, zero, arm._log[0]),
+                1, arm._p, arm._shared, arm._counts, arm._x, arm._links, zero, arm._history.next_row),
         }
         result = {}
         for name, job in jobs.items():

@@ -2,11 +2,52 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "trials", "benchmarks", "examples", "tests", "docs"}
+IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
+               "import-linter": "importlinter"}
+"""Where a package's name is not its module's."""
+RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter"}
+"""Tools of development that are started as programs."""
+
+
+def third_party_imports() -> dict[str, str]:
+    """Top-level modules that are neither ours nor Python's, each with a file that imports it."""
+    found: dict[str, str] = {}
+    for folder in sorted(OURS):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                names = []
+                if isinstance(node, ast.Import):
+                    names = [alias.name for alias in node.names]
+                elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                    names = [str(node.module)]
+                for name in (name.split(".")[0] for name in names):
+                    if name not in OURS and name not in sys.stdlib_module_names:
+                        found.setdefault(name, str(path.relative_to(ROOT)))
+    return found
+
+
+def declared() -> set[str]:
+    """Modules of the packages that pyproject.toml asks for, its tools left out."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = [*project["dependencies"], *(line for group in project["optional-dependencies"].values() for line in group)]
+    names = {re.split(r"[<>=~! ]", line)[0] for line in asked}
+    return {IMPORTED_AS.get(name, name) for name in names - RUN_NOT_IMPORTED}
+
+
+def test_what_is_imported_is_declared_and_the_other_way_round() -> None:
+    imported = third_party_imports()
+    undeclared = {name: file for name, file in imported.items() if name not in declared()}
+    assert not undeclared, "imported, but not in pyproject.toml"
+    assert declared() <= set(imported), "in pyproject.toml, but imported nowhere"
 
 
 def test_import_rules_hold() -> None:

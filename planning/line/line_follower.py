@@ -16,7 +16,7 @@ from planning.line.line_view import LineAhead, SeenLine
 from planning.path.desired_path import DesiredPath
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from planning.path.speed_profile import JointPath, Limits, SpeedProfile
+from planning.path.speed_profile import JointPath, SpeedProfile
 from planning.path.vectors import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
@@ -272,9 +272,3 @@ class LineFollower:
                 raise LineNeverSeenError(t, s, self.settings.max_search)
         elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
             raise LineLostError(t, s, *self._last_seen, self.settings.max_blind)
-
-
-def plan_travel(robot: Robot, reference: ReferencePath, limits: Limits | float) -> tuple[JointPath, SpeedProfile]:
-    """Joint path and speed profile of a reference at once; raises as ``SpeedProfile.plan``."""
-    path = JointPath.of(robot, reference)
-    return path, SpeedProfile.plan(robot, reference, limits, path)

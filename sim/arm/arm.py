@@ -18,7 +18,7 @@ from sim.arm import kernel
 from sim.arm.body import load_links, start_physics
 from sim.arm.checks import checked_posture, require_integrable
 from sim.arm.drive import drive_parameters, drive_start
-from sim.arm.history import hermite_pose, recording_of
+from sim.arm.history import History, recording_of
 from sim.arm.rotors import RigidRotors
 from sim.arm.specimen import draw_individual
 from sim.arm.world import STEP, World
@@ -114,8 +114,7 @@ class SimulatedArm:
         self._links = np.zeros((4, n))
         self._links[kernel.L_ANGLE] = q_a
         self._q_a, self._qd_a = self._links[kernel.L_ANGLE], self._links[kernel.L_VELOCITY]
-        self._log = np.zeros((2048, 1 + len(kernel.LOGGED) * n))
-        self._rows = 0
+        self._history = History(n, int(self._counts[kernel.N_LOG]) * STEP)
         for joint in self._joints:
             pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
 
@@ -136,7 +135,7 @@ class SimulatedArm:
         x[kernel.X_END] = self._pending if self.world.correction_delay else q_c
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
-        self._reserve()
+        self._history.reserve(self._steps_per_cycle + 1)
         self._run(noise)
         return self._state(noise[-1])
 
@@ -145,7 +144,7 @@ class SimulatedArm:
         client, body, joints = self.client, self.body, self._joints
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
         q_a, qd_a, torque = self._q_a, self._qd_a, links[kernel.L_TORQUE]
-        every, rotors = int(counts[kernel.N_LOG]), self._rotors
+        every, rotors, history = int(counts[kernel.N_LOG]), self._rotors, self._history
         extra_torque, hook = self.world.extra_torque, self.step_hook
         touched = hook is not None or self._touchable
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
@@ -156,9 +155,9 @@ class SimulatedArm:
             if extra_torque is not None:
                 links[kernel.L_EXTRA] = extra_torque(tick * STEP, x[kernel.X_MOTOR].copy(),
                                                      x[kernel.X_MOTOR_VELOCITY].copy(), q_a.copy())
-            drive_step(tick, p, s, counts, x, links, line, self._log[self._rows])
+            drive_step(tick, p, s, counts, x, links, line, history.next_row)
             if tick % every == 0:
-                self._rows += 1
+                history.rows += 1
             if rotors is not None:
                 rotors.share(q_a, qd_a, torque)
             set_torques(body, joints, mode, forces=torque.tolist(), physicsClientId=client)
@@ -211,15 +210,13 @@ class SimulatedArm:
         Raises:
             SimError: ``t`` lies before the start or in the future.
         """
-        return self.tcp_of(hermite_pose(self, t))
+        return self.tcp_of(self._history.pose(t, self.t, self._q_a, self._qd_a))
 
     def history(self) -> dict[str, Array]:
         """The true arm every 2 ms or finer: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as the joint controllers see it),
         ``q`` (encoder), ``tau`` (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``,
         ``temperature``."""
-        n, log = self.robot.n, self._log[: self._rows]
-        return {"t": log[:, 0].copy(),
-                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(kernel.LOGGED)}}
+        return self._history.columns()
 
     def recording(self, external: bool = False) -> Recording:
         """What a controller would have logged, every ``world.log_cycle``: ``t``, ``q_c_i``, ``q_i``, ``tau_i``,
@@ -231,7 +228,7 @@ class SimulatedArm:
         Args:
             external: adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.
         """
-        return recording_of(self, external)
+        return recording_of(self.robot, self.world, self._history, self.tcp_of if external else None)
 
     def close(self) -> None:
         """Ends the physics client; history and recording stay."""
@@ -245,7 +242,3 @@ class SimulatedArm:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self.close()
-
-    def _reserve(self) -> None:
-        if self._rows + self._steps_per_cycle + 1 > len(self._log):
-            self._log = np.concatenate([self._log, np.zeros_like(self._log)])

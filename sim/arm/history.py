@@ -1,78 +1,120 @@
-"""From the log of the simulated arm to poses at any time and to recordings."""
+"""What the simulated arm went through: its log, poses at any time of it, and the recording of it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from sim.arm.kernel import LOGGED, N_LOG
-from sim.arm.world import STEP
+from sim.arm.kernel import LOGGED
+from sim.arm.world import World
 from sim.simulation_error import SimError
-
-if TYPE_CHECKING:
-    from sim.arm.arm import SimulatedArm
-
 
 _ANGLE, _SPEED = LOGGED.index("q_a"), LOGGED.index("qd_a")
 
 
-def hermite_pose(arm: SimulatedArm, t: float) -> Array:
-    """Arm angles ``(n,)`` at time ``t`` [s], from angles and velocities of the neighbouring samples.
+class History:
+    """The log of one run, row by row.
 
-    Raises:
-        SimError: ``t`` lies before the start or after now.
+    Args:
+        n: number of joints.
+        step: time between two rows [s].
+
+    Attributes:
+        rows: how many rows are filled; whoever fills ``next_row`` counts it.
     """
-    if not -1.0e-9 <= t <= arm.t + 1.0e-9:
-        raise SimError(f"the simulated arm knows its pose from 0 to {arm.t:.4f} s, not at {t:.4f} s")
-    log, rows, n = arm._log, arm._rows, arm.robot.n
-    if rows == 0:
-        return arm._q_a.copy()
-    step = int(arm._counts[N_LOG]) * STEP
-    i = min(int(t / step), rows - 1)
-    angle, speed = (slice(1 + column * n, 1 + (column + 1) * n) for column in (_ANGLE, _SPEED))
-    t0, q0, v0 = log[i, 0], log[i, angle], log[i, speed]
-    if i + 1 < rows:
-        t1, q1, v1 = log[i + 1, 0], log[i + 1, angle], log[i + 1, speed]
-    else:
-        t1, q1, v1 = arm.t, arm._q_a, arm._qd_a
-    h = t1 - t0
-    if h <= 0.0:
-        return q0.copy()
-    u = min(max((t - t0) / h, 0.0), 1.0)
-    return ((1 + 2 * u) * (1 - u) ** 2 * q0 + u * (1 - u) ** 2 * h * v0
-            + u * u * (3 - 2 * u) * q1 + u * u * (u - 1) * h * v1)
+
+    def __init__(self, n: int, step: float) -> None:
+        self._n, self.step = n, step
+        self._log = np.zeros((2048, 1 + len(LOGGED) * n))
+        self.rows = 0
+
+    @property
+    def next_row(self) -> Array:
+        """The row that is filled next: time, then ``kernel.LOGGED`` with ``n`` values each."""
+        return self._log[self.rows]
+
+    def reserve(self, count: int) -> None:
+        """Makes room for ``count`` further rows."""
+        if self.rows + count > len(self._log):
+            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
+
+    def columns(self) -> dict[str, Array]:
+        """``t (N,)`` [s] and every logged quantity ``(N, n)``."""
+        n, log = self._n, self._log[: self.rows]
+        return {"t": log[:, 0].copy(),
+                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(LOGGED)}}
+
+    def pose(self, t: float, t_now: float, q_now: Array, qd_now: Array) -> Array:
+        """Arm angles ``(n,)`` [rad] at a time, from angles and velocities of the neighbouring rows.
+
+        Args:
+            t: the time asked for [s].
+            t_now: time that has been reached, behind the last row [s].
+            q_now: arm angles then ``(n,)`` [rad].
+            qd_now: arm velocities then ``(n,)`` [rad/s].
+
+        Raises:
+            SimError: ``t`` lies before the start or after ``t_now``.
+        """
+        if not -1.0e-9 <= t <= t_now + 1.0e-9:
+            raise SimError(f"the simulated arm knows its pose from 0 to {t_now:.4f} s, not at {t:.4f} s")
+        log, rows, n = self._log, self.rows, self._n
+        if rows == 0:
+            return q_now.copy()
+        i = min(int(t / self.step), rows - 1)
+        angle, speed = (slice(1 + column * n, 1 + (column + 1) * n) for column in (_ANGLE, _SPEED))
+        t0, q0, v0 = log[i, 0], log[i, angle], log[i, speed]
+        if i + 1 < rows:
+            t1, q1, v1 = log[i + 1, 0], log[i + 1, angle], log[i + 1, speed]
+        else:
+            t1, q1, v1 = t_now, q_now, qd_now
+        h = t1 - t0
+        if h <= 0.0:
+            return q0.copy()
+        # Cubic Hermite spline.
+        u = min(max((t - t0) / h, 0.0), 1.0)
+        return ((1 + 2 * u) * (1 - u) ** 2 * q0 + u * (1 - u) ** 2 * h * v0
+                + u * u * (3 - 2 * u) * q1 + u * u * (u - 1) * h * v1)
 
 
-def recording_of(arm: SimulatedArm, external: bool) -> Recording:
-    """The recording of an arm, see ``SimulatedArm.recording``."""
-    world, robot = arm.world, arm.robot
-    history = arm.history()
-    every = max(1, round(world.log_cycle / (int(arm._counts[N_LOG]) * STEP)))
-    t = history["t"][::every]
-    columns: dict[str, Array] = {"q_c": history["q_c"][::every], "q": history["q"][::every],
-                                 "tau": history["tau"][::every],
-                                 "current": history["tau"][::every] / robot.drive_gain}
+def recording_of(robot: Robot, world: World, history: History, tcp_of: Callable[[Array], pin.SE3] | None) -> Recording:
+    """What a controller would have logged, every ``world.log_cycle``.
+
+    Args:
+        robot: data sheet of the arm.
+        world: the true world.
+        history: of the run.
+        tcp_of: true pose of the tool frame at arm angles ``(n,)`` [rad], for the columns of an external measuring
+            device; None leaves them out.
+    """
+    logged = history.columns()
+    every = max(1, round(world.log_cycle / history.step))
+    columns: dict[str, Array] = {"q_c": logged["q_c"][::every], "q": logged["q"][::every],
+                                 "tau": logged["tau"][::every],
+                                 "current": logged["tau"][::every] / robot.drive_gain}
     if world.thermal:
-        columns["temp"] = history["temperature"][::every]
-    if external:
-        columns.update(_external(arm, history["q_a"][::every]))
+        columns["temp"] = logged["temperature"][::every]
+    if tcp_of is not None:
+        columns.update(_external(world, tcp_of, logged["q_a"][::every]))
     meta: dict[str, Any] = {
         "robot": robot.name, "urdf": str(robot.urdf), "urdf_hash": robot.urdf_hash, "cycle_time": world.log_cycle,
         "t_ipo": world.t_ipo, "units": {"t": "s", "q": "rad", "tau": "N m", "current": "A", "temp": "degC", "x": "m"},
         "source": "simulated arm", "correction_delay": world.correction_delay,
     }
-    return Recording.from_arrays(t, meta=meta, source="simulated arm", **columns)
+    return Recording.from_arrays(logged["t"][::every], meta=meta, source="simulated arm", **columns)
 
 
-def _external(arm: SimulatedArm, q_a: Array) -> dict[str, Array]:
+def _external(world: World, tcp_of: Callable[[Array], pin.SE3], q_a: Array) -> dict[str, Array]:
     """An external device's view of the arm; its noise is the same whenever the same recording is asked for."""
-    world = arm.world
     rng = np.random.default_rng([world.individual, len(q_a), 104729])
-    poses = [arm.tcp_of(q) for q in q_a]
+    poses = [tcp_of(q) for q in q_a]
     position = np.array([pose.translation for pose in poses])
     rotation = Rotation.from_matrix(np.array([pose.rotation for pose in poses]))
     position = position + world.external_position_noise * rng.standard_normal(position.shape)

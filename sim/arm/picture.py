@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
 import cv2
@@ -62,11 +61,6 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
         return _render(client, width, height, centre, far, azimuth, elevation, light=2.5 * size)
     finally:
         pybullet.disconnect(client)
-
-
-def has_shapes(robot: Robot) -> bool:
-    """Whether the robot's URDF has anything to be seen."""
-    return ET.parse(robot.urdf).getroot().find("./link/visual") is not None
 
 
 def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,

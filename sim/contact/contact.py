@@ -152,10 +152,6 @@ class TipContact:
         index = min(round(t / STEP), self._rows - 1)
         return self._log[index, 2:5].copy() if index >= 0 else np.zeros(3)
 
-    def detach(self) -> None:
-        """Lets the arm go on without contact."""
-        self._arm.step_hook = None
-
 
 @njit(cache=True)
 def _contact(tip: Array, before: Array, R: Array, origin: Array, law: Array, waves: Array, row: Array) -> None:
