@@ -7,3 +7,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 """Double precision, whatever the shape; the docstring of each function says which."""
+
+
+def held(rows: Array, *, before: int = 0, after: int = 0) -> Array:
+    """``rows (N, …)`` with the first one repeated ``before`` times ahead and the last one ``after`` times behind."""
+    return np.concatenate([np.repeat(rows[:1], before, axis=0), rows, np.repeat(rows[-1:], after, axis=0)])

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.joints import prismatic_joints
 from ideal_robot.robots.robot import Robot
 
 SHIPPED = ("kr6", "kr15", "manutec_r15")
@@ -59,8 +60,7 @@ def draw_arm(rng: np.random.Generator) -> Arm:
                                         body.inertia * factor * rng.uniform(0.9, 1.1))
     middle = 0.5 * (model.lowerPositionLimit + model.upperPositionLimit)
     half = np.minimum(0.35 * (model.upperPositionLimit - model.lowerPositionLimit), 1.2)
-    prismatic = np.array([model.joints[i + 1].shortname().startswith("JointModelP") for i in range(n)])
-    fast = np.where(prismatic, rng.uniform(0.3, 1.0, n), rng.uniform(0.7, 2.0, n))
+    fast = np.where(prismatic_joints(model), rng.uniform(0.3, 1.0, n), rng.uniform(0.7, 2.0, n))
     quick = fast * rng.uniform(2.0, 5.0, n)
     # Sizes of drives from what the arm needs: friction a tenth to a third of it, rotors like the arm's own inertia.
     data = model.createData()

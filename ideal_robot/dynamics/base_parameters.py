@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.regressor import LINK_PARAMETERS, LINK_UNITS, regressor
+from ideal_robot.robots.joints import prismatic_joints
 
 _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
@@ -121,7 +123,8 @@ def base_parameters(model: pin.Model, seed: int = 0) -> BaseParameters:
     qd, qdd = rng.normal(size=(count, n)), rng.normal(size=(count, n))
     W = full_regressor(model, q, qd, qdd).reshape(count * n, 12 * n)
     names, units = full_names(n)
-    units = tuple(_prismatic_unit(model, name, unit) for name, unit in zip(names, units, strict=True))
+    prismatic = prismatic_joints(model)
+    units = tuple(_prismatic_unit(prismatic, name, unit) for name, unit in zip(names, units, strict=True))
 
     order = _order(n)
     size = np.linalg.norm(W, axis=0)
@@ -153,8 +156,6 @@ def _order(n: int) -> list[int]:
     return [*range(11 * n, 12 * n), *links, *range(10 * n, 11 * n)]
 
 
-def _prismatic_unit(model: pin.Model, name: str, unit: str) -> str:
-    joint = model.joints[int(name.rsplit("_", 1)[1])]
-    if not joint.shortname().startswith("JointModelP"):
-        return unit
-    return {"Ia": "kg", "offset": "N"}.get(name.rsplit("_", 1)[0], unit)
+def _prismatic_unit(prismatic: NDArray[np.bool_], name: str, unit: str) -> str:
+    symbol, joint = name.rsplit("_", 1)
+    return {"Ia": "kg", "offset": "N"}.get(symbol, unit) if prismatic[int(joint) - 1] else unit

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.execution.interface import RobotState
 
 
@@ -55,7 +55,7 @@ class Feedforward(ABC):
     def along(self, q_d: Array) -> Array:
         """Commands ``(N, n)`` [rad] of a whole path ``q_d (N, n)`` [rad] that is known beforehand and ends at rest."""
         state, q_c = self.init(q_d[0]), np.empty_like(q_d)
-        ahead = np.concatenate([q_d, np.tile(q_d[-1], (self.n_d, 1))])
+        ahead = held(q_d, after=self.n_d)
         for k in range(len(q_d)):
             q_c[k], state = self.step(state, ahead[k : k + self.n_d])
         return q_c

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.information_filter import InformationFilter
@@ -43,7 +43,7 @@ class LinearInverse(Feedforward):
     def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
         rows = np.concatenate([state, q_d[: self.n_d]])
         if len(q_d) < self.n_d:
-            rows = np.concatenate([rows, np.tile(q_d[-1], (self.n_d - len(q_d), 1))])
+            rows = held(rows, after=self.n_d - len(q_d))
         q_c = q_d[0] + np.sum(self.weights * (rows - q_d[0]), axis=0)
         if self._limits is not None:
             q_c = np.clip(q_c, *self._limits)

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
@@ -90,7 +90,7 @@ class Trained(Feedforward):
         q_c, inner = self.base.step(inner, q_d, tau_ext_d)
         rows = np.concatenate([past, q_d[: self.lags.n_d]])
         if len(q_d) < self.lags.n_d:
-            rows = np.concatenate([rows, np.tile(q_d[-1], (self.lags.n_d - len(q_d), 1))])
+            rows = held(rows, after=self.lags.n_d - len(q_d))
         positions, signs, torques = _regressors(rows[None], self.lags, self.t_ipo, self.chain)
         q_c = q_c + np.sum(self.r * positions[0], axis=0) + np.sum(self.s * signs[0], axis=0)
         q_c = q_c + np.sum(self.w * torques[0], axis=0)
@@ -127,7 +127,7 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
     filters = [InformationFilter(size) for _ in range(n)]
     torque_scale = np.full(n, 1e-12)
     for q_d, q_c in paths:
-        padded = np.concatenate([np.tile(q_d[0], (lags.before, 1)), q_d, np.tile(q_d[-1], (lags.n_d, 1))])
+        padded = held(q_d, before=lags.before, after=lags.n_d)
         windows = np.stack([padded[k : k + lags.before + lags.n_d] for k in range(len(q_d))])
         columns = np.concatenate(_regressors(windows, lags, t_ipo, chain), axis=1)
         if chain is not None:

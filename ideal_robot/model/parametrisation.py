@@ -14,6 +14,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.base_parameters import BaseParameters, full_regressor
 from ideal_robot.friction import FrictionModel, PerJointFriction
+from ideal_robot.robots.joints import prismatic_joints
 
 
 @dataclass(frozen=True)
@@ -51,10 +52,10 @@ def described(base: BaseParameters, base_values: Array, friction: PerJointFricti
               model: pin.Model) -> tuple[Parameter, ...]:
     """Names, joints, units and standard deviations of the parameter vector."""
     rows: list[tuple[str, int, str, str]] = list(zip(base.names, base.joints, base.units, base.words(), strict=True))
+    prismatic = prismatic_joints(model)
     for names_of in (lambda law: law.names, lambda law: law.names_of_shape):
         for j, law in enumerate(friction.laws):
-            prismatic = model.joints[j + 1].shortname().startswith("JointModelP")
-            units = {"F": "N", "v": "m/s", "x": "m"} if prismatic else {"F": "N m", "v": "rad/s", "x": "rad"}
+            units = {"F": "N", "v": "m/s", "x": "m"} if prismatic[j] else {"F": "N m", "v": "rad/s", "x": "rad"}
             rows += [(f"{name}_{j + 1}", j + 1, unit.format(**units), f"friction, {law.label}")
                      for name, unit in names_of(law)]
     values = parameter_vector(base_values, friction)

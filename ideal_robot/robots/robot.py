@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.joints import prismatic_joints
 
 SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
 
@@ -74,8 +75,8 @@ class Robot:
 
     @property
     def prismatic(self) -> NDArray[np.bool_]:
-        """Which joints slide instead of turning ``(n,)``."""
-        return np.array([self.pinocchio.joints[i + 1].shortname().startswith("JointModelP") for i in range(self.n)])
+        """Which joints slide along their axis instead of turning about it ``(n,)``."""
+        return prismatic_joints(self.pinocchio)
 
     @property
     def urdf_hash(self) -> str:

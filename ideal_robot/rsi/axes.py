@@ -32,7 +32,7 @@ class Axes:
         Raises:
             InputError: a sliding joint, wrong length or values.
         """
-        if any(joint.shortname().startswith("JointModelP") for joint in robot.pinocchio.joints):
+        if robot.prismatic.any():
             raise InputError("sliding joints cannot be corrected in degrees; RSI needs an arm with turning joints",
                              file=robot.urdf, field="joint")
         table = robot.data.get("rsi", {})

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.tcp_errors import AXES, joint_errors, pose_errors
 from ideal_robot.robots.robot import Robot
@@ -63,7 +63,7 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
         rng: of the arm's noise.
     """
     q_d, n_d = path.q_d, feedforward.n_d
-    ahead = np.concatenate([q_d, np.tile(q_d[-1], (n_d, 1))])
+    ahead = held(q_d, after=n_d)
     q_c, times = np.empty_like(q_d), np.empty(len(q_d))
     with SimulatedArm(robot, world, rng, q_d[0]) as arm:
         current = feedforward.init(q_d[0])

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.interpolate import make_interp_spline
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import learn_on_model
@@ -126,7 +126,7 @@ def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> t
         # Other sampling than the cycle: a spline through the samples, straight on from the last one.
         samples = np.asarray(make_interp_spline(t, q, k=min(5, len(t) - 1))(grid))
     first, last = round(rest / arm.t_ipo), round(REST_AFTER / arm.t_ipo)
-    q_d = np.concatenate([np.tile(samples[0], (first, 1)), samples, np.tile(samples[-1], (last, 1))])
+    q_d = held(samples, before=first, after=last)
     return np.asarray(arm.t_ipo * np.arange(float(len(q_d)))), q_d
 
 

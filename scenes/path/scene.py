@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pydantic
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
@@ -113,9 +113,9 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
                          value=list(figure.centre)) from error
     _check_speed(moved, robot, t_ipo)
     before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)
-    q_d = np.concatenate([np.tile(moved[0], (before, 1)), moved, np.tile(moved[-1], (after, 1))])
+    q_d = held(moved, before=before, after=after)
     x = tool.positions
-    x_d = np.concatenate([np.tile(x[0], (before, 1)), x, np.tile(x[-1], (after, 1))])
+    x_d = held(x, before=before, after=after)
     counts = np.zeros(len(q_d), dtype=bool)
     counts[before : before + len(moved)] = True
     return JointPath(q_d, x_d, np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, tool)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, LimitError
 from ideal_robot.execution.interface import RobotState
 from ideal_robot.feedforward.base import Feedforward
@@ -142,7 +142,7 @@ class RsiServer:
         """Desired position and command of every cycle; braking from where a limit or ``stop`` ends the path."""
         law, T, robot = self.feedforward, self.link.t_ipo, self.link.robot
         state, last = law.init(q_d[0]), np.tile(q_d[0], (2, 1))
-        ahead = np.concatenate([q_d, np.tile(q_d[-1], (law.n_d + 2, 1))])
+        ahead = held(q_d, after=law.n_d + 2)
         for k in range(len(q_d)):
             if self._reason is not None:
                 break

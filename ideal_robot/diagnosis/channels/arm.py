@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 from scipy import signal
 
 from ideal_robot.arrays import Array
@@ -145,7 +146,7 @@ def frames_along(robot: Robot, q: Array) -> Frames:
     model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
     N, n = q.shape
     axis, x, position, tip = (np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, 3)))
-    prismatic = np.array([model.joints[j + 1].shortname().startswith("JointModelP") for j in range(n)])
+    prismatic = robot.prismatic
     normals = _normals(robot, prismatic)
     jacobian = np.empty((N, 3, n))
     for k in range(N):
@@ -161,7 +162,7 @@ def frames_along(robot: Robot, q: Array) -> Frames:
     return Frames(axis, x, position, tip, jacobian)
 
 
-def _normals(robot: Robot, prismatic: Array) -> Array:
+def _normals(robot: Robot, prismatic: NDArray[np.bool_]) -> Array:
     """Common normal of each joint's axis and the next one, in the joint's own frame ``(n, 3)``.
 
     For parallel axes it points from one to the other; for the last joint towards the TCP.

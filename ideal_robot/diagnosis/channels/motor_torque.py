@@ -129,7 +129,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
     use &= _apart_from_ends(filtered)[:, None]
     measured = filtered.decimate(filtered.tau)
-    units = tuple("N" if _prismatic(robot, j) else "N m" for j in range(n))
+    units = tuple("N" if robot.prismatic[j] else "N m" for j in range(n))
     made = Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
                       measured, measured, W, use, signals, filtered, undecided, _noise(filtered))
     made = with_blur(made, model, noise_velocity if blur is None else blur)
@@ -219,10 +219,6 @@ def _is_known_column(name: str) -> bool:
                                                           "my", "mz", "cam_t"}
 
 
-def _prismatic(robot: Robot, j: int) -> bool:
-    return bool(robot.pinocchio.joints[j + 1].shortname().startswith("JointModelP"))
-
-
 def _small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
     """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
     raw = np.column_stack([np.interp(filtered.t, recording.t, recording.columns[f"q_{j + 1}"])
@@ -251,8 +247,8 @@ def _moving(t: Array, q: Array, qd: Array, v_small: Array, rest: float, robot: R
         travel = float(np.ptp(q[:, j]))
         turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
         noise_travel = 20.0 * v_small[j] * dt
-        if seconds < 2.0 or travel < max(noise_travel, 0.004 if _prismatic(robot, j) else 0.02):
-            unit = "m" if _prismatic(robot, j) else "rad"
+        if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
+            unit = "m" if robot.prismatic[j] else "rad"
             undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {unit}; "
                                 "at least 2 s and 0.02 rad (4 mm) are needed")
         elif turns < 2:
