@@ -27,7 +27,7 @@ from scenes.path.scene import joint_path
 from scenes.scene import load_scene
 from sim.arm.arm import SimulatedArm
 from sim.arm.friction import steady_friction
-from sim.arm.specimen import draw_individual
+from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 
 REST = 0.3
@@ -107,7 +107,7 @@ def _hour(robot: Robot, world: World, loop: LoopModel, once: Array, count: int, 
 
 def _true_friction(robot: Robot, world: World, loop: LoopModel) -> Callable[[Array], dict[str, Array]]:
     """True friction at given gear temperatures ``(n,)``, in the units of the measured torque."""
-    gain = draw_individual(robot, world).drive_gain
+    gain = draw_specimen(robot, world).drive_gain
     speeds = np.maximum(loop.friction_velocity, 1e-9)
 
     def at(temperature: Array) -> dict[str, Array]:

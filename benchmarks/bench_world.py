@@ -13,7 +13,7 @@ from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from sim.arm.arm import SimulatedArm
 from sim.arm.friction import steady_friction
-from sim.arm.specimen import draw_individual
+from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 
 ROBOTS = ("kr6", "kr15", "manutec_r15")
@@ -21,7 +21,7 @@ ROBOTS = ("kr6", "kr15", "manutec_r15")
 
 def gears(robot: Robot, world: World) -> None:
     """Resonance with motors held [Hz], friction against the torque limit [%], sag under gravity [mm]."""
-    individual = draw_individual(robot, world)
+    individual = draw_specimen(robot, world)
     model, data, q = individual.model, individual.model.createData(), robot.home
     mass = pin.crba(model, data, q)
     mass = np.triu(mass) + np.triu(mass, 1).T

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
+def output_dropped() -> Iterator[None]:
     """Whatever C++ code writes to the standard streams inside this block is dropped; exceptions pass."""
     sys.stdout.flush()
     sys.stderr.flush()
@@ -26,7 +26,7 @@ def quiet() -> Iterator[None]:
         os.close(nowhere)
 
 
-with quiet():
+with output_dropped():
     import pybullet
 
-__all__ = ["pybullet", "quiet"]
+__all__ = ["output_dropped", "pybullet"]

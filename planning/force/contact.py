@@ -1,4 +1,4 @@
-"""What is wanted of a contact, what the arm is about, and what is known of a surface before it was felt."""
+"""What is wanted of a contact, the phases of a motion in contact, and the prior of the surface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ of damping or stamps [s]."""
 
 
 class Phase(Enum):
-    """What the arm is about."""
+    """Phases of a motion in contact, in their order."""
 
     APPROACH = "approach"
     SETTLE = "settle"
@@ -26,7 +26,7 @@ class Phase(Enum):
 
 @dataclass(frozen=True)
 class ContactSettings:
-    """What is wanted of the contact, and how far the sensor is trusted.
+    """What is wanted of the contact, and what errors its sensor is assumed to have.
 
     Attributes:
         force: F_r, wanted normal force [N].
@@ -40,7 +40,7 @@ class ContactSettings:
         position_noise: standard deviation common to the samples of a cycle: position, what is not modelled [m].
         frozen: cycles from now on that a new sample does not change any more.
         cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may cost [m/s²].
+        correction: acceleration that corrections may have [m/s²].
     """
 
     force: float = 20.0
@@ -65,7 +65,7 @@ class ContactSettings:
 def surface_model(
     reference: ReferencePath, ahead: float, *, shape: float = 0.006, length: float = 0.08
 ) -> PathDeviation:
-    """What is known of a surface before it was felt: somewhere near its plane, and smooth."""
+    """Prior of a surface: near its nominal plane, and smooth."""
     return PathDeviation(
         reference,
         directions=2,

@@ -19,14 +19,14 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import Phase
+from planning.force.sliding_plan import SlidingPlan
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
-from planning.path.smoothing import Smoother
 
 
 @dataclass(frozen=True)
 class ContourSettings:
-    """What is wanted, and how the contour is believed to bend.
+    """What is wanted, and how the contour is assumed to bend.
 
     Attributes:
         force: F_r [N].
@@ -36,14 +36,13 @@ class ContourSettings:
         length: way after which the motion ends [m].
         approach: speed towards the contour [m/s].
         reach: distance the approach may take before there has to be contact [m].
-        clearance: unused here; the tip stays where it ends [m].
         touch: force from which there is contact [N].
         settle: time of contact before the motion along the contour begins [s].
         window: length of contour that the parabola is fitted to [m].
-        ahead: of the newest point that the parabola is trusted to, then it goes on straight [m].
+        ahead: of the newest point over which the parabola is continued, then straight [m].
         friction: coefficient that is assumed while the arm has not moved far enough to see the tangent.
         cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may cost [m/s²].
+        correction: acceleration that corrections may have [m/s²].
     """
 
     force: float = 20.0
@@ -54,7 +53,6 @@ class ContourSettings:
     approach: float = 0.03
     reach: float = 0.05
     touch: float = 3.0
-    clearance: float = 0.01
     settle: float = 0.25
     window: float = 0.03
     ahead: float = 0.03
@@ -69,7 +67,7 @@ class ContourSettings:
 
 
 class ContourFollower:
-    """Desired joint positions along a contour that only the force sensor knows.
+    """Desired joint positions along a contour that only the force sensor shows.
 
     Args:
         robot: the arm.
@@ -101,12 +99,9 @@ class ContourFollower:
         self._axes = np.stack([x, side * np.cross(up, x)])
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
-        self._samples = n_d + 6
-        self._smoother = Smoother(self._samples, self._T, settings.cutoff, settings.correction)
-        self._plan = np.zeros((3, self._samples + 2, 2))
-        self._q = np.tile(q_start, (self._samples + 2, 1))
+        self._plan = SlidingPlan(n_d, self._T, q_start, np.zeros(2), cutoff=settings.cutoff,
+                                 correction=settings.correction)
         self._points: deque[tuple[float, Array]] = deque()
-        self._cycle = 0
         self._contact_since: float | None = None
         self.force = 0.0
         self.travelled = 0.0
@@ -127,7 +122,7 @@ class ContourFollower:
     @property
     def descended(self) -> float:
         """How far the approach has come [m]."""
-        return float(self._plan[0, 0, 0])
+        return float(self._plan.position[0, 0])
 
     def s_at(self, t: float) -> float:
         """Way along the contour at ``t`` [m]."""
@@ -139,7 +134,7 @@ class ContourFollower:
 
     def planned(self) -> Array:
         """Desired position in the plane at the current cycle ``(2,)`` [m]."""
-        return self._plan[0, 0].copy()
+        return self._plan.position[0].copy()
 
     @property
     def in_contact(self) -> bool:
@@ -224,26 +219,17 @@ class ContourFollower:
         Raises:
             OutOfReachError: the contour leads out of the arm's reach.
         """
-        k = round(t / self._T)
-        shift = k - self._cycle
-        if shift > 0:
-            self._plan = np.concatenate([self._plan[:, shift:], np.repeat(self._plan[:, -1:], shift, axis=1)], axis=1)
-            self._q = np.concatenate([self._q[shift:], np.repeat(self._q[-1:], shift, axis=0)])
-            self._cycle = k
+        self._plan.advance(round(t / self._T))
         if self._moving_from is None and self.in_contact and t - float(self._contact_since or 0) > self.settings.settle:
             self._moving_from = t
         keep = 1
-        estimate = self._estimate(t, keep)
-        for axis in (0, 1):
-            one = slice(axis, axis + 1)
-            planned = self._smoother.plan(self._plan[:, keep, one], estimate[:, one])
-            self._plan[:, keep + 1 : keep + 1 + self._samples, one] = planned
+        self._plan.follow(self._estimate(t, keep), keep)
         self.travelled = float(self._way(t))
-        rows = slice(keep + 1, self.n_d)
-        positions = self._start.translation + self._plan[0, rows] @ self._axes
-        targets = [pin.SE3(self._start.rotation, p) for p in positions]
-        self._q[rows] = self._kinematics.refine(targets, self._q[rows])
-        return self._q[: self.n_d].copy()
+        return self._plan.solve(keep, self._joint_angles)
+
+    def _joint_angles(self, rows: slice, guess: Array) -> Array:
+        positions = self._start.translation + self._plan.position[rows] @ self._axes
+        return self._kinematics.refine([pin.SE3(self._start.rotation, p) for p in positions], guess)
 
     def _way(self, t: npt.ArrayLike) -> Array:
         """Way along the contour at ``t``: a trapezoid of speed."""
@@ -260,7 +246,7 @@ class ContourFollower:
 
     def _estimate(self, t: float, keep: int) -> Array:
         """Wanted positions ``(samples, 2)`` of the coming cycles in the plane."""
-        ahead = (keep + 1 + np.arange(self._samples)) * self._T
+        ahead = (keep + 1 + np.arange(self._plan.samples)) * self._T
         if not self.in_contact:
             return np.column_stack([self.settings.approach * (t + ahead), np.zeros(len(ahead))])
         points = np.array([point for _, point in self._points])
@@ -287,7 +273,4 @@ class ContourFollower:
         if not self.in_contact:
             return np.zeros_like(q_d)
         force = self.settings.force * (self._normal @ self._axes)
-        jacobian = pin.computeFrameJacobian(
-            self.robot.pinocchio, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
-        )
-        return np.tile(jacobian[:3].T @ force, (len(q_d), 1))
+        return np.tile(self._kinematics.torque(q_d[0], force), (len(q_d), 1))

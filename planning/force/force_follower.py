@@ -10,17 +10,18 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, surface_model
+from planning.force.sliding_plan import SPARE, SlidingPlan
 from planning.line.fusion import DeviationFilter, Fused, Measurement
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from planning.path.smoothing import Smoother
-from planning.path.speed_profile import JointPath, SpeedProfile
+from planning.path.reference_table import ReferenceTable
+from planning.path.speed_profile import SpeedProfile
 from planning.planning_error import PlanningError
 from sensing.force.force_deviation import force_deviation
 
 STEEPEST = 0.5
-"""Largest slope of the surface against its nominal plane that is believed."""
+"""Largest slope of the surface against its nominal plane that is assumed."""
 KNOWN_LATERAL = 0.001
 """Standard deviation of the lateral deviation below which the line counts as known [m]."""
 KNOWN_AFTER = 0.03
@@ -64,8 +65,8 @@ class SurfaceFollower:
         self.history = PoseHistory(robot)
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
-        self._samples = n_d + 6
-        ahead = self._samples * self._T * profile.top_speed + 0.03
+        samples = n_d + SPARE
+        ahead = samples * self._T * profile.top_speed + 0.03
         self.fusion = fusion or DeviationFilter(surface_model(reference, ahead), biases={"force": force_errors})
         if self.fusion.model.directions != 2:
             raise InputError(
@@ -73,7 +74,11 @@ class SurfaceFollower:
                 field="fusion",
                 value=self.fusion.model.directions,
             )
-        self._smoother = Smoother(self._samples, self._T, settings.cutoff, settings.correction)
+        self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)
+        first = pin.SE3(table.rotations[0], table.frames.position[0] + start_height * table.frames.up[0])
+        self._q_start = self._kinematics.solve(first, table.q[0])
+        self._plan = SlidingPlan(n_d, self._T, self._q_start, np.array([0.0, start_height]),
+                                 cutoff=settings.cutoff, correction=settings.correction)
         self.phase = Phase.APPROACH
         self._lateral = lateral
         self._height = start_height
@@ -87,23 +92,6 @@ class SurfaceFollower:
         """Normal force of the last sample [N]."""
         self.slope = np.zeros(2)
         """Slopes of the surface along and across the path, as the map and the force vector show them."""
-        self._tabulate(JointPath.of(robot, reference))
-
-    def _tabulate(self, path: JointPath) -> None:
-        cycles = int(np.ceil(self.profile.duration / self._T)) + 2 * self._samples
-        self._s = self.profile.s(self._T * np.arange(cycles))
-        self._frames = self.reference.frames(self._s)
-        self._rotations = self.reference.rotation(self._s)
-        guess = np.column_stack([np.interp(self._s, path.s, column) for column in path.q.T])
-        start = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
-        self._q_reference = self._kinematics.refine(start, guess, tolerance=1e-12)
-        # Plan per absolute cycle: position, velocity, acceleration in (lateral, up).
-        self._plan = np.zeros((3, self._samples + 2, 2))
-        self._plan[0, :, 1] = self._height
-        self._plan_from = 0
-        first = pin.SE3(self._rotations[0], self._frames.position[0] + self._height * self._frames.up[0])
-        self._q_start = self._kinematics.solve(first, self._q_reference[0])
-        self._q = np.tile(self._q_start, (self._samples + 2, 1))
 
     @property
     def q_start(self) -> Array:
@@ -116,7 +104,7 @@ class SurfaceFollower:
         return self._t_travel
 
     def observe(self, t: float, q_a: Array) -> None:
-        """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before samples are handed in."""
+        """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]; every cycle, before the samples of the cycle."""
         self.history.add(t, q_a)
 
     def speed_at(self, t: float) -> float:
@@ -205,7 +193,7 @@ class SurfaceFollower:
     @property
     def descended(self) -> float:
         """How far the approach has come down [m]."""
-        return self._height - float(self._plan[0, 0, 1])
+        return self._height - float(self._plan.position[0, 1])
 
     def horizon(self, t: float) -> Array:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
@@ -214,33 +202,26 @@ class SurfaceFollower:
             OutOfReachError: the surface leads out of the arm's reach.
         """
         self.advance(t)
-        k = self._plan_from
-        keep = self.settings.frozen
-        rows = self._rows(k + keep + 1 + np.arange(self._samples))
-        estimate = self._estimate(t, keep, rows)
-        for direction in (0, 1):
-            # Each on its own: a large correction along one must not make the other one slow.
-            one = slice(direction, direction + 1)
-            planned = self._smoother.plan(self._plan[:, keep, one], estimate[:, one])
-            self._plan[:, keep + 1 : keep + 1 + self._samples, one] = planned
-        self._solve(k, keep)
-        return self._q[: self.n_d].copy()
+        k, keep = self._plan.cycle, self.settings.frozen
+        self._plan.follow(self._estimate(t, keep, self._rows(k + keep + 1 + np.arange(self._plan.samples))), keep)
+        return self._plan.solve(keep, self._joint_angles)
+
+    def _joint_angles(self, rows: slice, guess: Array) -> Array:
+        cycles = self._rows(self._plan.cycle + np.arange(rows.start, rows.stop))
+        positions = self._table.displaced(cycles, self._plan.position[rows])
+        targets = [pin.SE3(R, p) for R, p in zip(self._table.rotations[cycles], positions, strict=True)]
+        return self._kinematics.refine(targets, guess)
 
     def _rows(self, cycles: NDArray[np.int_]) -> NDArray[np.int_]:
         """Rows of the tables for absolute cycles: the first one before the travel, the last one behind it."""
         travel = round(self._t_travel / self._T) if np.isfinite(self._t_travel) else np.iinfo(np.int64).max // 2
-        return np.clip(cycles - travel, 0, len(self._s) - 1).astype(int)
+        return np.clip(cycles - travel, 0, len(self._table) - 1).astype(int)
 
     def advance(self, t: float) -> None:
         """Goes on to the cycle ``t`` [s]: looks whether the next phase begins; part of ``horizon``."""
         k = round(t / self._T)
         self.fusion.travel(self.s_at(t))
-        shift = k - self._plan_from
-        if shift > 0:
-            self._plan = np.concatenate([self._plan[:, shift:], np.repeat(self._plan[:, -1:], shift, axis=1)], axis=1)
-            self._plan[1:, -shift:] = 0.0
-            self._q = np.concatenate([self._q[shift:], np.repeat(self._q[-1:], shift, axis=0)])
-            self._plan_from = k
+        self._plan.advance(k)
         if self.phase is Phase.SETTLE:
             near = abs(self.force - self.settings.force) < 0.15 * self.settings.force
             self._near_since = (self._near_since if self._near_since is not None else t) if near else None
@@ -250,14 +231,16 @@ class SurfaceFollower:
         elif self.phase is Phase.TRAVEL and t > self._t_travel + self.profile.duration + self.settings.settle:
             self.phase = Phase.LIFT
             self._t_lift = t
-            self._lift_from = self._plan[0, 0].copy()
-        elif self.phase is Phase.LIFT and self._plan[0, 0, 1] > self._lift_from[1] + 0.95 * self.settings.clearance:
-            self.phase = Phase.DONE
+            self._lift_from = self._plan.position[0].copy()
+        elif self.phase is Phase.LIFT:
+            risen = self._plan.position[0, 1] - self._lift_from[1]
+            if risen > 0.95 * self.settings.clearance:
+                self.phase = Phase.DONE
 
     def _estimate(self, t: float, keep: int, rows: NDArray[np.int_]) -> Array:
         """Wanted deviation ``(samples, 2)`` of the coming cycles: descending, on the map, or lifting."""
-        ahead = (keep + 1 + np.arange(self._samples)) * self._T
-        estimate, _ = self.fusion.deviation(self._s[rows], t)
+        ahead = (keep + 1 + np.arange(self._plan.samples)) * self._T
+        estimate, _ = self.fusion.deviation(self._table.s[rows], t)
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.descent * (t + ahead)
         elif self.phase in (Phase.LIFT, Phase.DONE):
@@ -265,20 +248,9 @@ class SurfaceFollower:
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])
         return np.asarray(estimate)
 
-    def _solve(self, k: int, keep: int) -> None:
-        first, end = keep + 1, self.n_d
-        if first >= end:
-            return
-        rows = self._rows(k + np.arange(first, end))
-        d = self._plan[0, first:end]
-        frames = self._frames
-        positions = frames.position[rows] + d[:, :1] * frames.normal[rows] + d[:, 1:] * frames.up[rows]
-        targets = [pin.SE3(R, p) for R, p in zip(self._rotations[rows], positions, strict=True)]
-        self._q[first:end] = self._kinematics.refine(targets, self._q[first:end])
-
     def planned(self) -> Array:
         """Desired deviation (lateral, up) at the current cycle ``(2,)`` [m]."""
-        return self._plan[0, 0].copy()
+        return self._plan.position[0].copy()
 
     def contact_torque(self, q_d: Array) -> Array:
         """Expected joint torques τ_d of the contact over the horizon ``(n_d, n)`` [N m], [L] 2.2.
@@ -287,10 +259,7 @@ class SurfaceFollower:
         """
         if self._contact_since is None or self.phase in (Phase.LIFT, Phase.DONE):
             return np.zeros_like(q_d)
-        frames = self.reference.frames(np.array([self.s_at(self._plan_from * self._T)]))
+        frames = self.reference.frames(np.array([self.s_at(self._plan.cycle * self._T)]))
         normal = frames.up[0] - self.slope[0] * frames.tangent[0] - self.slope[1] * frames.normal[0]
         force = self.settings.force * normal / np.linalg.norm(normal)
-        jacobian = pin.computeFrameJacobian(
-            self.robot.pinocchio, self._kinematics._data, q_d[0], self.robot.tool_id, pin.LOCAL_WORLD_ALIGNED
-        )
-        return np.tile(jacobian[:3].T @ force, (len(q_d), 1))
+        return np.tile(self._kinematics.torque(q_d[0], force), (len(q_d), 1))

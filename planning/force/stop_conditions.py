@@ -27,7 +27,7 @@ class EmergencyStopError(PlanningError):
 
 
 @dataclass(frozen=True)
-class WatchLimits:
+class StopLimits:
     """What must not happen.
 
     Attributes:
@@ -46,7 +46,7 @@ class WatchLimits:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
 
 
-class Watch:
+class StopConditions:
     """Looks at every sample and at every horizon; raises before the arm does what it must not.
 
     Args:
@@ -54,7 +54,7 @@ class Watch:
         limits: what must not happen.
     """
 
-    def __init__(self, robot: Robot, limits: WatchLimits) -> None:
+    def __init__(self, robot: Robot, limits: StopLimits) -> None:
         self._robot, self._limits, self._T = robot, limits, robot.t_ipo
 
     def force(self, t: float, force: float) -> None:

@@ -82,7 +82,7 @@ class DeviationFilter:
 
     with :math:`\Delta x_r` linear in the model's state, errors :math:`\beta` of the sensor itself (constant, e.g. a
     wrong mounting angle) and noise :math:`v` with the covariance stated by the measurement. A point of the path that is
-    seen several times from different places tells :math:`\beta` and :math:`\Delta x_r` apart.
+    seen several times from different places separates :math:`\beta` from :math:`\Delta x_r`.
 
     A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if most of its
     values are, or if its normalised innovation squared is beyond the ``significance`` bound. Measurements left out feed
@@ -133,7 +133,7 @@ class DeviationFilter:
         return _Track(kf)
 
     def travel(self, s: float) -> None:
-        """Tells that the arm is at arc length ``s`` [m]; the state moves along with it."""
+        """Moves the state along with the arm, which is at arc length ``s`` [m]."""
         while (step := self.model.travel(s)) is not None:
             F, Q = np.eye(self._size), np.zeros((self._size, self._size))
             F[: self.model.size, : self.model.size], Q[: self.model.size, : self.model.size] = step

@@ -21,17 +21,17 @@ from planning.path.vectors import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 SILENCE = 0.25
-"""Time after which a camera that sends no fields at all counts as one that shows nothing [s]."""
+"""Time without any field after which the line counts as not seen [s]."""
 
 
 @dataclass(frozen=True)
 class FollowerSettings:
-    """How a line follower trusts its sensor and what it allows itself.
+    """Assumed sensor errors and limits of a line follower.
 
     Attributes:
         frozen: cycles from now on that a new field does not change any more.
         cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may cost [m/s²].
+        correction: acceleration that corrections may have [m/s²].
         noise: lateral error of a point beside what its detection states [m].
         common: lateral error common to all points of a field, different from field to field [m].
         yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
@@ -82,7 +82,7 @@ class LineFollower:
         reference: the reference path.
         profile: the travel along it.
         n_d: desired positions a call of ``horizon`` gives.
-        settings: trust and limits.
+        settings: assumed sensor errors and limits.
         fusion: the filter; by default a map of the path with the camera's errors as ``settings`` say.
         t_start: controller time at which the travel begins [s].
         joint_path: the reference in joint space, if it is known already.
@@ -264,7 +264,7 @@ class LineFollower:
         return q
 
     def _check_seen(self, t: float, s: float) -> None:
-        """Counts the blind distance from field to field, so that a late camera is not a blind one; a silent one is."""
+        """Limits the distance without a sight of the line, from field to field; late fields are not missing."""
         begin, end = self._line_span
         looked = self.profile.at(max(self._field_t, t - SILENCE) - self.t_start)[0]
         if self._last_seen is None:

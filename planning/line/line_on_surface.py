@@ -1,13 +1,13 @@
 r"""A line seen by a camera on a surface of unknown height ([L] 4.3, sensors that are not orthogonal).
 
-A pixel is a ray, not a point. Where the surface is higher than believed, the seen point is displaced along the ray, so
+A pixel is a ray, not a point. Where the surface is higher than assumed, the seen point is displaced along the ray, so
 a field measures the deviation :math:`\Delta x_r` not along the path's lateral normal but across the ray,
 
 .. math:: g = (1,\; -r_n / r_u)
 
 with the components :math:`r_n, r_u` of the ray across the path and out of the surface. The force measures along the
 surface's normal: two sensors whose directions are neither the same nor orthogonal, and one filter for both. A camera
-that looks nearly straight down (``OBLIQUE``) says too little of the height to be believed about it: there the height is
+that looks nearly straight down (``OBLIQUE``) determines the height too badly: there the height is
 taken from the map, with its variance.
 """
 
@@ -32,7 +32,7 @@ OBLIQUE = 0.1
 
 @dataclass(frozen=True)
 class SightSettings:
-    """How far the camera is trusted.
+    """Assumed errors of the camera, and when a field is rejected.
 
     Attributes:
         noise: lateral error of a point beside what its detection states [m].
@@ -42,8 +42,8 @@ class SightSettings:
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives [s].
         max_blind: distance that may be travelled without seeing the line [m].
-        scatter: largest scatter of a field's points about the line as believed, moved and turned [m].
-        doubt: time without a good field after which one field alone is not believed any more [s].
+        scatter: largest scatter of a field's points about the estimated line, moved and turned [m].
+        doubt: time without a good field after which one field alone is not used any more [s].
         agreement: how well two fields in a row then have to agree [m].
         distance_ratio: assumed over true distance from camera to surface, 1 unless an error is to be studied.
     """
@@ -72,7 +72,7 @@ class LineOnSurface:
     Args:
         follower: whose map is used and updated; made with ``lateral=True``.
         camera: pose of the camera in the tool frame.
-        settings: trust.
+        settings: assumed errors.
         line_span: arc lengths of the reference between which the line is [m].
     """
 
@@ -143,7 +143,7 @@ class LineOnSurface:
         extra = np.zeros(len(s))
         if np.max(np.abs(g[:, 1])) < OBLIQUE:
             # Seen from nearly above the height hardly shows: it is taken from the map, with its variance. Otherwise
-            # every small lateral contradiction would become a large error of the height, which the force knows better.
+            # every small lateral contradiction would become a large error of the height, which force measures better.
             d, variance = follower.fusion.deviation(s)
             value = value - g[:, 1] * d[:, 1]
             extra = g[:, 1] ** 2 * variance[:, 1]
@@ -162,9 +162,9 @@ class LineOnSurface:
     def _implausible(self, measurement: Measurement) -> str:
         """Why a field cannot be of the line; empty if it can.
 
-        The map ahead is sure only as long as the line was seen there. A camera that has lied or been blind for longer
-        than its view reaches ahead finds a map that would believe anything, so what it says must make sense by itself:
-        its points lie on one line, and two fields in a row show the same one.
+        The map ahead has a small variance only where the line was seen. After wrong or missing fields over more than
+        the camera's range ahead the variance excludes nothing, so the field itself is tested: its points lie on one
+        line, and two fields in a row show the same one.
         """
         settings, s = self.settings, measurement.s
         d, _ = self.follower.fusion.deviation(s)

@@ -12,6 +12,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
+from planning.path.reference_table import ReferenceTable
 from planning.path.smoothing import Smoother
 from planning.path.speed_profile import JointPath, SpeedProfile
 
@@ -33,7 +34,7 @@ class DesiredPath:
         directions: 1 lateral, 2 also height.
         frozen: cycles from now on that a new estimate does not change any more.
         cutoff: frequency up to which the estimate is followed [Hz].
-        correction: acceleration that corrections may cost [m/s²].
+        correction: acceleration that corrections may have [m/s²].
         follow_tangent: whether the tool turns with the desired path, not only with the reference.
         t_start: controller time at which the travel begins [s].
         joint_path: the reference in joint space, if it is known already.
@@ -62,18 +63,13 @@ class DesiredPath:
         # Some cycles more than asked for, so that the plan still reaches far enough when a field fails to come.
         self.samples = n_d + 12
         self._smoother = Smoother(self.samples, self._T, cutoff, correction)
-        cycles = int(np.ceil(profile.duration / self._T)) + 2 * self.samples
-        self.s = profile.s(self._T * np.arange(cycles))
+        self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * self.samples, joint_path)
+        self.s = table.s
         """Arc length of the reference at every cycle ``(K,)`` [m]."""
-        self._frames = reference.frames(self.s)
-        self._rotations = reference.rotation(self.s)
-        path = joint_path or JointPath.of(robot, reference)
-        self._targets = [pin.SE3(R, p) for R, p in zip(self._rotations, self._frames.position, strict=True)]
-        q = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
-        self.q_reference = self._kinematics.refine(self._targets, q, tolerance=1e-12)
+        self.q_reference = table.q
         """The reference in joint space at every cycle ``(K, n)`` [rad]."""
         self._q = self.q_reference.copy()
-        self._plan = np.zeros((3, cycles, directions))
+        self._plan = np.zeros((3, len(table), directions))
         self._planned_to = self._solved_to = self._ever_solved = -1
 
     def cycle(self, t: float) -> int:
@@ -107,14 +103,14 @@ class DesiredPath:
 
     def pose(self, t: float) -> pin.SE3:
         """Desired TCP pose at ``t``, as planned so far."""
-        return self._targets[self.cycle(t)].copy()
+        return self._table.poses[self.cycle(t)].copy()
 
     def _replan(self, k: int, estimate: Callable[[Array], Array]) -> None:
         """New desired deviation behind the cycles that are being executed."""
         keep = k + self._frozen if self._planned_to >= k + self._frozen else max(k, 0)
         keep = min(keep, len(self.s) - self.samples - 1)
         if self._planned_to < keep:
-            # Cycles that nobody asked for: the deviation stayed where it was.
+            # Cycles without a call of ``horizon``: the deviation stayed where it was.
             self._plan[0, self._planned_to + 1 : keep + 1] = self._plan[0, max(self._planned_to, 0)]
         coming = slice(keep + 1, keep + 1 + self.samples)
         self._plan[:, coming] = self._smoother.plan(self._plan[:, keep], estimate(self.s[coming]))
@@ -124,10 +120,8 @@ class DesiredPath:
     def _solve(self, first: int, end: int) -> None:
         """Inverse kinematics of the cycles ``first … end - 1``."""
         d = self._plan[0, first:end]
-        positions = self._frames.position[first:end] + d[:, :1] * self._frames.normal[first:end]
-        if d.shape[1] > 1:
-            positions = positions + d[:, 1:] * self._frames.up[first:end]
-        rotations = self._rotations[first:end]
+        positions = self._table.displaced(slice(first, end), d)
+        rotations = self._table.rotations[first:end]
         if self._follow_tangent:
             rotations = self._turned(first, end) @ rotations
         # What was solved before is nearly right; behind it the offset from the reference's joint angles goes on.
@@ -137,7 +131,7 @@ class DesiredPath:
             start = start.copy()
             offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
             start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
-        targets = self._targets[first:end]
+        targets = self._table.poses[first:end]
         for target, R, p in zip(targets, rotations, positions, strict=True):
             target.translation = p
             if self._follow_tangent:
@@ -148,7 +142,8 @@ class DesiredPath:
 
     def _turned(self, first: int, end: int) -> Array:
         """Rotations about the surface normal from the reference's tangent to that of the desired path."""
+        frames = self._table.frames
         speed = np.gradient(self.s, self._T)[first:end]
-        forward = speed * (1.0 - self._frames.curvature[first:end] * self._plan[0, first:end, 0])
+        forward = speed * (1.0 - frames.curvature[first:end] * self._plan[0, first:end, 0])
         angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
-        return np.array([pin.exp3(a * up) for a, up in zip(angle, self._frames.up[first:end], strict=True)])
+        return np.array([pin.exp3(a * up) for a, up in zip(angle, frames.up[first:end], strict=True)])

@@ -46,6 +46,11 @@ class InverseKinematics:
         damping = 1e-6 * np.eye(6)
         return q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error), error
 
+    def torque(self, q: Array, force: Array) -> Array:
+        """Joint torques Jᵀ F ``(n,)`` [N m] of a force ``(3,)`` [N, base frame] at the TCP, for ``q (n,)`` [rad]."""
+        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL_WORLD_ALIGNED)
+        return np.asarray(jacobian[:3].T @ force)
+
     def solve(self, target: pin.SE3, q: Array, iterations: int = 50) -> Array:
         """Joint angles ``(n,)`` [rad] of one pose, from the guess ``q (n,)``; steps are cut to 0.3 rad.
 

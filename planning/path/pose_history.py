@@ -13,7 +13,7 @@ from planning.planning_error import PlanningError
 
 
 class PoseHistory:
-    """The last joint angles that the controller told, and poses interpolated between them.
+    """The last joint angles that the controller reported, and poses interpolated between them.
 
     "We compute the camera position of the time instant of sensing and then evaluate the measured sensor data for this
     time instant" ([L] 4.3). Between samples the joint angles follow the cubic through the four nearest ones.

@@ -26,7 +26,7 @@ class Smoother:
         samples: length of the plan in cycles.
         t_ipo: cycle [s].
         cutoff: highest cutoff frequency [Hz]; softer ones are each a factor 1.4 below, down to 1 Hz.
-        acceleration: what corrections of the estimate may cost on top of the estimate's own acceleration [m/s²].
+        acceleration: largest one of corrections, beyond the estimate's own acceleration [m/s²].
     """
 
     def __init__(self, samples: int, t_ipo: float, cutoff: float = 15.0, acceleration: float = 4.0) -> None:

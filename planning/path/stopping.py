@@ -20,7 +20,7 @@ def stopping_rows(planned: Array, T: float, speed: float, deceleration: float) -
         planned: desired joint positions of the coming cycles ``(m, n)`` [rad], first the one due now.
         T: interpolation cycle [s].
         speed: path speed now [m/s].
-        deceleration: what braking may cost at most on the path [m/s²].
+        deceleration: largest one on the path while braking [m/s²].
     """
     m = len(planned)
     path = CubicSpline(np.arange(m), planned)

@@ -17,7 +17,7 @@ from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.passthrough import PassThrough
 from planning.force.contact import Phase
 from planning.force.direct_force import DirectForceFeedback
-from planning.force.stop_conditions import Watch
+from planning.force.stop_conditions import StopConditions
 from planning.path.stopping import stopping_rows
 from planning.planning_error import PlanningError
 from scenes.force.cell import N_D, Cell, calibrations, scene_curves, set_up
@@ -118,7 +118,7 @@ class ForceLoop:
         else:
             self.follower = cell.follower(assumed, glue_fusion(cell) if cell.scene.task == "glue" else None)
         self.vision = GlueCamera(cell, self.follower) if cell.scene.task == "glue" else None
-        self.watch = Watch(cell.robot, cell.scene.emergency.limits())
+        self.watch = StopConditions(cell.robot, cell.scene.emergency.limits())
         self.filter = WrenchFilter(WINDOW)
         self.direct = DirectForceFeedback(self.follower, *gains) if method == "direct_feedback" and gains else None
         T = cell.world.t_ipo

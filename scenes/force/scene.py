@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pydantic
 
-from planning.force.stop_conditions import WatchLimits
+from planning.force.stop_conditions import StopLimits
 from scenes.line.scene import Calibration, Camera, Displacement, Line, Reference, Surface
 from scenes.scene import Scene
 from scenes.shape import Shape
@@ -94,8 +94,8 @@ class Emergency(_Table):
     lost: float = pydantic.Field(default=0.1, gt=0)
     share: float = pydantic.Field(default=1.0, gt=0, le=2)
 
-    def limits(self) -> WatchLimits:
-        return WatchLimits(**self.model_dump())
+    def limits(self) -> StopLimits:
+        return StopLimits(**self.model_dump())
 
 
 class CameraTrouble(_Table):

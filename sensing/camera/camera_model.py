@@ -96,7 +96,7 @@ def default_mount(height: float = 0.25, ahead: float = 0.065) -> pin.SE3:
 
 @dataclass(frozen=True)
 class CalibrationError:
-    """Sizes of the errors between a camera and what is believed of it; angles about the tool's axes.
+    """Sizes of the errors between a camera and its calibration; angles about the tool's axes.
 
     Attributes:
         roll, pitch, yaw: rotation of the camera about the tool's x (along the path), y and z [rad].

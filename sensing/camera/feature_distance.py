@@ -45,7 +45,7 @@ def distance_from_features(camera: CameraModel, pixels: Array, lengths: Array, *
     apart = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
     inverse = float(lengths @ apart / (lengths @ lengths))
     if inverse <= 0 or not np.isfinite(inverse):
-        raise SensingError("the features coincide in the image; no distance can be told from them")
+        raise SensingError("the features coincide in the image; they do not determine a distance")
     # Two features of a pair scatter independently.
     focal = 0.5 * (camera.K[0, 0] + camera.K[1, 1])
     std_inverse = np.sqrt(2.0) * sigma_px / focal / float(np.linalg.norm(lengths))

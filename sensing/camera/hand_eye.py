@@ -90,12 +90,12 @@ class HandEye:
 def calibration_poses(
     centre: Array, tangent: Array, normal: Array, ahead: float, move: float = 0.04, lift: float = 0.03
 ) -> list[pin.SE3]:
-    """Tool poses from which one piece of the line tells all that matters of the camera.
+    """Tool poses from which one piece of the line determines all mounting parameters of the camera.
 
     The tool turns about its approach axis by nearly ±90°, which turns every constant error of the camera against the
-    line; it moves along, which tells a turned camera from a turned line; sideways and up, which shows scale and focal
-    length. No turn is a multiple of 45°: a line along pixel rows or diagonals has the same sub-pixel error in all its
-    points.
+    line; it moves along, which separates a turned camera from a turned line; sideways and up, which shows scale and
+    focal length. No turn is a multiple of 45°: a line along pixel rows or diagonals has the same sub-pixel error in
+    all its points.
 
     Args:
         centre: a point on the line as far as known ``(3,)`` [m].

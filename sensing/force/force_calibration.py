@@ -57,7 +57,7 @@ def identify_tool(wrenches: Array, rotations: Sequence[Array]) -> ToolLoad:
         rotations: of the tool frame in the base frame, N of them ``(3, 3)``.
 
     Raises:
-        SensingError: too few orientations to tell bias and weight apart.
+        SensingError: too few orientations to separate bias and weight.
     """
     rows, values = [], []
     for wrench, rotation in zip(wrenches, rotations, strict=True):
@@ -72,7 +72,7 @@ def identify_tool(wrenches: Array, rotations: Sequence[Array]) -> ToolLoad:
     W, Y = np.vstack(rows), np.concatenate(values)
     size = np.linalg.norm(W, axis=0)
     if len(rotations) < 3 or np.any(size == 0) or np.linalg.cond(W / size) > 1e4:
-        raise SensingError("bias and weight of the tool cannot be told apart: turn the tool into at least three "
+        raise SensingError("bias and weight of the tool cannot be separated: turn the tool into at least three "
                            "clearly different orientations")
     chi = np.linalg.lstsq(W, Y, rcond=None)[0]
     residual = (Y - W @ chi).reshape(-1, 2, 3)

@@ -1,4 +1,4 @@
-"""What a force/torque sensor at the flange hands over."""
+"""A sample of a force/torque sensor at the flange."""
 
 from __future__ import annotations
 

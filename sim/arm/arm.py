@@ -20,7 +20,7 @@ from sim.arm.checks import checked_posture, require_integrable
 from sim.arm.drive import drive_parameters, drive_start
 from sim.arm.history import History, recording_of
 from sim.arm.rotors import RigidRotors
-from sim.arm.specimen import draw_individual
+from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 from sim.simulation_error import SimError
@@ -28,7 +28,7 @@ from sim.simulation_error import SimError
 
 @dataclass(frozen=True)
 class TrueState:
-    """What no controller knows.
+    """The true state, which no controller measures.
 
     Attributes:
         t: time [s].
@@ -74,10 +74,10 @@ class SimulatedArm:
         self.robot, self.world = robot, world
         self.t_ipo = world.t_ipo
         self._rng = rng
-        self._individual = draw_individual(robot, world)
-        self._model = self._individual.model
+        self._specimen = draw_specimen(robot, world)
+        self._model = self._specimen.model
         self._p, self._shared, self._counts = drive_parameters(
-            world, robot, self._individual.rotor_inertia, self._individual.drive_gain, self._individual.phase)
+            world, robot, self._specimen.rotor_inertia, self._specimen.drive_gain, self._specimen.phase)
         self._elastic = self._p[kernel.P_ELASTIC] > 0.0
         self._kinematics = self._model.createData()
         require_integrable(self._model, robot.home, self._p)
@@ -107,7 +107,7 @@ class SimulatedArm:
             q_a = output - holding / stiffness
         q_a = q_a - np.sign(holding) * 0.5 * np.where(np.isfinite(stiffness), self.world.per_joint("backlash", n), 0.0)
         self._x = drive_start(self._p, q0, holding, self.world.per_joint("start_temperature", n))
-        rigid = np.where(self._elastic, 0.0, self._individual.rotor_inertia)
+        rigid = np.where(self._elastic, 0.0, self._specimen.rotor_inertia)
         self._rotors = RigidRotors(self._model, rigid) if rigid.any() else None
         self._tick = 0
         self._pending = q0.copy()
@@ -119,7 +119,7 @@ class SimulatedArm:
             pybullet.resetJointState(self.body, joint, q_a[joint], 0.0, physicsClientId=self.client)
 
     def cycle(self, q_c: Array) -> RobotState:
-        """Hands over the commanded joint angles and lets one interpolation cycle pass.
+        """Executes one interpolation cycle with the commanded joint angles.
 
         Args:
             q_c: ``(n,)`` [rad]. Reached at the end of this cycle, or of the next one with the standard planner's

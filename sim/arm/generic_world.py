@@ -1,4 +1,4 @@
-"""A world for an arm nobody wrote one for: sizes in proportion to its inertias and torque limits."""
+"""The default world of an arm without a world file: sizes in proportion to its inertias and torque limits."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from sim.bullet import pybullet, quiet
+from sim.bullet import output_dropped, pybullet
 
 Picture = NDArray[np.uint8]
 
@@ -42,7 +42,7 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
         raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        with quiet():  # frames without inertia, which Bullet warns of, are no concern of a picture
+        with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
             body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
         order = {pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode(): i
                  for i in range(pybullet.getNumJoints(body, physicsClientId=client))}

@@ -14,7 +14,7 @@ from sim.arm.world import World
 
 
 @dataclass(frozen=True)
-class Individual:
+class Specimen:
     """The true arm.
 
     Attributes:
@@ -30,7 +30,7 @@ class Individual:
     phase: Array
 
 
-def draw_individual(robot: Robot, world: World) -> Individual:
+def draw_specimen(robot: Robot, world: World) -> Specimen:
     """The arm of the seed ``world.individual``.
 
     Raises:
@@ -60,7 +60,7 @@ def draw_individual(robot: Robot, world: World) -> Individual:
         raise InputError("elastic gears need a rotor inertia in the robot data; give it, or set "
                          "world.elasticity = false",
                          field="joints.rotor_inertia", value=robot.rotor_inertia.tolist())
-    return Individual(model, rotor, gain, phase)
+    return Specimen(model, rotor, gain, phase)
 
 
 def _displace(model: pin.Model, offsets: Array, turns: Array) -> None:

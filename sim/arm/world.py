@@ -65,7 +65,7 @@ class World:
         correction_delay: the standard path planner's delay of one interpolation cycle ([G] 5.2.1).
         t_ipo, t_position, t_velocity: cycle times [s].
         position_gain: of the position loop [1/s].
-        velocity_feedforward: share of the commanded velocity handed to the velocity loop.
+        velocity_feedforward: share of the commanded velocity added in the velocity loop.
         velocity_gain, integral_time: of the velocity PI loop [N m s/rad, s].
         velocity_filter: time constant of the low-pass differentiator [s].
         current_lag: time constant of the current loop [s]; 0 is none.
@@ -160,7 +160,7 @@ class World:
 
     @classmethod
     def default(cls, robot_name: str) -> World:
-        """The unkind world of a robot: everything a real arm has is on, at realistic size.
+        """The default world of a robot: every effect of a real arm is on, at realistic size.
 
         Args:
             robot_name: a shipped robot, or the path of a URDF; a robot without a world of its own gets one in

@@ -23,7 +23,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Field, Gray, Window
-from sim.bullet import pybullet, quiet
+from sim.bullet import output_dropped, pybullet
 from sim.camera.camera_settings import CameraSettings
 from sim.camera.lens_sampling import add_samples, displacements, sample_rays
 from sim.camera.surface import DrawnLine
@@ -43,7 +43,7 @@ FINE = 160_000
 
 
 class RenderedCamera:
-    """Renders fields of the drawn surface; knows of the arm only where the TCP truly is.
+    """Renders fields of the drawn surface; sees of the arm only the true TCP pose.
 
     Args:
         model: the true camera.
@@ -75,7 +75,7 @@ class RenderedCamera:
         self._offsets = displacements(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
         self.texture = paint(surface, settings.resolution) if texture is None else texture
-        with quiet():
+        with output_dropped():
             self._load(self.texture)
 
     def __enter__(self) -> RenderedCamera:

@@ -41,7 +41,7 @@ class Push:
 
 @dataclass(frozen=True)
 class ClampTruth:
-    """What only the simulation knows: true gear stiffness, true over data-sheet drive gain, true sensor clock."""
+    """Not recorded: true gear stiffness, true over data-sheet drive gain, true sensor clock."""
 
     stiffness: Array
     gain_factor: Array

@@ -56,7 +56,7 @@ class ClampWorld:
 
     @classmethod
     def default(cls, robot: Robot) -> ClampWorld:
-        """The unkind default for a shipped robot; the gears are those of its simulated world, where there is one.
+        """The default for a shipped robot, with all effects; gears as in its simulated world, where there is one.
 
         Raises:
             InputError: there is no simulated world for that robot.

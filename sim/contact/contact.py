@@ -1,4 +1,4 @@
-"""Contact of the tool's tip with a surface whose shape only the world knows, on the simulated arm.
+"""Contact of the tool's tip with a surface whose shape only the simulator has, on the simulated arm.
 
 The tip is a spring on the tool frame's origin, pressed along the surface normal n and dragged against dry friction:
 

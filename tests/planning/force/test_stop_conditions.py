@@ -7,12 +7,12 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning.force.stop_conditions import EmergencyStopError, Watch, WatchLimits
+from planning.force.stop_conditions import EmergencyStopError, StopConditions, StopLimits
 
 
 @pytest.fixture
-def watch() -> Watch:
-    return Watch(Robot.load("kr6"), WatchLimits(force=50.0, lost=0.1))
+def watch() -> StopConditions:
+    return StopConditions(Robot.load("kr6"), StopLimits(force=50.0, lost=0.1))
 
 
 def motion(robot: Robot, speed: float, acceleration: float = 0.0) -> np.ndarray:
@@ -22,7 +22,7 @@ def motion(robot: Robot, speed: float, acceleration: float = 0.0) -> np.ndarray:
     return q
 
 
-def test_what_is_allowed_passes(watch: Watch) -> None:
+def test_what_is_allowed_passes(watch: StopConditions) -> None:
     watch.force(1.0, 49.0)
     watch.contact(1.0, 0.95)
     watch.approach(1.0, 0.01, 0.05)
@@ -37,7 +37,7 @@ def test_what_is_allowed_passes(watch: Watch) -> None:
     (lambda w, r: w.command(1.0, motion(r, 0.0, 1.3 * r.a_max[1])), "acceleration", "joint 2 would need acceleration"),
     (lambda w, r: w.command(1.0, np.tile(r.q_max + 0.01, (5, 1))), "position", "would need position"),
 ])
-def test_what_is_not_allowed_stops(watch: Watch, call: object, cause: str, text: str) -> None:
+def test_what_is_not_allowed_stops(watch: StopConditions, call: object, cause: str, text: str) -> None:
     with pytest.raises(EmergencyStopError, match=text.replace(".", r"\.")) as caught:
         call(watch, Robot.load("kr6"))  # type: ignore[operator]
     assert caught.value.cause == cause
@@ -46,4 +46,4 @@ def test_what_is_not_allowed_stops(watch: Watch, call: object, cause: str, text:
 
 def test_limits_have_to_make_sense() -> None:
     with pytest.raises(InputError, match="positive"):
-        WatchLimits(force=0.0)
+        StopLimits(force=0.0)

@@ -21,7 +21,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.identification.analysis import analyse
 from scenes.identification.plan import fourier_commands
 from sim.arm.arm import SimulatedArm
-from sim.arm.specimen import draw_individual
+from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 
 
@@ -45,7 +45,7 @@ def noisy(name: str, seed: int) -> World:
 def deviations(robot: Robot, world: World, commands: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Deviations of the base parameters from the simulated arm's, in σ, and which are well excited."""
     base = base_parameters(robot.pinocchio)
-    individual = draw_individual(robot, world)
+    individual = draw_specimen(robot, world)
     truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(robot.n)]))
     wrong = np.repeat(np.random.default_rng(seed).choice([0.5, 1.5], robot.n), 10)
     start = replace(robot, pinocchio=with_link_parameters(robot.pinocchio, link_parameters(robot.pinocchio) * wrong))
@@ -84,7 +84,7 @@ def test_two_step_method_finds_what_single_axis_moves_show() -> None:
     result, measured = identify_two_step([played(robot, world, program.commands(robot.home, robot.t_ipo, robot), 1)],
                                          robot)
     base = base_parameters(robot.pinocchio)
-    individual = draw_individual(robot, world)
+    individual = draw_specimen(robot, world)
     truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(6)]))
     gravity = [m for m in measured.measurements if m.quantity == "gravity" and m.joint in (1, 2)]
     assert len(gravity) >= 8

@@ -10,7 +10,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
-from sim.arm.specimen import draw_individual
+from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 from sim.simulation_error import SimError
@@ -99,14 +99,14 @@ def test_one_rigid_gear_among_elastic_ones() -> None:
 
 def test_very_stiff_gears_approach_rigid_ones() -> None:
     """Two ways to the same arm: springs ever stiffer, and rotors rigidly on their links."""
-    quiet = IDEAL.replace(velocity_filter=0.0)
+    unfiltered = IDEAL.replace(velocity_filter=0.0)
     stiff = np.array([2e7, 2e7, 6e6, 2e5, 2e5, 2e4])
     errors = []
-    with arm_of(quiet) as arm:
+    with arm_of(unfiltered) as arm:
         wave(arm, 120)
         rigid = arm.history()["q_m"]
     for factor in (0.05, 1.0):
-        world = quiet.replace(elasticity=True, stiffness=tuple(factor * stiff),
+        world = unfiltered.replace(elasticity=True, stiffness=tuple(factor * stiff),
                               damping=tuple(0.2 * np.sqrt(factor * stiff * ROBOT.rotor_inertia)))
         with arm_of(world) as arm:
             wave(arm, 120)
@@ -199,7 +199,7 @@ def test_individuals_differ_within_the_tolerance_and_stay_physical() -> None:
     nominal = ROBOT.pinocchio.inertias
     masses = []
     for seed in range(1, 8):
-        arm = draw_individual(ROBOT, DEFAULT.replace(individual=seed))
+        arm = draw_specimen(ROBOT, DEFAULT.replace(individual=seed))
         ratio = np.array([arm.model.inertias[j].mass / nominal[j].mass for j in range(1, 7)])
         masses.append(ratio)
         assert np.all(np.abs(ratio - 1) <= 0.15)
@@ -209,7 +209,7 @@ def test_individuals_differ_within_the_tolerance_and_stay_physical() -> None:
             assert moments[0] + moments[1] > moments[2]
         assert np.all(np.abs(arm.drive_gain - 1) <= DEFAULT.drive_gain_error)
     assert np.std(masses, axis=0).min() > 0.02
-    same = draw_individual(ROBOT, DEFAULT.replace(individual=3))
+    same = draw_specimen(ROBOT, DEFAULT.replace(individual=3))
     np.testing.assert_array_equal(masses[2], [same.model.inertias[j].mass / nominal[j].mass for j in range(1, 7)])
 
 
@@ -244,7 +244,7 @@ def test_the_true_kinematics_can_differ_from_the_urdf() -> None:
         link = pybullet.getLinkState(arm.body, 5, computeForwardKinematics=1, physicsClientId=arm.client)
         np.testing.assert_allclose(np.array(link[4]) + arm.truth.tcp.rotation @ arm.tool_offset.rotation.T
                                    @ arm.tool_offset.translation, arm.truth.tcp.translation, atol=1e-6)
-    turn = draw_individual(ROBOT, IDEAL.replace(zero_error=2e-3)).model
+    turn = draw_specimen(ROBOT, IDEAL.replace(zero_error=2e-3)).model
     data, same = turn.createData(), ROBOT.pinocchio.createData()
     pin.forwardKinematics(turn, data, ROBOT.home)
     pin.forwardKinematics(ROBOT.pinocchio, same, ROBOT.home)
