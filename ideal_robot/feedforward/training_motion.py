@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 
 REST_BEFORE, REST_AFTER = 0.9, 0.6
 """How long the arm rests at the start and at the end of the motion [s]."""
@@ -33,4 +33,4 @@ def training_motion(path: Array, t_ipo: float) -> Array:
     waves = 0.7 * np.sin(np.outer(t, rate * 0.55) + phase) + 0.45 * np.sin(np.outer(t, rate * 1.25) + 1.7 * phase)
     q = 0.5 * (low + high) + 0.8 * amplitude * fade[:, None] * waves
     before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)
-    return np.concatenate([np.tile(q[0], (before, 1)), q, np.tile(q[-1], (after, 1))])
+    return held(q, before=before, after=after)
