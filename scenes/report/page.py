@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
+from scenes.report.replay import Replay
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -64,6 +66,15 @@ class Report:
         """A PNG image given as bytes."""
         data = base64.b64encode(png).decode("ascii")
         self._blocks.append({"kind": "image", "data": data, "caption": caption})
+
+    def replay(self, replay: Replay, caption: str = "") -> None:
+        """A replay that moves in the page.
+
+        Args:
+            replay: what it shows.
+            caption: the sentence that says what to see in it.
+        """
+        self._blocks.append({"kind": "replay", "html": replay.html(), "caption": caption})
 
     def write(self, path: str | Path) -> Path:
         """Writes the page to ``path`` (parents are made) and returns it."""
