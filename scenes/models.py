@@ -29,8 +29,7 @@ def model_for(scene: Scene, robot: Robot) -> Model:
                          f"no model is shipped for {robot.name}; identify one and give its path", field="model",
                          value=scene.model)
     model = _load(path, path.stat().st_mtime_ns)
-    if model.n != robot.n:
-        raise InputError(f"the model has {model.n} joints, {robot.name} has {robot.n}", file=path, field="model")
+    model.require_arm(robot, file=path)
     return model
 
 

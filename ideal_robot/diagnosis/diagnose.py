@@ -23,14 +23,10 @@ from ideal_robot.diagnosis.validation.part import Part, rms
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, NotTransferred
 from ideal_robot.diagnosis.validation.transfer import transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
-from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-
-_SAME_PLACE = 0.02
-"""What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""
 
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
@@ -58,7 +54,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     rng = np.random.default_rng(seed)
     report(0.0, "reading")
     if model is not None:
-        _check_arm(model, robot)
+        model.require_arm(robot)
     # Torques made of currents without known gains are in amperes: then joints must not share inertias.
     amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
     (recording,), warnings = checked([recording], robot)
@@ -67,18 +63,6 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         warnings += more
     shared = model is not None or not amperes
     return TorqueDiagnosis(recording, robot, model, validate, options, rng, report, warnings, shared, only).run()
-
-
-def _check_arm(model: Model, robot: Robot) -> None:
-    """Refuses a model of an arm with other joints, or with joints at other places."""
-    mine, own = model.kinematics, robot.pinocchio
-    if model.n != robot.n:
-        raise InputError(f"the model of {model.robot_name} has {model.n} joints, the robot {robot.name} has {robot.n}; "
-                         "give the model that was identified for this arm", field="model", value=model.robot_name)
-    for j in range(1, robot.n + 1):
-        if not np.allclose(mine.jointPlacements[j].homogeneous, own.jointPlacements[j].homogeneous, atol=_SAME_PLACE):
-            raise InputError(f"joint {j} of the model of {model.robot_name} sits elsewhere than that of {robot.name}; "
-                             "give the model that was identified for this arm", field="model", value=model.robot_name)
 
 
 class TorqueDiagnosis:

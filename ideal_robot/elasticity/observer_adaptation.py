@@ -57,8 +57,9 @@ def adapt_observer(recording: Recording, robot: Robot, model: Model, *, prior_pe
         iterations: the observer is run again with the stiffness found.
 
     Raises:
-        InputError: no component was measured, or the model has no stiffness.
+        InputError: no component was measured, the model has no stiffness or is of another arm.
     """
+    model.require_arm(robot)
     measured = [name for name in COMPONENTS if name in recording.columns]
     if not measured:
         raise InputError("at least one of x, y, z has to be measured", file=recording.source, field="x")

@@ -77,6 +77,7 @@ class Precorrection(Feedforward):
     """
 
     def __init__(self, model: Model, robot: Robot, *, lead: float = 0.0, elastic: bool = False) -> None:
+        model.require_arm(robot)
         if model.controller is None:
             raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
                              field="controller")

@@ -1,4 +1,4 @@
-"""What is wrong with recordings before they are used, and what the data do not show after they were.
+"""What is wrong with recordings, before they are used.
 
 Errors stop; warnings have a name, so that people and programs can look for them.
 """
@@ -12,9 +12,6 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.friction import Asymmetric
-from ideal_robot.identification.weighted_least_squares import Solution
-from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -133,26 +130,3 @@ def _refuse_degrees(q: Array, robot: Robot, source: str) -> None:
                  else "wrong robot, or not in radians?")
         raise InputError(f"positions up to {np.max(np.abs(q[:, j])):.4g} leave the joint limit of {span[j]:.4g} rad; "
                          + guess, file=source, field=f"q_{j + 1}")
-
-
-def excitation_warnings(model: Model, solution: Solution, sources: Sequence[str]) -> list[str]:
-    """What the data do not show, from the solution's statistics."""
-    warnings = []
-    parameters = model.parameters
-    asymmetric = {f"offset_{j + 1}" for j, law in enumerate(model.friction.laws) if isinstance(law, Asymmetric)}
-    silent = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
-              if dark and p.name not in asymmetric]
-    if silent:
-        warnings.append(f"not-excited: the motion says nothing about {', '.join(silent)}; nominal values are kept")
-    vague = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
-             if not dark and p.std > 0.3 * abs(p.value)]
-    if vague:
-        warnings.append(f"poorly-excited: standard deviation above 30 % of the value for {', '.join(vague)}")
-    if solution.condition_number_scaled > 200.0:
-        warnings.append(f"ill-conditioned: condition number {solution.condition_number_scaled:.3g} with scaled "
-                        "columns; a motion from plan-identification excites better")
-    for parameter in parameters:
-        if parameter.name.startswith(("Fv", "Fc")) and parameter.value < -3.0 * parameter.std:
-            warnings.append(f"negative-friction: {parameter.name} = {parameter.value:.3g} {parameter.unit}; the torque "
-                            f"of joint {parameter.joint} may have the wrong sign")
-    return warnings

@@ -23,11 +23,13 @@ from ideal_robot.dynamics import (
 from ideal_robot.dynamics.consistency import Consistency, consistent_parameters
 from ideal_robot.errors import InputError
 from ideal_robot.friction import Asymmetric, FrictionModel, PerJointFriction, law_of
-from ideal_robot.identification.checks import checked, excitation_warnings
+from ideal_robot.identification.checks import checked
+from ideal_robot.identification.excitation_warnings import excitation_warnings
 from ideal_robot.identification.friction_choice import AUTO, FrictionChoice, candidates, with_coefficients
 from ideal_robot.identification.weighted_least_squares import Solution, weighted_least_squares
-from ideal_robot.model.model import Model, Prediction
+from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import shape_columns
+from ideal_robot.model.prediction import Prediction
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, chosen_cutoff, preprocess, resampled, uniform_time
 from ideal_robot.signals.recording import Recording
@@ -115,7 +117,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
             "condition_number": solution.condition_number,
         },
     )
-    warnings += excitation_warnings(model, solution, [s.source for s in signals])
+    warnings += excitation_warnings(model, solution)
     estimation = tuple(model.predict(r) for r in usable)
     held_out = tuple(model.predict(r) for r in unseen)
     model = replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {

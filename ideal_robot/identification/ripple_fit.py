@@ -38,7 +38,11 @@ def fit_ripple(recordings: Sequence[Recording], model: Model, robot: Robot) -> t
         recordings: with ``q_i`` and ``tau_i`` every few milliseconds, slow motion in them.
         model: what the ripple is looked for behind.
         robot: gear ratios; joints with ratio 1 (unknown) are passed over.
+
+    Raises:
+        InputError: the model is of another arm.
     """
+    model.require_arm(robot)
     parts = [_residual(recording, model) for recording in recordings]
     found: list[FittedEffect] = []
     for i in range(model.n):

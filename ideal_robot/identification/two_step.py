@@ -18,7 +18,8 @@ from ideal_robot.dynamics import BaseParameters, base_parameters, link_parameter
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
-from ideal_robot.identification.checks import checked, excitation_warnings
+from ideal_robot.identification.checks import checked
+from ideal_robot.identification.excitation_warnings import excitation_warnings
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
 from ideal_robot.identification.idim import Identification, relative_error
 from ideal_robot.identification.operating_points import (
@@ -103,7 +104,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
                         np.concatenate([unexcited, np.zeros(len(joint_covariance) - base.count, dtype=bool)]),
                         residual[:, None])
     warnings += [f"{text} (validation)" for text in more]
-    warnings += excitation_warnings(model, solution, [r.source for r in usable])
+    warnings += excitation_warnings(model, solution)
     held_out = tuple(model.predict(r) for r in unseen)
     model = replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
         "estimation": relative_error(estimation).tolist(),

@@ -31,8 +31,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
     Raises:
         InputError: model and robot do not belong together, or the model has no controller.
     """
-    if model.n != robot.n:
-        raise InputError(f"the model has {model.n} joints, the robot {robot.name} has {robot.n}", field="model")
+    model.require_arm(robot)
     controller = model.controller
     if controller is None:
         raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",

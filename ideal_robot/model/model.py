@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -25,44 +24,17 @@ from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.model_file import SCHEMA, read_values, write_values
 from ideal_robot.model.parametrisation import Parameter, described, sensitivity
+from ideal_robot.model.prediction import Prediction
 from ideal_robot.model.urdf_export import urdf_with_inertials
+from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 
-SCHEMA = 1
-"""Version of the model file; readers accept any up to their own."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted and measured torque of a recording, both through the same decimation filter.
-
-    Attributes:
-        t: ``(M,)`` [s].
-        tau: predicted motor torque ``(M, n)`` [N m].
-        std: standard deviation of a measured value about it: parameters and noise together ``(M, n)`` [N m].
-        measured: measured motor torque ``(M, n)`` [N m].
-    """
-
-    t: Array
-    tau: Array
-    std: Array
-    measured: Array
-
-    @property
-    def relative_error_percent(self) -> Array:
-        """``100 ‖y - ŷ‖ / ‖y‖`` per joint ``(n,)``; NaN for a joint without torque."""
-        norm = np.linalg.norm(self.measured, axis=0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(100.0 * np.linalg.norm(self.measured - self.tau, axis=0) / norm)
-
-    @property
-    def residual_std_percent(self) -> Array:
-        """Standard deviation of the residual over that of the torque per joint ``(n,)`` [%]."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(100.0 * np.std(self.measured - self.tau, axis=0) / np.std(self.measured, axis=0))
+_SAME_PLACE = 0.02
+"""What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""
 
 
 @dataclass(frozen=True)
@@ -233,19 +205,90 @@ class Model:
         """A copy with these effects added to those it has."""
         return dataclasses.replace(self, effects=self.effects + tuple(effects))
 
+    def require_arm(self, robot: Robot, *, file: Path | str | None = None) -> None:
+        """Refuses a robot that this is no model of: other joints, or joints at other places.
+
+        Args:
+            robot: the arm the model is to be used with.
+            file: the model's file, for the message.
+
+        Raises:
+            InputError: it is another arm.
+        """
+        mine, own = self.kinematics.jointPlacements, robot.pinocchio.jointPlacements
+        found = None
+        if self.n != robot.n:
+            found = f"the model of {self.robot_name} has {self.n} joints, the robot {robot.name} has {robot.n}"
+        else:
+            elsewhere = [j for j in range(1, robot.n + 1)
+                         if not np.allclose(mine[j].homogeneous, own[j].homogeneous, atol=_SAME_PLACE)]
+            if elsewhere:
+                found = (f"joint {elsewhere[0]} of the model of {self.robot_name} sits elsewhere than that of "
+                         f"{robot.name}")
+        if found is not None:
+            raise InputError(f"{found}; give the model that was identified for this arm", file=file, field="model",
+                             value=self.robot_name)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as in the model file; non-finite numbers become None."""
+        values: dict[str, Any] = plain({
+            "schema": SCHEMA,
+            "robot": {"name": self.robot_name, "urdf_hash": self.urdf_hash, "joints": self.n, "urdf": self.urdf},
+            "parameters": [
+                {"name": p.name, "joint": p.joint, "value": p.value, "std": p.std, "std_percent": p.std_percent,
+                 "unit": p.unit, "meaning": p.meaning} for p in self.parameters
+            ],
+            "base": {
+                "full_names": self.base.full_names, "full_units": self.base.full_units,
+                "independent": self.base.independent, "gravitational": self.base.gravitational,
+                "grouping": self.base.grouping, "values": self.base_values,
+            },
+            "friction": self.friction.to_dict(),
+            "covariance": self.covariance,
+            "consistent": self.consistent,
+            "noise_std": self.noise_std,
+            "controller": None if self.controller is None else self.controller.to_dict(),
+            "stiffness": self.stiffness,
+            "damping": self.damping,
+            "effects": [effect.to_dict() for effect in self.effects],
+            "provenance": self.provenance,
+        })
+        return values
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], *, file: Path | str | None = None) -> Model:
+        """Reads what ``to_dict`` wrote.
+
+        Args:
+            values: plain values.
+            file: where they come from, for the message.
+
+        Raises:
+            InputError: something is missing.
+        """
+        try:
+            base = values["base"]
+            return cls(
+                robot_name=values["robot"]["name"], urdf=values["robot"]["urdf"],
+                urdf_hash=values["robot"]["urdf_hash"],
+                base=BaseParameters(tuple(base["full_names"]), tuple(base["full_units"]), tuple(base["independent"]),
+                                    np.array(base["grouping"], dtype=float), tuple(base["gravitational"])),
+                base_values=np.array(base["values"], dtype=float),
+                friction=PerJointFriction.from_dict(values["friction"]),
+                covariance=np.array(values["covariance"], dtype=float),
+                consistent=np.array(values["consistent"], dtype=float),
+                noise_std=np.array(values["noise_std"], dtype=float),
+                controller=ControllerModel.from_dict(values["controller"]) if values.get("controller") else None,
+                stiffness=_optional(values.get("stiffness")), damping=_optional(values.get("damping")),
+                effects=tuple(FittedEffect.from_dict(entry) for entry in values.get("effects", [])),
+                provenance=dict(values.get("provenance", {})),
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"not a complete model file ({type(error).__name__}: {error})", file=file) from error
+
     def save(self, path: str | Path) -> Path:
         """Writes the model as JSON; nothing is left half-written."""
-        from ideal_robot.model.model_file import model_to_dict
-
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(path.name + ".part")
-        # One line per entry: still to be read by people, and the covariance does not fill thousands of lines.
-        lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}"
-                 for key, value in model_to_dict(self, SCHEMA).items()]
-        partial.write_text("{" + ",\n ".join(lines) + "}\n", encoding="utf-8")
-        partial.replace(path)
-        return path
+        return write_values(Path(path), self.to_dict())
 
     @classmethod
     def load(cls, path: str | Path) -> Model:
@@ -254,9 +297,7 @@ class Model:
         Raises:
             InputError: no such file, not a model file, or one of a later schema.
         """
-        from ideal_robot.model.model_file import model_from_file
-
-        return model_from_file(Path(path), SCHEMA)
+        return cls.from_dict(read_values(Path(path)), file=path)
 
     def export_urdf(self, path: str | Path) -> Path:
         """Writes the URDF with the physically consistent inertias; what is fixed to a link is merged into it."""
@@ -265,3 +306,7 @@ class Model:
         text = urdf_with_inertials(self.urdf, self.kinematics, self.consistent[: 10 * self.n])
         path.write_text(text, encoding="utf-8")
         return path
+
+
+def _optional(values: list[float] | None) -> Array | None:
+    return None if values is None else np.array([np.nan if v is None else v for v in values], dtype=float)

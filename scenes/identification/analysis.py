@@ -20,7 +20,8 @@ from ideal_robot.identification.idim import Identification, identify, relative_e
 from ideal_robot.identification.impulse_response_fit import LinearLoopFit, identify_linear_loop
 from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
-from ideal_robot.model.model import Model, Prediction
+from ideal_robot.model.model import Model
+from ideal_robot.model.prediction import Prediction
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.impulse_response_fit import LinearLoopFit
 from ideal_robot.identification.two_step import TwoStep
-from ideal_robot.model.model import Model, Prediction
+from ideal_robot.model.model import Model
+from ideal_robot.model.prediction import Prediction
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.segments import segments
 from scenes.identification.analysis import Analysis, friction_points, residual_std
