@@ -14,8 +14,8 @@ from typing import Any, Self, TypeVar
 
 import pydantic
 
+from ideal_robot.bounded_values import checked, read_toml
 from ideal_robot.errors import InputError
-from ideal_robot.plain_values import checked, read_toml
 
 S = TypeVar("S", bound="Scene")
 

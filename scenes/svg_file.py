@@ -10,8 +10,8 @@ from xml.parsers.expat import ExpatError
 
 import svgpathtools
 
+from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
-from ideal_robot.plain_values import read_text
 
 MAX_BYTES = 5_000_000
 """Largest SVG file [bytes]."""

@@ -32,6 +32,7 @@ from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import write_text
 
 _SAME_PLACE = 0.02
 """What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""
@@ -301,11 +302,7 @@ class Model:
 
     def export_urdf(self, path: str | Path) -> Path:
         """Writes the URDF with the physically consistent inertias; what is fixed to a link is merged into it."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        text = urdf_with_inertials(self.urdf, self.kinematics, self.consistent[: 10 * self.n])
-        path.write_text(text, encoding="utf-8")
-        return path
+        return write_text(path, urdf_with_inertials(self.urdf, self.kinematics, self.consistent[: 10 * self.n]))
 
 
 def _optional(values: list[float] | None) -> Array | None:

@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ideal_robot.bounded_values import read_json
 from ideal_robot.errors import InputError
+from ideal_robot.whole_file import write_text
 
 SCHEMA = 1
 """Version of the model file; readers accept any up to their own."""
@@ -14,13 +16,9 @@ SCHEMA = 1
 
 def write_values(path: Path, values: dict[str, Any]) -> Path:
     """Writes plain values; nothing is left half-written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
     # One line per entry: still to be read by people, and the covariance does not fill thousands of lines.
     lines = [f"{json.dumps(key)}: {json.dumps(value, allow_nan=False)}" for key, value in values.items()]
-    partial.write_text("{" + ",\n ".join(lines) + "}\n", encoding="utf-8")
-    partial.replace(path)
-    return path
+    return write_text(path, "{" + ",\n ".join(lines) + "}\n")
 
 
 def read_values(path: Path) -> dict[str, Any]:
@@ -31,10 +29,7 @@ def read_values(path: Path) -> dict[str, Any]:
     """
     if not path.is_file():
         raise InputError("no such model file", file=path)
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise InputError(f"not a readable model file ({error})", file=path) from error
+    values = read_json(path, "a model file")
     if not isinstance(values, dict) or not isinstance(values.get("schema"), int):
         raise InputError("not a model file; expected JSON with a schema number", file=path, field="schema")
     if values["schema"] > SCHEMA:

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.signals.ros_bag import SUFFIXES, read_joint_states
+from ideal_robot.whole_file import whole_file
 
 
 @dataclass(frozen=True)
@@ -99,16 +100,14 @@ class Recording:
     def write(self, path: str | Path) -> Path:
         """Writes Parquet (with the metadata) or, for the ending ``.csv``, CSV. Nothing is left half-written."""
         path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
         frame = pd.DataFrame(self.columns)
-        partial = path.with_name(path.name + ".part")
-        if path.suffix == ".csv":
-            frame.to_csv(partial, index=False)
-        else:
-            table = pa.Table.from_pandas(frame, preserve_index=False)
-            table = table.replace_schema_metadata({"ideal_robot": json.dumps(self.meta, default=str)})
-            pq.write_table(table, partial)
-        partial.replace(path)
+        with whole_file(path) as partial:
+            if path.suffix == ".csv":
+                frame.to_csv(partial, index=False)
+            else:
+                table = pa.Table.from_pandas(frame, preserve_index=False)
+                table = table.replace_schema_metadata({"ideal_robot": json.dumps(self.meta, default=str)})
+                pq.write_table(table, partial)
         return path
 
     @classmethod

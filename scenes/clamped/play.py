@@ -17,6 +17,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.page import stiffness_page
 from scenes.clamped.stiffness_analysis import StiffnessAnalysis, analyse
+from scenes.outputs import whole_folder
 from scenes.report.page import plain
 from scenes.result import Progress, silent
 from scenes.scene import Scene
@@ -120,8 +121,11 @@ def run(scene: SceneModel, *, method: str | None = None, out: Path | None = None
     page = None
     if out is not None:
         names = ["recording.parquet", *(f"recording_{i}.parquet" for i in range(2, len(recordings) + 1))]
-        files = tuple(one.write(out / name) for one, name in zip(recordings, names, strict=True))
-        page = stiffness_page(analysis, title=scene.title, truth=world.stiffness).write(out / "report.html")
+        with whole_folder(out) as new:
+            for one, name in zip(recordings, names, strict=True):
+                one.write(new / name)
+            stiffness_page(analysis, title=scene.title, truth=world.stiffness).write(new / "report.html")
+        files, page = tuple(out / name for name in names), out / "report.html"
     return ClampedResult(scene, analysis, tuple(truths), files, postures, page)
 
 

@@ -27,6 +27,7 @@ def command(
     from scenes.commands.common import progress_bar, show_table
     from scenes.detection.page import detection_page, figures, table
     from scenes.detection.sources import pictures
+    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from sensing.camera.detector import DETECTORS
     from sensing.camera.field import Gray
@@ -34,6 +35,7 @@ def command(
 
     chosen = DETECTORS.get(detector)()
     results: list[tuple[str, Gray, PictureLine]] = []
+    check_outputs({"--out": out}, json=json)
     with progress_bar("detect") as progress:
         for name, gray in pictures(source, every=every, most=most):
             progress(min(0.9, len(results) / most), name)

@@ -30,20 +30,26 @@ def command(
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import progress_bar, show_table
     from scenes.diagnosis.page import diagnosis_page, summary, unexplained
+    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
 
+    check_outputs({"--out": out}, json=json, model_out=model_out)
     with progress_bar("diagnose") as progress:
         arm = Robot.load(urdf, robot)
         found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
                          validate=None if validate is None else Recording.read(validate), seed=seed, progress=progress)
         progress(0.97, "drawing")
-        page = diagnosis_page(found, f"Diagnosis of {recording.name}").write(out / "report.html")
-    if json is not None:
-        write_json(json, found.to_dict())
-    if model_out is not None and found.model is not None:
-        found.model.save(model_out)
+        page = out / "report.html"
+        better = None if found.model is None else model_out
+        with whole_files(page, json, better) as (page_file, json_file, model_file):
+            diagnosis_page(found, f"Diagnosis of {recording.name}").write(page_file)
+            if json_file is not None:
+                write_json(json_file, found.to_dict())
+            if model_file is not None and found.model is not None:
+                found.model.save(model_file)
     show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
                ["channel", "before", "refitted", "after", "noise", "unit"],
                [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit] for c in found.channels])

@@ -37,11 +37,14 @@ def command(
     """
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import progress_bar, show_table
     from scenes.identification.analysis import analyse
     from scenes.identification.page import identification_page
+    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
 
+    check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
     with progress_bar("identify") as progress:
         arm = Robot.load(urdf, robot)
         loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
@@ -50,14 +53,15 @@ def command(
                            cutoff_decimation=decimate_to, without_integrator=pd_only,
                            cascade=model is not None, progress=progress)
         progress(0.8, "drawing")
-        page = identification_page(analysis).write(out / "report.html")
-    content = analysis.json()
-    if json is not None:
-        write_json(json, content)
-    if model is not None:
-        analysis.model.save(model)
-    if export_urdf is not None:
-        analysis.model.export_urdf(export_urdf)
+        content, page = analysis.json(), out / "report.html"
+        with whole_files(page, json, model, export_urdf) as (page_file, json_file, model_file, urdf_file):
+            identification_page(analysis).write(page_file)
+            if json_file is not None:
+                write_json(json_file, content)
+            if model_file is not None:
+                analysis.model.save(model_file)
+            if urdf_file is not None:
+                analysis.model.export_urdf(urdf_file)
     show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
                [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in analysis.model.parameters])
     show_table("friction laws", ["joint", "law"],

@@ -33,18 +33,22 @@ def command(
     from ideal_robot.robots.robot import Robot
     from scenes.commands.common import progress_bar, show_table
     from scenes.identification.plan import plan, play_plan
+    from scenes.outputs import check_outputs, whole_folder
     from scenes.report.page import write_json
 
+    check_outputs({"--out": out}, json=json)
     arm = Robot.load(urdf, robot)
     with progress_bar("plan") as progress:
         planned = plan(arm, method, seed=seed, period=period, points=points, workspace=Workspace(z_min=z_min))
-        files = planned.write(out)
         progress(0.2, "playing" if play else "")
         content = planned.json()
-        if play:
-            recording = play_plan(planned, arm, seed, lambda share: progress(0.2 + 0.8 * share, "playing"))
-            files.append(recording.write(out / "recording.parquet"))
-            content["recording"] = str(files[-1])
+        recording = play_plan(planned, arm, seed,
+                              lambda share: progress(0.2 + 0.8 * share, "playing")) if play else None
+        with whole_folder(out) as new:
+            files = [out / file.name for file in planned.write(new)]
+            if recording is not None:
+                files.append(out / recording.write(new / "recording.parquet").name)
+                content["recording"] = str(files[-1])
     if json is not None:
         write_json(json, content)
     show_table(f"identification motion of {arm.name}", ["figure", "value"],

@@ -26,18 +26,24 @@ def command(
 
     Example: `ideal-robot precorrect path.csv --model scenes/models/kr15.json -o corrected.csv`
     """
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import progress_bar, show_table
+    from scenes.outputs import check_outputs
     from scenes.path.precorrect import precorrected_path, write_page
     from scenes.report.page import write_json
 
+    folder = out or Path("out") / "precorrect"
+    check_outputs({"--out": folder}, output=output, json=json)
     with progress_bar("precorrect") as progress:
         progress(0.1, "")
         result = precorrected_path(path, model, robot=robot, method=method, delay=delay, rest=rest)
         progress(0.8, "report")
-        result.recording.write(output)
-        report = write_page(result, (out or Path("out") / "precorrect") / "report.html")
-    if json is not None:
-        write_json(json, {**result.json(), "output": output, "report": report})
+        report = folder / "report.html"
+        with whole_files(output, report, json) as (path_file, page_file, json_file):
+            result.recording.write(path_file)
+            write_page(result, page_file)
+            if json_file is not None:
+                write_json(json_file, {**result.json(), "output": output, "report": report})
     show_table("Correction per joint", *result.table())
     typer.echo(f"corrected path: {output}")
     typer.echo(f"report: {report}")

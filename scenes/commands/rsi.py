@@ -35,9 +35,11 @@ def command(
     import sys
 
     from scenes.commands.common import progress_bar, show_table
+    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.rsi.setup import rsi_server
 
+    check_outputs(record=record, json=json)
     with rsi_server(path, robot=robot, model=model, method=method, host=host, port=port, relative=relative, cycle=cycle,
                     delay=delay, rest=rest) as server:
         if not server.link.axes.known:

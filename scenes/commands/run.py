@@ -21,11 +21,13 @@ def command(
     Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json`
     """
     from scenes.commands.common import chosen, closed, progress_bar
+    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.scene import load_scene, module_of
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)
     folder = out or Path("out") / loaded.name
+    check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:
         result = module_of(loaded).run(loaded, method=method, out=folder, progress=progress)
     if json is not None:

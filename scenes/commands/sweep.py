@@ -24,12 +24,15 @@ def command(
     """
     import pandas as pd
 
+    from ideal_robot.whole_file import write_text
     from scenes.commands.common import numbers, progress_bar, show_table
+    from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.sweep import jobs, sweep
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
                 numbers(speeds, "--speeds"), [int(seed) for seed in numbers(seeds, "--seeds", ranges=True)])
+    check_outputs(json=json, csv=csv)
     with progress_bar(f"{len(work)} runs") as progress:
         answers = sweep(work, processes=processes, dask=dask,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
@@ -40,8 +43,7 @@ def command(
     frame = frame.rename(columns=names)
     shown = ["scene", "method", "seed", *names.values(), "failure"]
     if csv is not None:
-        csv.parent.mkdir(parents=True, exist_ok=True)
-        frame[shown].to_csv(csv, index=False)
+        write_text(csv, frame[shown].to_csv(index=False))
     kinds = [key for key in ("scene", "method", "m/s") if key in frame]
     figures = [title for title in names.values() if title not in ("m/s",)]
     worst = frame.groupby(kinds, sort=False, dropna=False)[figures].max().reset_index()

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from planning.force.contact import Phase
 from scenes.force.compare import ForceComparison
 from scenes.force.result import ForceResult
+from scenes.outputs import whole_folder
 from scenes.report.page import Report
 
 COLOURS = {"ideal": "#e06000", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
@@ -19,7 +20,6 @@ COLOURS = {"ideal": "#e06000", "sensor_path": "#1f5fa8", "direct_feedback": "#80
 
 def write_run(result: ForceResult, out: Path) -> ForceResult:
     """Writes recording and page of one run and returns the result with their paths."""
-    recording = result.recording.write(out / "recording.parquet")
     f, scene = result.figures, result.scene
     line = result.lateral.get("control_error_mm")
     beside = f", mean distance from the line {line['mean']:.3f} mm" if line else ""
@@ -43,8 +43,10 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
     page.table(["", "found", "true"], [["elasticity E [N/m]", f"{assumed:.0f} ± {std:.0f}", f"{true:.0f}"],
                                        ["mass of the tool [kg]", result.tool["mass"], scene.sensor.mass]],
                "E is that of the whole chain, tip and gears.")
-    report = page.write(out / "report.html")
-    return replace(result, recording_path=recording, report=report)
+    with whole_folder(out) as new:
+        result.recording.write(new / "recording.parquet")
+        page.write(new / "report.html")
+    return replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
 
 
 def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.whole_file import whole_file
 from scenes.force.play import play
 from scenes.report.page import Report
 from scenes.result import Progress, silent
@@ -149,7 +150,8 @@ def main(out: str = "out/stability") -> None:
     with progress_bar("stability") as progress:
         found = stability_map(progress=progress)
     write_json(Path(out) / "stability.json", found.json())
-    stability_figure(found).savefig(Path(out) / "stability.png", dpi=90)
+    with whole_file(Path(out) / "stability.png") as partial:
+        stability_figure(found).savefig(partial, dpi=90)
     print(f"stable: {found.json()['stable']}\nreport: {stability_page(found).write(Path(out) / 'report.html')}")
 
 

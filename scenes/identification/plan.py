@@ -17,6 +17,7 @@ from ideal_robot.identification.excitation import FourierMotion, Workspace, appr
 from ideal_robot.identification.program import Program, finite_limits, plan_two_step
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import write_text
 
 
 @dataclass(frozen=True)
@@ -47,16 +48,13 @@ class Plan:
 
     def write(self, folder: Path) -> list[Path]:
         """Writes commands and program; returns the files."""
-        folder.mkdir(parents=True, exist_ok=True)
         n = self.commands.shape[1]
         frame = pd.DataFrame(self.commands, columns=[f"q_c_{i + 1}" for i in range(n)])
         frame.insert(0, "t", np.arange(1, len(frame) + 1) * self.t_ipo)
-        frame.to_csv(folder / "commands.csv", index=False, float_format="%.9g")
-        files = [folder / "commands.csv"]
+        files = [write_text(folder / "commands.csv", frame.to_csv(index=False, float_format="%.9g"))]
         if isinstance(self.source, Program):
-            files += [folder / "program.json", folder / "program.txt"]
-            files[1].write_text(json.dumps(self.source.to_dict(), indent=1) + "\n", encoding="utf-8")
-            files[2].write_text(self.source.text(), encoding="utf-8")
+            files += [write_text(folder / "program.json", json.dumps(self.source.to_dict(), indent=1) + "\n"),
+                      write_text(folder / "program.txt", self.source.text())]
         return files
 
 

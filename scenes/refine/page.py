@@ -9,14 +9,13 @@ from matplotlib.figure import Figure
 
 from ideal_robot.model.model import Model
 from scenes.diagnosis.page import diagnosis_page
+from scenes.outputs import whole_folder
 from scenes.refine.line import CloseLineResult
 from scenes.refine.play import CloseLoopResult
 
 
 def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> CloseLoopResult:
     """Writes recording, extended model and report; returns the result with their places."""
-    result.recording.write(folder / "diagnostic_motion.parquet")
-    model_path = extended.save(folder / "extended_model.json")
     page = diagnosis_page(result.diagnosis, f"{result.scene.title or result.scene.name}: the loop closed")
     before, after, oracle = (1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle))
     hidden = " and ".join(f"{name.replace('_', ' ')} in joint {joint}" for name, joint in result.undeclared)
@@ -26,13 +25,15 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
     page.heading("Path error before and after")
     page.table(["model", "E_car time-matched mm", "E_car aligned mm", "E_car geometric mm", "E_max aligned mm"],
                result.table(), "[G] (14) and (21), of the true TCP.")
-    return dataclasses.replace(result, model_path=model_path, report=page.write(folder / "report.html"))
+    with whole_folder(folder) as new:
+        result.recording.write(new / "diagnostic_motion.parquet")
+        extended.save(new / "extended_model.json")
+        page.write(new / "report.html")
+    return dataclasses.replace(result, model_path=folder / "extended_model.json", report=folder / "report.html")
 
 
 def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) -> CloseLineResult:
     """Writes recording, extended model and report of a line; returns the result with their places."""
-    result.recording.write(folder / "recording.parquet")
-    model_path = extended.save(folder / "extended_model.json")
     page = diagnosis_page(result.diagnosis, f"{result.scene.title or result.scene.name}: the loop closed")
     before, after, oracle = (1e3 * e.mean for e in (result.before, result.after, result.oracle))
     page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, of which "
@@ -43,7 +44,11 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),
                "Of the true TCP, in the surface; the last row is told the true latency.")
     page.figure(_distances(result), "Distance of the true TCP from the line, over its arc length.")
-    return dataclasses.replace(result, model_path=model_path, report=page.write(folder / "report.html"))
+    with whole_folder(folder) as new:
+        result.recording.write(new / "recording.parquet")
+        extended.save(new / "extended_model.json")
+        page.write(new / "report.html")
+    return dataclasses.replace(result, model_path=folder / "extended_model.json", report=folder / "report.html")
 
 
 def _distances(result: CloseLineResult) -> Figure:

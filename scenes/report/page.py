@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import jinja2
 import numpy as np
 
+from ideal_robot.whole_file import write_text
+from scenes.outputs import whole_folder
 from scenes.report.replay import Replay
 
 if TYPE_CHECKING:
@@ -78,21 +80,15 @@ class Report:
 
     def write(self, path: str | Path) -> Path:
         """Writes the page to ``path`` (parents are made) and returns it."""
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
         template = resources.files("scenes").joinpath("templates/report.html").read_text(encoding="utf-8")
         environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-        path.write_text(environment.from_string(template).render(title=self.title, summary=self.summary,
-                                                                 blocks=self._blocks), encoding="utf-8")
-        return path
+        return write_text(path, environment.from_string(template).render(title=self.title, summary=self.summary,
+                                                                         blocks=self._blocks))
 
 
 def write_json(path: str | Path, content: dict[str, Any]) -> Path:
     """Writes ``content`` as strict JSON (NumPy values converted, NaN and infinities as null) and returns the path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(plain(content), indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    return path
+    return write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
 
 def write_run_files(result: Any, page: Callable[[Any], Report], out: Path) -> Any:
@@ -103,20 +99,23 @@ def write_run_files(result: Any, page: Callable[[Any], Report], out: Path) -> An
         page: makes the page of it.
         out: folder.
     """
-    recording = result.recording.write(out / "recording.parquet")
-    result = replace(result, recording_path=recording, report=out / "report.html")
-    page(result).write(out / "report.html")
-    write_json(out / "report.json", result.json())
+    result = replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
+    with whole_folder(out) as new:
+        result.recording.write(new / "recording.parquet")
+        page(result).write(new / "report.html")
+        write_json(new / "report.json", result.json())
     return result
 
 
 def write_comparison_files(comparison: Any, page: Callable[[Any], Report], out: Path) -> Any:
     """Writes each run's recording, the common page and the figures into ``out``; arguments as ``write_run_files``."""
-    runs = {method: replace(run, recording_path=run.recording.write(out / f"{method}.parquet"))
-            for method, run in comparison.runs.items()}
+    runs = {method: replace(run, recording_path=out / f"{method}.parquet") for method, run in comparison.runs.items()}
     comparison = replace(comparison, runs=runs, report=out / "report.html")
-    page(comparison).write(out / "report.html")
-    write_json(out / "report.json", comparison.json())
+    with whole_folder(out) as new:
+        for method, run in runs.items():
+            run.recording.write(new / f"{method}.parquet")
+        page(comparison).write(new / "report.html")
+        write_json(new / "report.json", comparison.json())
     return comparison
 
 

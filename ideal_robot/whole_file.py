@@ -1,0 +1,98 @@
+"""Files that are there whole or not at all: written under another name beside their place and moved there.
+
+Whatever ends the program in between — an error, a full disk, ``kill -9`` — the file that was there before stays.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+import secrets
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from ideal_robot.errors import IdealRobotError
+
+_ABANDONED = 86_400.0
+"""What a killed run left of a file is removed by the next one when it is older than this [s]."""
+
+
+class OutputError(IdealRobotError):
+    """A result could not be written; what was there before is untouched."""
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """Yields the name to write to; moved to ``path`` when the block ends without an error, else removed.
+
+    Args:
+        path: where the file goes; missing parents are made.
+
+    Raises:
+        OutputError: it cannot be written, e.g. the disk is full.
+    """
+    with whole_files(path) as (partial,):
+        yield partial
+
+
+@contextmanager
+def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
+    """As ``whole_file`` for several that belong together: none is moved before all are written.
+
+    What is None among ``paths`` is None among what is yielded.
+    """
+    places = [None if path is None else Path(path) for path in paths]
+    moves: list[tuple[Path, Path]] = []
+    try:
+        partials = []
+        for place in places:
+            if place is not None:
+                place.parent.mkdir(parents=True, exist_ok=True)
+                moves.append((partial_name(place), place))
+            partials.append(None if place is None else moves[-1][0])
+        yield partials
+        for partial, _ in moves:
+            synchronise(partial)
+        for partial, place in moves:
+            partial.replace(place)
+        for folder in {place.parent for _, place in moves}:
+            synchronise(folder)
+    except OSError as error:
+        names = ", ".join(str(place) for _, place in moves) or str(places[0])
+        raise OutputError(f"{names}: cannot be written ({error.strerror or error})") from error
+    finally:
+        # Any way out, an interrupt included; of what was moved nothing is left under that name.
+        for partial, _ in moves:
+            partial.unlink(missing_ok=True)
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Writes a text file whole or not at all; raises OutputError where that fails."""
+    with whole_file(path) as partial:
+        partial.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
+def partial_name(path: Path) -> Path:
+    """An unused name beside ``path`` with the same ending; removes what killed runs left of the same file."""
+    beginning, ending = f".{path.stem[:100]}.", f".part{path.suffix}"
+    for old in path.parent.glob(f"{glob.escape(beginning)}*{glob.escape(ending)}"):
+        with suppress(OSError):
+            if time.time() - old.stat().st_mtime > _ABANDONED:
+                shutil.rmtree(old) if old.is_dir() else old.unlink()
+    return path.parent / f"{beginning}{secrets.token_hex(6)}{ending}"
+
+
+def synchronise(path: Path) -> None:
+    """Waits until a file, or the list of a folder's files, is on the disk."""
+    if path.is_dir() and os.name == "nt":
+        return  # folders cannot be opened there
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,143 @@
+"""Where results go: checked before any work begins, and folders that change as one."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ideal_robot.errors import InputError
+from ideal_robot.whole_file import OutputError, partial_name, synchronise
+
+_EXCHANGE = 2
+"""``RENAME_EXCHANGE`` of renameat2(2)."""
+_TRIES = 100
+"""How often a folder that other runs exchange meanwhile is looked at anew."""
+
+
+def check_outputs(folders: dict[str, Path | None] | None = None, **files: Path | None) -> None:
+    """Makes sure that results can be written, without leaving anything behind.
+
+    Args:
+        folders: option → folder that results go to; None where the option is not given.
+        files: name of the option (``_`` for ``-``) → file.
+
+    Raises:
+        InputError: a folder where a file should be or the reverse, no right to write, two results of one name.
+    """
+    taken: dict[Path, str] = {}
+    wanted = [*((option, path, True) for option, path in (folders or {}).items()),
+              *(("--" + name.replace("_", "-"), path, False) for name, path in files.items())]
+    for option, path, folder in wanted:
+        if path is None:
+            continue
+        try:
+            _check(path, option, folder)
+            place = path.resolve()
+        except (OSError, ValueError, RuntimeError) as error:
+            raise InputError(f"cannot be written ({getattr(error, 'strerror', None) or error}); give another place",
+                             field=option, value=str(path)) from error
+        if place in taken:
+            raise InputError(f"the same place as {taken[place]}; give another one", field=option, value=str(path))
+        taken[place] = option
+
+
+def _check(path: Path, option: str, folder: bool) -> None:
+    if path.exists() and path.is_dir() != folder:
+        raise InputError(f"is a {'file' if folder else 'folder'}; expected the name of a "
+                         f"{'folder' if folder else 'file'}", field=option, value=str(path))
+    place = path if folder else path.parent
+    if not folder:
+        os.fsencode(path.name)
+        if len(os.fsencode(path.name)) > 255:
+            raise InputError("the name is too long", field=option, value=f"{path.name[:40]}…")
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise InputError(f"{place} is a file, not a folder", field=option, value=str(path))
+    # Asking for the rights is not enough: read-only and vanished file systems say so only when written to.
+    with tempfile.NamedTemporaryFile(dir=place, prefix=".ideal-robot-"):
+        pass
+
+
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Yields a new folder to write into; its files take their places in ``folder`` together when the block ends.
+
+    Other files of ``folder`` stay. Where the system cannot exchange folders at one stroke (not Linux, or ``folder`` is
+    the working folder, a mount point or holds folders), the files are moved one by one, each whole.
+
+    Args:
+        folder: where the files go; missing parents are made.
+
+    Raises:
+        OutputError: it cannot be written; ``folder`` is as it was.
+    """
+    new: Path | None = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        place = folder.absolute()
+        new = partial_name(place / place.name if _fixed(place) else place)
+        new.mkdir()
+        yield new
+        for file in new.iterdir():
+            synchronise(file)
+        _take_place(new, place)
+        synchronise(place.parent)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+    finally:
+        if new is not None:
+            shutil.rmtree(new, ignore_errors=True)
+
+
+def _fixed(folder: Path) -> bool:
+    """Whether the folder must stay the folder it is: in use, mounted, linked to, or in one that is not ours."""
+    return folder.exists() and (Path.cwd().is_relative_to(folder.resolve()) or folder.is_mount() or folder.is_symlink()
+                                or not os.access(folder.parent, os.W_OK))
+
+
+def _take_place(new: Path, folder: Path) -> None:
+    if not folder.exists():
+        with suppress(OSError):  # another run may have made it meanwhile
+            new.rename(folder)
+            return
+    written = set(new.iterdir())
+    for _ in range(_TRIES):
+        others = [entry for entry in folder.iterdir() if new / entry.name not in written and entry != new]
+        if _fixed(folder) or any(entry.is_dir() for entry in others):
+            break
+        try:
+            for entry in others:
+                os.link(entry, new / entry.name, follow_symlinks=False)
+            _exchange(new, folder)
+            for entry in new.iterdir():  # what came into the old folder between the look and the exchange
+                if not (folder / entry.name).exists():
+                    entry.replace(folder / entry.name)
+            return
+        except FileNotFoundError:
+            pass  # another run exchanged the folder under our eyes
+        except OSError:
+            break  # a system that cannot link or exchange
+        finally:
+            for entry in set(new.iterdir()) - written if new.exists() else ():
+                entry.unlink()
+    for file in sorted(new.iterdir()):
+        file.replace(folder / file.name)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Two folders swap names at one stroke; raises OSError where the system cannot."""
+    if not sys.platform.startswith("linux"):
+        raise OSError("no exchange of folders on this system")
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if call is None:
+        raise OSError("no exchange of folders in this C library")
+    at = -100  # AT_FDCWD; the names are absolute
+    if call(at, os.fsencode(one), at, os.fsencode(other), _EXCHANGE):
+        raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))

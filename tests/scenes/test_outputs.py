@@ -1,0 +1,234 @@
+"""Results are there whole or not at all, whatever ends the program; places that cannot be written are told first."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
+from scenes.outputs import check_outputs, whole_folder
+
+WRITER = """
+import sys
+from pathlib import Path
+from ideal_robot.whole_file import whole_file
+from scenes.outputs import whole_folder
+folder = Path(sys.argv[1])
+print("ready", flush=True)
+for turn in range(100_000):
+    with whole_folder(folder / "run") as new:
+        for name in ("a", "b", "c"):
+            (new / name).write_text(f"{turn}\\n" * 2000)
+    with whole_file(folder / "single") as partial:
+        partial.write_text(f"{turn}\\n" * 2000)
+"""
+
+
+def _visible(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
+@pytest.mark.parametrize("after", np.random.default_rng(5).uniform(0.0, 0.08, 6))
+def test_a_killed_writer_leaves_one_generation_of_whole_files(after: float, tmp_path: Path) -> None:
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert writer.stdout is not None
+    writer.stdout.readline()
+    while not (tmp_path / "single").exists():
+        time.sleep(0.001)
+    (tmp_path / "run" / "kept").write_text("of the user")
+    time.sleep(after)
+    writer.send_signal(signal.SIGKILL)
+    writer.wait()
+    single = (tmp_path / "single").read_text().splitlines()
+    assert len(single) == 2000
+    assert len(set(single)) == 1
+    lines = [line for name in ("a", "b", "c") for line in (tmp_path / "run" / name).read_text().splitlines()]
+    assert len(lines) == 6000
+    assert len(set(lines)) == 1
+    assert _visible(tmp_path) == ["run", "single"]
+
+
+def test_other_files_of_the_folder_stay_and_the_own_ones_change_together(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "notes.txt").write_text("mine")
+    (folder / "a").write_text("old")
+    with whole_folder(folder) as new:
+        (new / "a").write_text("new")
+        assert (folder / "a").read_text() == "old"
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {"notes.txt": "mine", "a": "new"}
+    assert _visible(tmp_path) == ["run"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+@pytest.mark.parametrize("kind", ["working folder", "with folders", "link"])
+def test_folders_that_must_stay_take_the_files_one_by_one(kind: str, tmp_path: Path,
+                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    if kind == "working folder":
+        monkeypatch.chdir(folder)
+        folder = Path(".")
+    if kind == "with folders":
+        (folder / "sub").mkdir()
+    if kind == "link":
+        (tmp_path / "link").symlink_to(folder)
+        folder = tmp_path / "link"
+    identity = folder.stat().st_ino
+    with whole_folder(folder) as new:
+        (new / "a").write_text("new")
+    assert (folder / "a").read_text() == "new"
+    assert folder.stat().st_ino == identity
+    assert not [path for path in tmp_path.rglob(".*") if path.name != "."]
+
+
+def test_an_error_or_an_interrupt_leaves_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "one").write_text("old")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "a").write_text("old")
+
+    def files(error: type[BaseException]) -> None:
+        with whole_files(tmp_path / "one", None, tmp_path / "two") as (one, none, two):
+            assert none is None
+            one.write_text("new")
+            two.write_text("new")
+            raise error
+
+    def folder(error: type[BaseException]) -> None:
+        with whole_folder(tmp_path / "run") as new:
+            (new / "a").write_text("new")
+            raise error
+
+    for write in (files, folder):
+        for error in (ValueError, KeyboardInterrupt):
+            with pytest.raises(error):
+                write(error)
+    assert (tmp_path / "one").read_text() == "old"
+    assert (tmp_path / "run" / "a").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one", "run"]
+
+
+def test_a_full_disk_keeps_the_previous_result_and_says_so_in_one_line(tmp_path: Path) -> None:
+    """A limit on the size of files stands for the disk; the system reports both from write(2)."""
+    program = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.signals.recording import Recording
+from scenes.report.page import write_json
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+folder = Path(sys.argv[1])
+rng = np.random.default_rng(1)
+recording = Recording.from_arrays(np.arange(5000.0), q=rng.normal(size=(5000, 6)))
+for write in (lambda: recording.write(folder / "a.parquet"), lambda: recording.write(folder / "a.csv"),
+              lambda: write_json(folder / "a.json", {"x": rng.normal(size=5000)})):
+    try:
+        write()
+    except IdealRobotError as error:
+        print(error)
+"""
+    for name in ("a.parquet", "a.csv", "a.json"):
+        (tmp_path / name).write_text("previous")
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("cannot be written") == 3
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == dict.fromkeys(
+        ("a.parquet", "a.csv", "a.json"), "previous")
+
+
+def test_two_runs_into_one_folder_do_not_mix(tmp_path: Path) -> None:
+    failures: list[BaseException] = []
+
+    def write(word: str) -> None:
+        try:
+            for _ in range(30):
+                with whole_folder(tmp_path / "run") as new:
+                    for name in "abc":
+                        (new / name).write_text(word)
+        except BaseException as error:
+            failures.append(error)
+
+    runs = [threading.Thread(target=write, args=(word,)) for word in ("one", "two", "three")]
+    for thread in runs:
+        thread.start()
+    while any(thread.is_alive() for thread in runs):
+        try:
+            descriptor = os.open(tmp_path / "run", os.O_RDONLY)
+        except FileNotFoundError:
+            continue
+        try:
+            words = {_read(name, descriptor) for name in os.listdir(descriptor)}
+        except FileNotFoundError:
+            continue  # the generation that was opened has just been removed
+        finally:
+            os.close(descriptor)
+        assert len(words) <= 1
+    assert not failures
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
+def _read(name: str, folder: int) -> bytes:
+    file = os.open(name, os.O_RDONLY, dir_fd=folder)
+    try:
+        return os.read(file, 10)
+    finally:
+        os.close(file)
+
+
+def test_places_that_cannot_be_written_are_told_by_option_and_nothing_is_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    for places, option in (
+        ({"json": tmp_path / "folder"}, "--json"), ({"json": tmp_path / "file" / "a.json"}, "--json"),
+        ({"folders": {"--out": tmp_path / "file"}}, "--out"), ({"json": Path("/proc/none/a.json")}, "--json"),
+        ({"export_urdf": Path("/dev/full/a")}, "--export-urdf"), ({"json": tmp_path / ("x" * 300)}, "--json"),
+        ({"folders": {"--out": tmp_path / ("x" * 300)}}, "--out"), ({"json": tmp_path / "a\0b"}, "--json"),
+        ({"json": tmp_path / "same", "csv": tmp_path / "folder" / ".." / "same"}, "--csv"),
+    ):
+        with pytest.raises(InputError) as refused:
+            check_outputs(**places)
+        assert refused.value.field == option
+    check_outputs({"--out": tmp_path / "new" / "deep"}, json=tmp_path / "other" / "a.json", csv=None)
+    assert _visible(tmp_path) == ["file", "folder"]
+
+
+def test_a_folder_that_vanishes_while_writing_is_an_error_of_one_line(tmp_path: Path) -> None:
+    def write() -> None:
+        with whole_file(tmp_path / "gone" / "a") as partial:
+            partial.parent.rmdir()
+            partial.write_text("x")
+
+    with pytest.raises(OutputError, match="cannot be written"):
+        write()
+
+
+def test_what_killed_runs_left_is_removed_after_a_day(tmp_path: Path) -> None:
+    old, young = tmp_path / ".a.0123.part.json", tmp_path / ".a.4567.part.json"
+    for path in (old, young):
+        path.write_text("")
+    os.utime(old, (0, 0))
+    write_text(tmp_path / "a.json", "{}")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [young.name, "a.json"]
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_recording_is_written_by_its_ending_and_read_again_the_same(ending: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    recording = Recording.from_arrays(np.arange(50.0), q=rng.normal(size=(50, 2)))
+    path = recording.write(tmp_path / f"a.{ending}")
+    if ending == "csv":
+        assert pd.read_csv(path).shape == (50, 3)
+    assert Recording.read(path).hash == recording.hash
