@@ -56,7 +56,13 @@ class LineLostError(PlanningError):
 
 
 class LineNeverSeenError(LineLostError):
-    """The line has not been seen once since the start of the path."""
+    """The line has not been seen once since the start of the path.
+
+    Args:
+        t: controller time when the follower gave up [s].
+        s: arc length of the TCP on the reference then [m].
+        limit: distance that may be travelled before the line is seen first [m].
+    """
 
     def __init__(self, t: float, s: float, limit: float) -> None:
         super().__init__(t, s, float("nan"), float("nan"), limit)

@@ -1,0 +1,1 @@
+"""Motions in contact: pressing on a surface, following a contour, and when to stop."""

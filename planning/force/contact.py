@@ -65,7 +65,14 @@ class ContactSettings:
 def surface_model(
     reference: ReferencePath, ahead: float, *, shape: float = 0.006, length: float = 0.08
 ) -> PathDeviation:
-    """Prior of a surface: near its nominal plane, and smooth."""
+    """Prior of a surface: near its nominal plane, and smooth.
+
+    Args:
+        reference: the path along the nominal surface.
+        ahead: how far in front of the arm the deviation is needed [m].
+        shape: standard deviation of the surface's shape [m].
+        length: distance over which the shape becomes another [m].
+    """
     return PathDeviation(
         reference,
         directions=2,

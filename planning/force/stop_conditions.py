@@ -78,7 +78,13 @@ class StopConditions:
             )
 
     def approach(self, t: float, descended: float, reach: float) -> None:
-        """How far the approach has come [m]. Raises ``EmergencyStopError`` if there should have been contact."""
+        """How far the approach has come [m]. Raises ``EmergencyStopError`` if there should have been contact.
+
+        Args:
+            t: controller time [s].
+            descended: way of the approach so far [m].
+            reach: largest allowed way [m].
+        """
         if descended > reach:
             raise EmergencyStopError(
                 "contact",

@@ -215,7 +215,14 @@ class LineFollower:
         return fused
 
     def measurement(self, t: float, points_tcp: Array, sigma: Array, pose: pin.SE3 | None = None) -> Measurement:
-        """[L] (5): deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``."""
+        """[L] (5): deviations from the reference of points ``(m, 3)`` seen in the tool frame at ``t``.
+
+        Args:
+            t: instant of the exposure [s].
+            points_tcp: ``(m, 3)`` [m].
+            sigma: standard deviation of each point across the line ``(m,)`` [m].
+            pose: of the TCP at the exposure; interpolated from ``observe`` if None.
+        """
         pose = self.history.pose(t) if pose is None else pose
         lever = points_tcp @ pose.rotation.T
         s, value, _ = self.reference.project(lever + pose.translation, self.profile.at(t - self.t_start)[0] + 0.06)

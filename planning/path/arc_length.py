@@ -12,7 +12,13 @@ KNOT = 0.002
 
 
 def even_steps(points: Array, chord: Array, smoothing: float) -> tuple[Array, Array]:
-    """Averages the points and gives them even steps of arc length: points ``(K, 3)`` and arc lengths ``(K,)``."""
+    """Averages the points and gives them even steps of arc length: points ``(K, 3)`` and arc lengths ``(K,)``.
+
+    Args:
+        points: of the curve ``(N, 3)`` [m].
+        chord: length along the polygon up to each point ``(N,)`` [m].
+        smoothing: the curve is averaged twice over half of this length [m].
+    """
     fine = max(round(chord[-1] / 0.0005), 20)
     grid = np.linspace(0.0, chord[-1], fine + 1)
     # Sparse points are corners of a polygon, dense ones a curve.

@@ -54,6 +54,11 @@ class InverseKinematics:
     def solve(self, target: pin.SE3, q: Array, iterations: int = 50) -> Array:
         """Joint angles ``(n,)`` [rad] of one pose, from the guess ``q (n,)``; steps are cut to 0.3 rad.
 
+        Args:
+            target: pose of the TCP in the base frame.
+            q: guess ``(n,)`` [rad].
+            iterations: Newton steps at most.
+
         Raises:
             OutOfReachError: no solution within the joint limits near the guess.
         """
@@ -70,6 +75,11 @@ class InverseKinematics:
         """Joint angles ``(n,)`` of one pose without a good guess: the solution nearest to ``home`` that was found.
 
         Newton's method starts from ``home`` and from postures scattered evenly over the joint ranges around it.
+
+        Args:
+            target: pose of the TCP in the base frame.
+            home: preferred joint angles ``(n,)`` [rad].
+            attempts: starts at most.
 
         Raises:
             OutOfReachError: no start leads to a solution within the joint limits.
@@ -109,6 +119,11 @@ class InverseKinematics:
 
         The error after a step is of the order of the square of the error before, so a pose is done as soon as the
         error *before* a step was below ``sqrt(tolerance)`` [m, rad].
+
+        Args:
+            targets: poses of the TCP in the base frame, ``N`` of them.
+            q: nearly right joint angles ``(N, n)`` [rad].
+            tolerance: square of the pose error before the last step [m², rad²].
 
         Raises:
             OutOfReachError: not solved in ten steps, or outside the joint limits.

@@ -16,7 +16,15 @@ from ideal_robot.arrays import Array
 def frames_at(
     cubics: Array, ups: Array, knot: float, s: Array
 ) -> tuple[Array, Array, Array, Array, Array]:  # pragma: no cover
-    """Position, tangent, normal, up ``(m, 3)`` and curvature ``(m,)`` at arc lengths ``s (m,)``."""
+    """Position, tangent, normal, up ``(m, 3)`` and curvature ``(m,)`` at arc lengths ``s (m,)``.
+
+    Args:
+        cubics: coefficients of the cubics between knots by arc length, highest power first ``(K, 4, 3)`` [m]; the first
+            and the last are the straight ends.
+        ups: the same for the surface normals, without the ends ``(K - 2, 4, 3)``.
+        knot: spacing of the knots [m].
+        s: arc lengths ``(m,)`` [m].
+    """
     m, last = s.size, cubics.shape[0] - 1
     length = (last - 1) * knot
     position, tangent = np.empty((m, 3)), np.empty((m, 3))
@@ -56,6 +64,13 @@ def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float)
 
     The nearest of samples a knot apart, then Newton's method on (x - p(s))·p'(s) = 0; the curvature term is kept away
     from the centre of curvature.
+
+    Args:
+        cubics: coefficients of the path as for ``frames_at``.
+        knot: spacing of the knots [m].
+        points: ``(m, 3)`` [m].
+        first: least arc length that is looked at [m].
+        end: largest one [m].
     """
     last = cubics.shape[0] - 1
     count = max(int((end - first) / knot), 1)
@@ -112,7 +127,9 @@ def deviation_basis(
         axes: axes of the rigid motion as rows ``(3, 3)``.
         rigid: 3 for a motion in the plane of the first two axes, 6 for any.
         s: arc lengths ``(m,)``.
-        start, spacing, count: first knot, spacing and number of the B-splines.
+        start: first knot of the B-splines [m].
+        spacing: of their knots [m].
+        count: number of B-splines.
     """
     m = s.size
     H = np.zeros((m, wanted, rigid + wanted * count))

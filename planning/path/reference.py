@@ -97,7 +97,14 @@ class ReferencePath:
 
     @classmethod
     def from_formula(cls, formula: Callable[[Array], Array], u0: float, u1: float, **options: object) -> ReferencePath:
-        """The curve ``formula(u)``, ``(N,)`` to ``(N, 3)`` [m], for ``u`` from ``u0`` to ``u1``; options as above."""
+        """The curve ``formula(u)``, ``(N,)`` to ``(N, 3)`` [m], for ``u`` from ``u0`` to ``u1``; options as above.
+
+        Args:
+            formula: points ``(N, 3)`` [m] of parameters ``(N,)``.
+            u0: parameter at the start.
+            u1: parameter at the end.
+            options: further arguments of ``ReferencePath``.
+        """
         return cls(np.asarray(formula(np.linspace(u0, u1, 4001)), dtype=float), **options)  # type: ignore[arg-type]
 
     def frames(self, s: Array | float) -> PathFrames:

@@ -59,6 +59,11 @@ class JointPath:
     def of(cls, robot: Robot, reference: ReferencePath, home: Array | None = None) -> JointPath:
         """Solves the inverse kinematics along the whole path, in the posture nearest to ``home``.
 
+        Args:
+            robot: the arm.
+            reference: the reference path.
+            home: preferred joint angles ``(n,)`` [rad]; the robot's home posture if None.
+
         Raises:
             InputError: a part of the path is out of reach; says where, which joint and its limit.
         """

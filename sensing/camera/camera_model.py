@@ -24,7 +24,13 @@ from ideal_robot.errors import InputError
 
 @njit(cache=True)
 def distort(x: float, y: float, k: Array) -> tuple[float, float]:
-    """Distorts one normalised image point; ``k`` is (k1, k2, p1, p2, k3)."""
+    """Distorts one normalised image point; ``k`` is (k1, k2, p1, p2, k3).
+
+    Args:
+        x: normalised image coordinate to the right, 1.
+        y: the same downwards, 1.
+        k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+    """
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     return (
@@ -35,7 +41,13 @@ def distort(x: float, y: float, k: Array) -> tuple[float, float]:
 
 @njit(cache=True)
 def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
-    """Inverts ``distort`` by Newton's method; NaN where the lens model has no inverse."""
+    """Inverts ``distort`` by Newton's method; NaN where the lens model has no inverse.
+
+    Args:
+        x_d: distorted normalised coordinate to the right, 1.
+        y_d: the same downwards, 1.
+        k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+    """
     x, y = x_d, y_d
     for _ in range(20):
         fx, fy = distort(x, y, k)
@@ -58,7 +70,13 @@ def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
 
 @njit(cache=True)
 def project_points(points: Array, K: Array, k: Array) -> Array:
-    """Pixels ``(m, 2)`` of points ``(m, 3)`` in the camera frame; NaN behind the camera."""
+    """Pixels ``(m, 2)`` of points ``(m, 3)`` in the camera frame; NaN behind the camera.
+
+    Args:
+        points: ``(m, 3)`` [m].
+        K: camera matrix ``(3, 3)`` [px].
+        k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+    """
     pixels = np.full((points.shape[0], 2), np.nan)
     for i in range(points.shape[0]):
         if points[i, 2] > 0.0:
@@ -70,7 +88,13 @@ def project_points(points: Array, K: Array, k: Array) -> Array:
 
 @njit(cache=True)
 def pixel_rays(pixels: Array, K: Array, k: Array) -> Array:
-    """Rays ``(m, 3)`` with z = 1 of pixels ``(m, 2)``."""
+    """Rays ``(m, 3)`` with z = 1 of pixels ``(m, 2)``.
+
+    Args:
+        pixels: ``(m, 2)`` [px].
+        K: camera matrix ``(3, 3)`` [px].
+        k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+    """
     rays = np.empty((pixels.shape[0], 3))
     for i in range(pixels.shape[0]):
         y_d = (pixels[i, 1] - K[1, 2]) / K[1, 1]
@@ -173,7 +197,15 @@ class CameraModel:
         distortion: tuple[float, ...] = (-0.2, 0.05, 0.0, 0.0, 0.0),
         mount: pin.SE3 | None = None,
     ) -> CameraModel:
-        """A camera with 0.83 mm a pixel at 320×240 from 0.25 m; ``focal`` [px] defaults to 300 per 320 columns."""
+        """A camera with 0.83 mm a pixel at 320×240 from 0.25 m; ``focal`` [px] defaults to 300 per 320 columns.
+
+        Args:
+            width: columns of the image [px].
+            height: rows of the image [px].
+            focal: focal length [px]; 300 per 320 columns if None.
+            distortion: k1, k2, p1, p2, k3.
+            mount: pose of the camera in the tool frame; ``default_mount()`` if None.
+        """
         f = 300.0 * width / 320.0 if focal is None else focal
         K = np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
         return cls(width, height, K, np.array(distortion), default_mount() if mount is None else mount)
@@ -195,7 +227,13 @@ class CameraModel:
         return self.project((np.asarray(points, dtype=float) - T.translation) @ T.rotation)
 
     def on_plane(self, pixels: Array, normal: Array, offset: float) -> Array:
-        """Points ``(m, 3)`` [m] in the tool frame where the pixels' rays meet the plane ``normal · x = offset``."""
+        """Points ``(m, 3)`` [m] in the tool frame where the pixels' rays meet the plane ``normal · x = offset``.
+
+        Args:
+            pixels: ``(m, 2)`` [px].
+            normal: unit normal of the plane in the tool frame ``(3,)``.
+            offset: distance of the plane from the tool frame's origin along the normal [m].
+        """
         T = self.T_tool_camera
         directions = self.rays(pixels) @ T.rotation.T
         depth = (offset - normal @ T.translation) / (directions @ normal)
@@ -217,10 +255,15 @@ class CameraModel:
         """This camera with errors of calibration.
 
         Args:
-            roll, pitch, yaw: rotation vector in the tool's axes, about the camera's centre [rad].
-            height, lateral, forward: displacement of the camera against the tool's z, along its y and x [m].
+            roll: component along the tool's x of the rotation vector about the camera's centre [rad].
+            pitch: along the tool's y [rad].
+            yaw: along the tool's z [rad].
+            height: displacement of the camera against the tool's z [m].
+            lateral: along the tool's y [m].
+            forward: along the tool's x [m].
             focal: relative change of both focal lengths.
-            principal_u, principal_v: shift of the principal point [px].
+            principal_u: shift of the principal point to the right [px].
+            principal_v: downwards [px].
             k1: change of the radial coefficient.
         """
         T = self.T_tool_camera

@@ -99,9 +99,11 @@ def calibration_poses(
 
     Args:
         centre: a point on the line as far as known ``(3,)`` [m].
-        tangent, normal: the line's direction and the surface normal (towards the camera) there ``(3,)``.
+        tangent: direction of the line there ``(3,)``.
+        normal: of the surface there, towards the camera ``(3,)``.
         ahead: how far ahead of the TCP the camera looks [m].
-        move, lift: moves along and sideways, and upward [m].
+        move: size of the moves along the line and sideways [m].
+        lift: size of the moves upward [m].
     """
     poses = []
     z = -np.asarray(normal, dtype=float)

@@ -108,8 +108,11 @@ def _sections(
     windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
     width_tolerance: float,
 ) -> tuple[Array, NDArray[np.int64], int]:  # fmt: skip
-    """All cross-sections of all windows: scan coordinate in the image, width, depth, residual, standard deviation per
-    gray, and window's middle row minus predicted row; the window of each; how many there are."""
+    """All cross-sections of all windows, the window of each, and how many there are.
+
+    Columns: scan coordinate in the image, width, depth, residual, standard deviation per gray, and window's middle row
+    minus predicted row.
+    """
     m = pixels.shape[0]
     found, owner = np.empty((m * MAX_CANDIDATES, 6)), np.empty(m * MAX_CANDIDATES, dtype=np.int64)
     n = start = 0

@@ -61,6 +61,14 @@ def fit_section(
 ) -> tuple[float, float, float, float, float]:
     """Fits the cross-section near ``start`` [px from the window's first pixel].
 
+    Args:
+        patch: window ``(rows, columns)`` with the scan along its rows [gray].
+        start: where the line is expected in the middle row [px].
+        slant: by how much the line moves from row to row [px].
+        width: expected width of the line [px].
+        blur: σ of the blurred edge [px].
+        polarity: 1 for a dark line, -1 for a bright one.
+
     Returns:
         u_0 [px], w [px], c [gray], root mean square residual [gray], standard deviation of u_0 per unit of residual
         [px/gray]; NaN where the fit failed.

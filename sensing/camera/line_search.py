@@ -36,7 +36,15 @@ class PredictedLine:
 
     @classmethod
     def from_base(cls, points: Array, tangents: Array, normal: Array, pose: pin.SE3, sigma: float) -> PredictedLine:
-        """The same from points, tangents and surface normal in the base frame and the TCP's pose."""
+        """The same from points, tangents and surface normal in the base frame and the TCP's pose.
+
+        Args:
+            points: in the base frame ``(m, 3)`` [m].
+            tangents: unit vectors along the line in the base frame ``(m, 3)``.
+            normal: unit normal of the surface in the base frame ``(3,)``.
+            pose: of the TCP in the base frame.
+            sigma: standard deviation of the prediction across the line [m].
+        """
         R = pose.rotation
         return cls((np.asarray(points) - pose.translation) @ R, np.asarray(tangents) @ R, np.asarray(normal) @ R, sigma)
 
@@ -147,6 +155,11 @@ def search_windows(
     """One window per predicted point, across the line along image rows or columns, whichever cuts it more squarely.
 
     A window that would lie outside the image is empty (0 × 0), so that windows and points stay aligned.
+
+    Args:
+        camera: the camera as it is calibrated.
+        prediction: where the line should be, ``m`` points.
+        settings: how the line looks; the defaults if None.
     """
     s = settings or DetectionSettings()
     image = predict_image(camera, prediction)

@@ -1,0 +1,1 @@
+"""From wrenches to positional deviations."""

@@ -1,0 +1,1 @@
+"""The simulated arm: links, motors, gears, friction, controller."""

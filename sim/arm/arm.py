@@ -213,17 +213,18 @@ class SimulatedArm:
         return self.tcp_of(self._history.pose(t, self.t, self._q_a, self._qd_a))
 
     def history(self) -> dict[str, Array]:
-        """The true arm every 2 ms or finer: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as the joint controllers see it),
-        ``q`` (encoder), ``tau`` (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``,
-        ``temperature``."""
+        """The true arm every 2 ms or finer.
+
+        Keys: ``t (N,)``, and ``(N, n)`` each ``q_c`` (as the joint controllers see it), ``q`` (encoder), ``tau``
+        (measured), ``q_m``, ``q_a``, ``qd_a``, ``qd_m``, ``tau_motor``, ``tau_gear``, ``temperature``.
+        """
         return self._history.columns()
 
     def recording(self, external: bool = False) -> Recording:
-        """What a controller would have logged, every ``world.log_cycle``: ``t``, ``q_c_i``, ``q_i``, ``tau_i``,
-        ``current_i``, ``temp_i``.
+        """What a controller would have logged, every ``world.log_cycle``.
 
-        ``q_c_i`` is the command as the joint controllers see it: after the planner's delay and the interpolation,
-        before the low-pass.
+        Columns: ``t``, ``q_c_i``, ``q_i``, ``tau_i``, ``current_i``, ``temp_i``. ``q_c_i`` is the command as
+        the joint controllers see it: after the planner's delay and the interpolation, before the low-pass.
 
         Args:
             external: adds ``qa_i`` and ``x y z qx qy qz qw`` from an external measuring device with the world's noise.

@@ -31,6 +31,8 @@ def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_
     Joint limits are left to the controller: a limit constraint would be an effect of its own.
 
     Args:
+        model: Pinocchio model with the true inertias.
+        client: PyBullet's id of the physics client.
         tool: pose of the TCP in the frame of the last joint, if a ball about it shall collide with other bodies.
         tool_radius: its radius [m].
 
@@ -54,6 +56,11 @@ def links_urdf(model: pin.Model, tool: pin.SE3 | None = None, tool_radius: float
     """A URDF with the bare links of a serial Pinocchio model: one link per joint, inertias about principal axes.
 
     Principal axes spare PyBullet its own diagonalisation, which is less exact.
+
+    Args:
+        model: Pinocchio model of ``n`` joints.
+        tool: pose of the TCP in the frame of the last joint, if a ball about it shall collide with other bodies.
+        tool_radius: its radius [m].
     """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))

@@ -1,7 +1,7 @@
 """The industrial controller of the simulated arm: the KRC1 of [G] Fig. 15.
 
-    command every t_ipo → linear interpolation → low-pass → position loop (P, velocity feedforward) every t_position
-    → velocity loop (PI, velocity from a low-pass differentiator of the encoder) every t_velocity → current
+command every t_ipo → linear interpolation → low-pass → position loop (P, velocity feedforward) every t_position
+→ velocity loop (PI, velocity from a low-pass differentiator of the encoder) every t_velocity → current
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from sim.arm.world import World
 
 
 def controller_parameters(world: World, n: int, torque_limit: Array, gear_ratio: Array) -> Array:
-    """Packs the controller's numbers for the compiled step, shape ``(CONTROLLER_PARAMETERS, n)``."""
+    """Packs the controller's numbers for the compiled step, shape ``(CONTROLLER_PARAMETERS, n)``.
+
+    Args:
+        world: the true world.
+        n: number of joints.
+        torque_limit: on the joint side ``(n,)`` [N m].
+        gear_ratio: motor turns per joint turn ``(n,)``.
+    """
     p = np.zeros((CONTROLLER_PARAMETERS, n))
     p[C_KV] = world.per_joint("position_gain", n)
     p[C_KFF] = world.per_joint("velocity_feedforward", n)

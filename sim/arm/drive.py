@@ -24,6 +24,8 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     """Packs a world's numbers for ``drive_step``.
 
     Args:
+        world: the true world.
+        robot: data sheet of the arm.
         rotor_inertia: true rotor inertias on the joint side ``(n,)`` [kg m²].
         drive_gain: true torque per ampere relative to the data sheet's ``(n,)``.
         phase: of torque ripple and transmission error ``(n,)`` [rad].
@@ -89,7 +91,14 @@ def _share(cycle: float, time_constant: float) -> float:
 
 
 def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) -> Array:
-    """State block ``(STATES, n)`` of drives that hold ``holding_torque (n,)`` at rest with motors at ``q0``."""
+    """State block ``(STATES, n)`` of drives that hold ``holding_torque (n,)`` at rest with motors at ``q0``.
+
+    Args:
+        p: parameter block ``(PARAMETERS, n)``.
+        q0: motor angles ``(n,)`` [rad].
+        holding_torque: that holds the arm at rest ``(n,)`` [N m].
+        temperature: of the gears ``(n,)`` [°C].
+    """
     x = np.zeros((kernel.STATES, p.shape[1]))
     for row in (kernel.X_START, kernel.X_END, kernel.X_LOW1, kernel.X_LOW2, kernel.X_COMMAND, kernel.X_ENCODER,
                 kernel.X_MOTOR):

@@ -19,6 +19,12 @@ def steady_friction(world: World, n: int, velocity: Array, temperature: float | 
     """Friction torque ``(N, n)`` [N m] after sliding long enough at ``velocity (N, n)``, without load.
 
     For tests and documents about the world; no model may use it.
+
+    Args:
+        world: the true world.
+        n: number of joints.
+        velocity: on the joint side ``(N, n)`` [rad/s].
+        temperature: of all gears [°C]; the world's reference temperature if None.
     """
     velocity = np.asarray(velocity, dtype=float)
     p = {name: world.per_joint(name, n) for name in

@@ -51,7 +51,15 @@ LOGGED = ("q_c", "q", "tau", "q_m", "q_a", "qd_a", "qd_m", "tau_motor", "tau_gea
 
 @njit(cache=True, inline="always")
 def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> float:
-    """Bristle deflection after ``dt`` at constant velocity: the exact solution, so stable at any step."""
+    """Bristle deflection after ``dt`` at constant velocity: the exact solution, so stable at any step.
+
+    Args:
+        z: deflection before [rad].
+        v: sliding velocity [rad/s].
+        g: level of dry friction [N m].
+        sigma0: stiffness of the bristles [N m/rad].
+        dt: step [s].
+    """
     if v == 0.0:
         return z
     settled = g / sigma0 if v > 0.0 else -g / sigma0
@@ -60,7 +68,15 @@ def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> floa
 
 @njit(cache=True, inline="always")
 def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymmetry: float) -> float:
-    """Level g(v) of dry friction at the reference temperature and without load [N m]."""
+    """Level g(v) of dry friction at the reference temperature and without load [N m].
+
+    Args:
+        v: sliding velocity [rad/s].
+        coulomb: [N m].
+        surplus: at standstill [N m].
+        v_stribeck: velocity over which the surplus decays [rad/s].
+        asymmetry: relative difference between the directions, 1.
+    """
     side = 1.0 + asymmetry if v > 0.0 else 1.0 - asymmetry
     ratio = v / v_stribeck
     return side * (coulomb + surplus * math.exp(-ratio * ratio))
@@ -68,7 +84,14 @@ def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymm
 
 @njit(cache=True, inline="always")
 def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: float) -> float:
-    """Fluid friction at the reference temperature [N m]."""
+    """Fluid friction at the reference temperature [N m].
+
+    Args:
+        v: sliding velocity [rad/s].
+        viscous: [N m s/rad].
+        degressive: [N m].
+        v_degressive: velocity from which it is degressive [rad/s].
+    """
     return viscous * v + degressive * math.asinh(v / v_degressive)
 
 
@@ -78,12 +101,17 @@ def control_step(p: Array, x: Array, j: int, q_m: float, fraction: float, positi
     """Runs the loops of joint ``j`` that are due; the torque command is left in ``x[X_TORQUE, j]``.
 
     Args:
-        p, x: parameter and state block.
+        p: parameter block ``(PARAMETERS, n)``.
+        x: state block ``(STATES, n)``, changed.
+        j: the joint.
         q_m: true motor angle [rad].
         fraction: how much of the interpolation cycle has gone by, 0 … 1.
-        position_due, velocity_due: which loops run at this step.
-        low_pass, velocity_pass: shares by which the command and the velocity filter move per their cycle.
-        t_position, t_velocity: cycle times [s].
+        position_due: whether the position loop runs at this step.
+        velocity_due: whether the velocity loop runs at this step.
+        low_pass: share by which the command's filter moves per cycle, 0 … 1.
+        velocity_pass: the same of the velocity filter.
+        t_position: cycle time of the position loop [s].
+        t_velocity: cycle time of the velocity loop [s].
     """
     if velocity_due:
         increment = p[C_INCREMENT, j]
@@ -118,7 +146,9 @@ def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Arra
 
     Args:
         tick: number of the step since the start.
-        p, s, counts: see ``drive_parameters``.
+        p: parameter block ``(PARAMETERS, n)``, see ``drive_parameters``.
+        s: numbers that all joints share ``(SHARED,)``.
+        counts: steps of the cycles ``(4,)``.
         x: state block, changed in place.
         links: ``(4, n)``: arm angles [rad], arm velocities [rad/s], additional torque on the motor side [N m], and, as
             the result, for elastic gears the gear torque [N m]; for rigid ones motor torque less friction, to be

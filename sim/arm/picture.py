@@ -25,8 +25,10 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
     Args:
         robot: any robot whose URDF holds primitive shapes; links without visible shape stay invisible.
         q: arm angles ``(n,)`` [rad].
-        width, height: size of the picture [pixels].
-        azimuth, elevation: direction of view [degrees].
+        width: of the picture [px].
+        height: of the picture [px].
+        azimuth: direction of view about the vertical [°].
+        elevation: direction of view above the horizon, negative from above [°].
         distance: of the camera from ``target`` [m]; fitted to the arm if None.
         target: point in the middle of the picture [m]; fitted to the arm if None.
         lines: polylines ``(N, 3)`` [m] in the base frame to be drawn as thin rods, e.g. a path.

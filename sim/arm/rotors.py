@@ -35,10 +35,23 @@ class RigidRotors:
         self._touch = np.zeros(len(inertia))
 
     def share(self, q: Array, qd: Array, torque: Array) -> None:
-        """Takes from ``torque (n,)`` [N m], in place, what accelerates the rotors."""
+        """Takes from ``torque (n,)`` [N m], in place, what accelerates the rotors.
+
+        Args:
+            q: arm angles ``(n,)`` [rad].
+            qd: arm velocities ``(n,)`` [rad/s].
+            torque: of the drives ``(n,)`` [N m]; changed.
+        """
         acceleration = pin.aba(self._with_rotors, self._data, q, qd, torque + self._touch)
         torque -= self._inertia * acceleration
 
     def feel(self, q: Array, qd: Array, qd_after: Array, torque: Array) -> None:
-        """Learns what touched the links in a step from ``q, qd`` to velocity ``qd_after`` under ``torque (n,)``."""
+        """Learns what touched the links in a step from ``q, qd`` to velocity ``qd_after`` under ``torque (n,)``.
+
+        Args:
+            q: arm angles before the step ``(n,)`` [rad].
+            qd: arm velocities before it ``(n,)`` [rad/s].
+            qd_after: arm velocities after it ``(n,)`` [rad/s].
+            torque: on the links during it ``(n,)`` [N m].
+        """
         self._touch = pin.rnea(self._links, self._links_data, q, qd, (qd_after - qd) / STEP) - torque

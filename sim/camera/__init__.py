@@ -1,0 +1,1 @@
+"""The simulated camera and the surface that it looks at."""

@@ -17,6 +17,16 @@ def add_samples(
     """Adds the picture, sampled bilinearly at normalised coordinates, averaged over each pixel's samples, to ``total``.
 
     ``x``, ``y`` have shape ``(height, width, n)``: n samples per pixel.
+
+    Args:
+        total: sum so far ``(height, width)`` [gray], changed.
+        image: undistorted picture ``(rows, columns, channels)`` [gray].
+        x: normalised coordinates to the right ``(height, width, n)``, n samples per pixel.
+        y: the same downwards.
+        scale: focal length of the undistorted picture [px].
+        column0: column of its principal point [px].
+        row0: row of its principal point [px].
+        weight: of this picture in the sum.
     """
     rows, columns = image.shape[0], image.shape[1]
     height, width, n = x.shape
@@ -36,7 +46,17 @@ def add_samples(
 
 @njit(cache=True)
 def sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: Array) -> tuple[Array, Array]:
-    """Undistorted normalised coordinates ``(height, width, n²)`` of ``n`` × ``n`` samples spread over each pixel."""
+    """Undistorted normalised coordinates ``(height, width, n²)`` of ``n`` × ``n`` samples spread over each pixel.
+
+    Args:
+        u0: first column [px].
+        v0: first row [px].
+        height: rows [px].
+        width: columns [px].
+        n: samples a pixel in each direction.
+        K: camera matrix ``(3, 3)`` [px].
+        k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+    """
     x = np.empty((height, width, n * n))
     y = np.empty((height, width, n * n))
     for i in range(height):

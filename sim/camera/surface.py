@@ -116,7 +116,13 @@ class DrawnLine:
 
     @classmethod
     def from_plane_points(cls, xy: Array, plane: pin.SE3, **options: Any) -> DrawnLine:
-        """A line from points ``(N, 2)`` [m] in the plane's x and y; further arguments as attributes."""
+        """A line from points ``(N, 2)`` [m] in the plane's x and y; further arguments as attributes.
+
+        Args:
+            xy: points in the plane ``(N, 2)`` [m].
+            plane: pose of the plane in the base frame; z is its normal.
+            options: further attributes.
+        """
         xy = np.asarray(xy, dtype=float)
         if xy.ndim != 2 or xy.shape[1] != 2:
             raise InputError("expected points of shape (N, 2)", field="line.points", value=xy.shape)

@@ -111,6 +111,12 @@ class ClampedArm:
     def curve(self, motion: Array, low: float, high: float, *, points: int = 25) -> tuple[Array, Array, Array]:
         """Equilibria along a motor motion.
 
+        Args:
+            motion: direction of the motors' shift ``(n,)``.
+            low: smallest multiple of ``motion``, ≤ 0.
+            high: largest multiple, ≥ 0.
+            points: number of equilibria ``m``.
+
         Returns:
             Shifts ``(m,)`` from ``low`` ≤ 0 to ``high`` ≥ 0, arm angles ``(m, n)`` and wrenches ``(m, 6)``.
         """
@@ -144,7 +150,8 @@ class ClampedArm:
             motion: direction of the motors' shift ``(n,)``.
             shares: levels as shares of the largest allowed shift, −1 … 1.
             torque: allowed change of motor torque ``(n,)`` [N m].
-            force, moment: allowed norms at the flange [N, N m].
+            force: allowed norm at the flange [N].
+            moment: allowed norm at the flange [N m].
         """
         probe = 1e-4
         _, angles, wrenches = self.curve(motion, 0.0, probe, points=2)
@@ -162,7 +169,8 @@ class ClampedArm:
             rng: for everything that scatters.
             gain_rng: for the drive gains, which are the same in all recordings of one arm; None: ``rng``.
             components: wrench components that are recorded.
-            hold, ramp: time at a level and between levels [s].
+            hold: time at a level [s].
+            ramp: time between levels [s].
             approach: distance from which the flange first approaches along −z under position control [m].
 
         Returns:
@@ -231,7 +239,13 @@ def _padded(values: Array, length: int) -> Array:
 
 @njit(cache=True)
 def dry_friction(q: Array, level: Array, presliding: float) -> Array:
-    """Friction torque ``(N, n)`` of motors that move along ``q``, by Dahl's law dz = dq − |dq| z / presliding."""
+    """Friction torque ``(N, n)`` of motors that move along ``q``, by Dahl's law dz = dq − |dq| z / presliding.
+
+    Args:
+        q: motor angles ``(N, n)`` [rad].
+        level: of sliding friction ``(n,)`` [N m].
+        presliding: way over which friction builds up [rad].
+    """
     torque = np.zeros_like(q)
     state = np.zeros(q.shape[1])
     for i in range(1, q.shape[0]):

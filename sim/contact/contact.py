@@ -142,8 +142,11 @@ class TipContact:
                                         physicsClientId=arm.client)
 
     def history(self) -> dict[str, Array]:
-        """Every 0.5 ms: ``t``, ``normal`` force (N,) [N], ``force`` on the tip in the base frame (N, 3) [N],
-        ``height`` of the surface (N,) and ``tip`` (N, 3) in plane coordinates [m]."""
+        """The contact every 0.5 ms.
+
+        Keys: ``t (N,)`` [s], ``normal`` force ``(N,)`` [N], ``force`` on the tip in the base frame ``(N, 3)`` [N],
+        ``height`` of the surface ``(N,)`` and ``tip (N, 3)`` in plane coordinates [m].
+        """
         rows = self._log[: self._rows].copy()
         return {"t": rows[:, 0], "normal": rows[:, 1], "force": rows[:, 2:5], "height": rows[:, 5], "tip": rows[:, 6:]}
 

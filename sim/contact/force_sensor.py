@@ -70,7 +70,8 @@ class ForceSensor:
         """Samples measured in [t0, t1).
 
         Args:
-            t0, t1: [s].
+            t0: begin [s].
+            t1: end [s].
             pose_at: true pose of the tool frame at a time.
             force_at: true force on the tool frame's origin in the base frame at a time ``(3,)`` [N].
         """
@@ -86,7 +87,13 @@ class ForceSensor:
         return samples
 
     def sample(self, t: float, pose: pin.SE3, force: Array) -> WrenchSample:
-        """One sample at a given true pose and force."""
+        """One sample at a given true pose and force.
+
+        Args:
+            t: instant of the measurement [s].
+            pose: true pose of the tool frame in the base frame.
+            force: true force on the tool frame's origin in the base frame ``(3,)`` [N].
+        """
         s = self.settings
         if s.lie and s.lie[0] <= t < s.lie[1]:
             wrench = 40.0 * self._rng.standard_normal(6)

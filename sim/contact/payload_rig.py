@@ -50,7 +50,15 @@ def hang_payloads(robot: Robot, world: ClampWorld, postures: Array, masses: Arra
 
 
 def loaded_pose(robot: Robot, world: ClampWorld, q_m: Array, mass: float, lever: Array) -> pin.SE3:
-    """Flange pose at rest with a mass hung on it: gears by fixed-point iteration, links to first order."""
+    """Flange pose at rest with a mass hung on it: gears by fixed-point iteration, links to first order.
+
+    Args:
+        robot: data sheet of the arm.
+        world: true stiffness of gears and links.
+        q_m: motor angles ``(n,)`` [rad].
+        mass: hung on the flange [kg].
+        lever: its centre of mass in the flange frame ``(3,)`` [m].
+    """
     data = robot.pinocchio.createData()
     q = np.array(q_m, dtype=float)
     for _ in range(50):

@@ -1,0 +1,1 @@
+"""The other ends of interfaces to real devices."""

@@ -1,0 +1,70 @@
+"""Every public function with more than two parameters says of each what it is: shape and unit stand in ``Args``.
+
+The parameters of ``__init__`` stand in the docstring of the class. A method that fills in an interface may refer to
+it instead: ``See ``Feedforward.step``.``
+"""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DONE = ("planning", "sensing", "sim")
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def parameters(function: Function) -> list[str]:
+    """Names of all parameters but ``self`` and ``cls``."""
+    given = function.args
+    every = [*given.posonlyargs, *given.args, *given.kwonlyargs, *filter(None, (given.vararg, given.kwarg))]
+    return [one.arg for one in every if one.arg not in ("self", "cls")]
+
+
+def documented(docstring: str) -> set[str]:
+    """Names that the section ``Args:`` has lines for; several may share one: ``q, qd: …``."""
+    section = re.search(r"^Args:\n((?:[ ]+.*\n|\n)*)", docstring + "\n", flags=re.MULTILINE)
+    lines = re.findall(r"^ {4}([\w*, ]+):", section.group(1), flags=re.MULTILINE) if section else []
+    return {name.strip().lstrip("*") for line in lines for name in line.split(",")}
+
+
+def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
+    """Public functions and methods of a module with their docstrings; of ``__init__`` the class's."""
+    for node in tree.body:
+        if isinstance(node, Function) and not node.name.startswith("_"):
+            yield node.name, node, ast.get_docstring(node) or ""
+        elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            for method in node.body:
+                if isinstance(method, Function) and (method.name == "__init__" or not method.name.startswith("_")):
+                    docstring = ast.get_docstring(node if method.name == "__init__" else method)
+                    yield f"{node.name}.{method.name}", method, docstring or ""
+
+
+def methods(folder: str) -> set[str]:
+    """``Class.method`` of all public methods in a folder."""
+    return {name for path in (ROOT / folder).rglob("*.py") for name, _, _ in public(ast.parse(path.read_text("utf-8")))}
+
+
+def undocumented(folder: str) -> list[str]:
+    """File, function and missing names of all functions that the rule is broken by."""
+    found = []
+    known = methods("ideal_robot") | methods(folder)
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        for name, function, docstring in public(ast.parse(path.read_text(encoding="utf-8"))):
+            names = parameters(function)
+            interface = re.match(r"See ``([\w.]+)``", docstring)
+            if len(names) <= 2 or (interface and interface.group(1) in known - {name}):
+                continue
+            missing = [parameter for parameter in names if parameter not in documented(docstring)]
+            if missing:
+                found.append(f"{path.relative_to(ROOT)}:{function.lineno} {name}: {', '.join(missing)}")
+    return found
+
+
+@pytest.mark.parametrize("folder", DONE)
+def test_parameters_are_described(folder: str) -> None:
+    assert undocumented(folder) == []
