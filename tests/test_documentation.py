@@ -1,0 +1,100 @@
+"""What the documentation names exists: files, modules, functions, verbs of the command line, links."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+from scenes.cli import VERBS
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
+FOLDERS = (*PACKAGES, "benchmarks", "docs", "examples", "tests")
+DATA = {"toml", "json", "html", "urdf", "md", "py"}
+"""What a dotted name may end with that is a file."""
+
+
+def defined(tree: ast.Module | ast.ClassDef) -> dict[str, ast.stmt]:
+    """Names that a module or class defines, the ones it imports among them."""
+    names: dict[str, ast.stmt] = {}
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names[node.name] = node
+        elif isinstance(node, ast.Assign):
+            names.update({target.id: node for target in node.targets if isinstance(target, ast.Name)})
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names[node.target.id] = node
+        elif isinstance(node, ast.ImportFrom | ast.Import):
+            names.update({alias.asname or alias.name: node for alias in node.names})
+    return names
+
+
+def name_exists(dotted: str) -> bool:
+    """Whether a dotted name is a package, a module, or something defined in one."""
+    parts = dotted.split(".")
+    here = ROOT
+    while parts and (here / parts[0]).is_dir():
+        here /= parts.pop(0)
+    if parts and here.joinpath(parts[0] + ".py").is_file():
+        file = here / (parts.pop(0) + ".py")
+    else:
+        file = here / "__init__.py"
+    if not parts:
+        return True
+    tree: ast.Module | ast.stmt = ast.parse(file.read_text(encoding="utf-8")) if file.is_file() else ast.Module([], [])
+    lazily = re.findall(r'"(\w+)"', file.read_text(encoding="utf-8")) if file.name == "__init__.py" else []
+    if parts[0] in lazily:
+        return True
+    for part in parts:
+        if not isinstance(tree, ast.Module | ast.ClassDef):
+            return False
+        found = defined(tree).get(part)
+        if found is None:
+            return False
+        tree = found
+    return True
+
+
+def path_exists(path: str) -> bool:
+    """Whether a path, perhaps with ``*``, is in the repository."""
+    return any(ROOT.glob(path)) if "*" in path else (ROOT / path).exists()
+
+
+def missing_in(text: str, folder: Path) -> list[str]:
+    """Files, dotted names and links of a page that are not there."""
+    missing = [link for link in re.findall(r"\]\(([^)#:\s]+)\)", text) if not (folder / link).exists()]
+    code = re.findall(r"```.*?```", text, flags=re.DOTALL)
+    spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
+    for span in [*spans, *code]:
+        for path in re.findall(r"(?<![\w./-])(?:" + "|".join(FOLDERS) + r")/[\w*./-]*\w", span):
+            missing += [] if path_exists(path) else [path]
+        for dotted in re.findall(r"(?<![\w./-])(?:" + "|".join(PACKAGES) + r")(?:\.\w+)+", span):
+            missing += [] if dotted.split(".")[-1] in DATA or name_exists(dotted) else [dotted]
+        for module, names in re.findall(r"from ((?:" + "|".join(PACKAGES) + r")[\w.]*) import ([\w, ]+)", span):
+            missing += [f"{module}.{name.strip()}" for name in names.split(",")
+                        if not name_exists(f"{module}.{name.strip().split(' as ')[0]}")]
+    for span in spans:
+        if re.fullmatch(r"[\w-]+(/[\w-]+)+\.py", span) and not path_exists(span):
+            missing.append(span)
+        if re.fullmatch(r"\w+\.py", span) and not any(any((ROOT / folder).rglob(span)) for folder in FOLDERS):
+            missing.append(span)
+    verbs = re.findall(r"`ideal-robot ([a-z-]+)", text) + re.findall(r"^ *ideal-robot ([a-z-]+)", text, re.MULTILINE)
+    missing += [f"ideal-robot {verb}" for verb in verbs if verb not in VERBS]
+    return list(dict.fromkeys(missing))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_what_a_page_names_exists(page: Path) -> None:
+    assert missing_in(page.read_text(encoding="utf-8"), page.parent) == []
+
+
+def test_what_is_not_there_is_noticed() -> None:
+    text = ("[a](nowhere.md) `sim/arm/arm.py` `sim/arm/legs.py` `sim.arm.arm.SimulatedArm.cycle` "
+            "`sim.arm.arm.Leg` `a/b.py`")
+    assert missing_in(text, ROOT) == ["nowhere.md", "sim/arm/legs.py", "sim.arm.arm.Leg", "a/b.py"]
+    assert missing_in("`ideal-robot run line` `ideal-robot dance` `nowhere.py`", ROOT) == [
+        "nowhere.py", "ideal-robot dance"]
