@@ -9,9 +9,9 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from planning.force.contact import FORCE_ERRORS
+from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter
-from planning.line.line_on_surface import LineOnSurface, SightSettings
 from scenes.force.cell import N_D, Cell
 from scenes.force.scene import ForceScene
 from scenes.line.scene import calibration_sizes

@@ -11,8 +11,8 @@ import pytest
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import ContactSettings, Phase, surface_model
 from planning.force.force_follower import SurfaceFollower
+from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.line.fusion import DeviationFilter
-from planning.line.line_on_surface import LineOnSurface, SightSettings
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 from sensing.camera.camera_model import default_mount
