@@ -10,18 +10,25 @@ from typing import Any
 import numpy as np
 
 
-def plain(value: Any) -> Any:
-    """The value as dictionaries, lists, numbers and strings; numbers to twelve digits, non-finite ones as None."""
+def plain(value: Any, digits: int | None = None) -> Any:
+    """The value as dictionaries, lists, numbers and strings; non-finite numbers as None.
+
+    Args:
+        value: dataclasses, arrays, paths and what they are nested in.
+        digits: significant digits of numbers; all of them if None.
+    """
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {entry.name: plain(getattr(value, entry.name)) for entry in dataclasses.fields(value)}
+        return {entry.name: plain(getattr(value, entry.name), digits) for entry in dataclasses.fields(value)}
     if isinstance(value, dict):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain(item, digits) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [plain(item) for item in value]
+        return [plain(item, digits) for item in value]
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return plain(value.tolist(), digits)
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return plain(value.item(), digits)
     if isinstance(value, float):
-        return float(f"{value:.12g}") if math.isfinite(value) else None
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else float(f"{value:.{digits}g}")
     return str(value) if isinstance(value, Path) else value

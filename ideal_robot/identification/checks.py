@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.units import require_joint_units, require_metres, require_seconds
 
 _MINIMUM_DURATION = 1.0
 _STILL = 1e-3
@@ -53,11 +53,15 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
         k = backwards[0]
         raise InputError(f"time does not increase at sample {k + 1} (t = {t[k + 1]:.6g} s after {t[k]:.6g} s); sort "
                          "the samples or cut the recording there", file=source, field="t")
+    require_seconds(t, file=source)
     if len(t) < 100 or t[-1] - t[0] < _MINIMUM_DURATION:
         raise InputError(f"too short: at least {_MINIMUM_DURATION:g} s and 100 samples are needed", file=source,
                          field="t", value=f"{len(t)} samples, {t[-1] - t[0]:.3g} s" if len(t) else "0 samples")
     q, tau = recording.joints("q"), recording.joints("tau")
-    _refuse_degrees(q, robot, source)
+    require_joint_units(q, robot, file=source)
+    for name in "xyz":
+        if name in recording.columns:
+            require_metres(recording.columns[name], file=source, column=name)
     if not np.any(np.abs(tau) > 0):
         raise InputError("every torque is zero; is this the torque column?", file=source, field="tau_i")
     for j in range(n):
@@ -117,16 +121,3 @@ def _finite(recording: Recording) -> tuple[Recording, list[str]]:
     columns = {name: np.ascontiguousarray(values[~bad]) for name, values in recording.columns.items()}
     return (replace(recording, columns=columns),
             [f"not-a-number: {bad.sum()} samples with NaN (first in {worst}) are left out"])
-
-
-def _refuse_degrees(q: Array, robot: Robot, source: str) -> None:
-    """Degrees taken for radians leave the joint limits by far."""
-    revolute = ~robot.prismatic
-    span = np.maximum(np.abs(robot.q_min), np.abs(robot.q_max))
-    beyond = np.max(np.abs(q), axis=0) / np.where(np.isfinite(span) & (span > 0), span, np.inf)
-    for j in np.flatnonzero(revolute & (beyond > 1.05)):
-        in_limits = np.all(np.radians(np.max(np.abs(q), axis=0))[revolute] <= 1.05 * span[revolute])
-        guess = ("they look like degrees, radians are expected" if in_limits and np.any(beyond[revolute] > 3.0)
-                 else "wrong robot, or not in radians?")
-        raise InputError(f"positions up to {np.max(np.abs(q[:, j])):.4g} leave the joint limit of {span[j]:.4g} rad; "
-                         + guess, file=source, field=f"q_{j + 1}")

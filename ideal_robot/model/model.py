@@ -253,7 +253,7 @@ class Model:
             "damping": self.damping,
             "effects": [effect.to_dict() for effect in self.effects],
             "provenance": self.provenance,
-        })
+        }, digits=12)
         return values
 
     @classmethod

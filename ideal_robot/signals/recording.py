@@ -18,15 +18,20 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.ros_bag import SUFFIXES, read_joint_states
 from ideal_robot.whole_file import whole_file
 
+OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
+"""Quantities that every joint has."""
+WRITTEN = (".parquet", ".csv")
+"""Endings of files that recordings are written to."""
+
 
 @dataclass(frozen=True)
 class Recording:
     """Columns of equal length over time; joints are counted from 1 in the names.
 
     Attributes:
-        columns: name → values ``(N,)``, read-only. ``t`` [s]; ``q_c_i`` commanded, ``q_d_i`` desired, ``q_i`` motor
-            angle on the joint side, ``qa_i`` arm angle [rad, or m for prismatic joints]; ``tau_i`` motor torque on
-            the joint side [N m] or ``current_i`` [A]; ``x y z qx qy qz qw`` measured TCP [m];
+        columns: name → values ``(N,)``, copied and read-only. ``t`` [s]; ``q_c_i`` commanded, ``q_d_i`` desired,
+            ``q_i`` motor angle on the joint side, ``qa_i`` arm angle [rad, or m for prismatic joints]; ``tau_i`` motor
+            torque on the joint side [N m] or ``current_i`` [A]; ``x y z qx qy qz qw`` measured TCP [m];
             ``fx fy fz mx my mz`` wrench in the sensor frame [N, N m]; ``temp_i`` gear temperature [°C].
             Other columns are kept as they are.
         meta: robot, cycle time, units, source and what else the file carried.
@@ -38,13 +43,20 @@ class Recording:
     source: str = "memory"
 
     def __post_init__(self) -> None:
+        if not isinstance(self.columns, dict):
+            raise InputError("expected a dictionary of columns; make a recording of a DataFrame by "
+                             "Recording.from_frame, of arrays by Recording.from_arrays, of a file by Recording.read",
+                             file=self.source, field="columns", value=type(self.columns).__name__)
         if "t" not in self.columns:
-            raise InputError("a recording needs the column t [s]", file=self.source, field="t")
-        length = len(self.columns["t"])
-        for name, values in self.columns.items():
+            raise InputError("a recording needs the column t [s]; columns are "
+                             + (", ".join(list(self.columns)[:12]) or "none"), file=self.source, field="t")
+        columns = {name: _own(values, self.source, name) for name, values in self.columns.items()}
+        length = len(columns["t"])
+        for name, values in columns.items():
             if len(values) != length:
-                raise InputError(f"column has {len(values)} values, t has {length}", file=self.source, field=name)
-            values.setflags(write=False)
+                raise InputError(f"column has {len(values)} values, t has {length}; all must be equally long",
+                                 file=self.source, field=name)
+        object.__setattr__(self, "columns", columns)
 
     @property
     def n(self) -> int:
@@ -87,19 +99,63 @@ class Recording:
     @classmethod
     def from_arrays(cls, t: Array, *, meta: dict[str, Any] | None = None, source: str = "memory",
                     **columns: Array) -> Recording:
-        """Builds a recording from arrays: ``(N, n)`` ones become ``name_1 … name_n``, ``(N,)`` ones keep their name."""
+        """Builds a recording from arrays, which are copied.
+
+        Args:
+            t: times ``(N,)`` [s].
+            meta: robot, cycle time, units.
+            source: a word for where it was made.
+            columns: ``(N, n)`` ones become ``name_1 … name_n``. ``(N,)`` ones keep their name; of a quantity that
+                every joint has (``q``, ``tau``, …) they are joint 1 of an arm with one joint.
+
+        Raises:
+            InputError: arrays of other shape, or of unequal length.
+        """
         named: dict[str, Array] = {"t": np.array(t, dtype=float)}
-        for name, values in columns.items():
-            values = np.array(values, dtype=float)
+        for name, given in columns.items():
+            values = np.array(given, dtype=float)
             if values.ndim == 1:
-                named[name] = values
-            else:
+                named[f"{name}_1" if name in OF_JOINTS else name] = values
+            elif values.ndim == 2:
                 named.update({f"{name}_{i + 1}": np.ascontiguousarray(values[:, i]) for i in range(values.shape[1])})
+            else:
+                raise InputError("expected values (N,) or (N, n)", file=source, field=name, value=values.shape)
         return cls(named, meta or {}, source)
 
+    @classmethod
+    def from_frame(cls, frame: pd.DataFrame, *, meta: dict[str, Any] | None = None, source: str = "memory"
+                   ) -> Recording:
+        """Builds a recording from a DataFrame, which is copied.
+
+        Args:
+            frame: columns as in the class's description, ``t`` [s] among them; others are kept.
+            meta: robot, cycle time, units.
+            source: a word for where it was made.
+
+        Raises:
+            InputError: no DataFrame, no column ``t``, or a column that is not numeric.
+        """
+        if not isinstance(frame, pd.DataFrame):
+            raise InputError("expected a pandas DataFrame", field="frame", value=type(frame).__name__)
+        columns = {}
+        for name in frame.columns:
+            try:
+                columns[str(name)] = np.array(frame[name], dtype=float)
+            except (TypeError, ValueError) as error:
+                raise InputError("column is not numeric" + ("; seconds are expected" if name == "t" else ""),
+                                 file=source, field=str(name)) from error
+        return cls(columns, meta or {}, source)
+
     def write(self, path: str | Path) -> Path:
-        """Writes Parquet (with the metadata) or, for the ending ``.csv``, CSV. Nothing is left half-written."""
+        """Writes Parquet (with the metadata) or CSV, by the ending. Nothing is left half-written.
+
+        Raises:
+            InputError: another ending.
+        """
         path = Path(path)
+        if path.suffix not in WRITTEN:
+            raise InputError(f"recordings are written as {' or '.join(WRITTEN)}; give the file one of these endings",
+                             file=path, field="path", value=path.suffix)
         frame = pd.DataFrame(self.columns)
         with whole_file(path) as partial:
             if path.suffix == ".csv":
@@ -135,10 +191,21 @@ class Recording:
         except Exception as error:
             raise InputError(f"not a readable recording ({error}); expected Parquet, CSV, a ROS 2 bag or MCAP",
                              file=path) from error
-        columns = {}
-        for name in frame.columns:
-            try:
-                columns[str(name)] = np.array(frame[name], dtype=float)
-            except (TypeError, ValueError) as error:
-                raise InputError("column is not numeric", file=path, field=str(name)) from error
-        return cls(columns, meta, str(path))
+        return cls.from_frame(frame, meta=meta, source=str(path))
+
+
+def _own(values: Any, source: str, name: str) -> Array:
+    """A read-only array of its own, so that neither the caller's can change it nor it the caller's."""
+    if isinstance(values, np.ndarray) and values.base is None and not values.flags.writeable and values.ndim == 1:
+        return values
+    array = np.array(values)
+    if array.dtype.kind not in "fiub":
+        try:
+            array = array.astype(float)
+        except (TypeError, ValueError) as error:
+            raise InputError("column is not numeric", file=source, field=name) from error
+    if array.ndim != 1:
+        raise InputError("expected values (N,); one column a joint, or Recording.from_arrays for values (N, n)",
+                         file=source, field=name, value=array.shape)
+    array.setflags(write=False)
+    return array

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.clamped_signals import ClampedSignals
 from ideal_robot.elasticity.stiffness import JointStiffness, Method, joint_torque
+from ideal_robot.elasticity.stiffness_analysis import CLAMPED_METHODS, StiffnessAnalysis
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from scenes.clamped.stiffness_analysis import CLAMPED_METHODS, StiffnessAnalysis
 from scenes.report.page import Report
 
 ORANGE, BLUE, GREY = "#e06000", "#1f5fa8", "#808080"

@@ -12,11 +12,11 @@ import pydantic
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.configurations import ClampLimits, choose_configurations
+from ideal_robot.elasticity.stiffness_analysis import StiffnessAnalysis, analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.page import stiffness_page
-from scenes.clamped.stiffness_analysis import StiffnessAnalysis, analyse
 from scenes.outputs import whole_folder
 from scenes.report.page import plain
 from scenes.result import Progress, silent
@@ -87,7 +87,8 @@ class ClampedResult:
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         content: dict[str, Any] = plain({
-            "scene": self.scene.name, "seed": self.scene.seed, **self.analysis.json(), "against_truth": self.errors(),
+            "scene": self.scene.name, "seed": self.scene.seed, **self.analysis.to_dict(),
+            "against_truth": self.errors(),
             "configurations": self.chosen, "recording": self.recordings[0], "recording_files": list(self.recordings),
             "report": self.report})
         return content
@@ -115,7 +116,7 @@ def run(scene: SceneModel, *, method: str | None = None, out: Path | None = None
     postures = configurations(scene, robot, rng)
     recordings, truths = record(scene, robot, world, postures, rng)
     progress(0.4, "identifying")
-    analysis = analyse(recordings, robot, method or "both")
+    analysis = analyse_stiffness(recordings, robot, method or "both")
     progress(0.7, "drawing")
     files: tuple[Path, ...] = ()
     page = None

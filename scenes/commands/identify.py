@@ -35,11 +35,11 @@ def command(
 
     Example: `ideal-robot identify free_50s.parquet free_30s.parquet --urdf ur10e.urdf --validate free_20s.parquet`
     """
+    from ideal_robot.identification.whole_model import identify_model
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import progress_bar, show_table
-    from scenes.identification.analysis import analyse
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -49,11 +49,11 @@ def command(
         arm = Robot.load(urdf, robot)
         loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
                                    for paths in (recordings, validate, without_integrator))
-        analysis = analyse(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
+        analysis = identify_model(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
                            cutoff_decimation=decimate_to, without_integrator=pd_only,
                            cascade=model is not None, progress=progress)
         progress(0.8, "drawing")
-        content, page = analysis.json(), out / "report.html"
+        content, page = analysis.to_dict(), out / "report.html"
         with whole_files(page, json, model, export_urdf) as (page_file, json_file, model_file, urdf_file):
             identification_page(analysis).write(page_file)
             if json_file is not None:

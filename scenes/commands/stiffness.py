@@ -24,11 +24,11 @@ def command(
 
     Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --urdf kr500 --method both`
     """
+    from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.clamped.page import stiffness_page
-    from scenes.clamped.stiffness_analysis import analyse
     from scenes.commands.common import progress_bar, show_table
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -38,13 +38,13 @@ def command(
         robot = Robot.load(urdf)
         loaded = [Recording.read(path) for path in recordings]
         progress(0.1, "synchronising and fitting")
-        analysis = analyse(loaded, robot, method, clamp=clamp, drive_gain=drive_gain_tolerance)
+        analysis = analyse_stiffness(loaded, robot, method, clamp=clamp, drive_gain=drive_gain_tolerance)
         progress(0.7, "drawing")
         page = out / "report.html"
         with whole_files(page, json) as (page_file, json_file):
             stiffness_page(analysis, title=f"Joint stiffness of {robot.name}").write(page_file)
             if json_file is not None:
-                write_json(json_file, analysis.json())
+                write_json(json_file, analysis.to_dict())
     show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],
                [[one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.relative_error_percent]
                 for one in analysis.joints])

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ideal_robot.identification.ripple_fit import fit_ripple
+from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.identification.analysis import analyse
 from scenes.identification.plan import plan, play_plan
 
 
@@ -21,7 +21,7 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0) ->
     robot = Robot.load(robot_name)
     recordings = [play_plan(plan(robot, "joint", seed=seed + run, period=period), robot, seed + run)
                   for run in range(2)]
-    model = analyse(recordings, robot).model
+    model = identify_model(recordings, robot).model
     return model.with_effects(fit_ripple(recordings, model, robot)), recordings
 
 

@@ -10,17 +10,17 @@ from matplotlib.figure import Figure
 from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.impulse_response_fit import LinearLoopFit
 from ideal_robot.identification.two_step import TwoStep
+from ideal_robot.identification.whole_model import IdentificationResult, friction_points, residual_std
 from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.segments import segments
-from scenes.identification.analysis import Analysis, friction_points, residual_std
 from scenes.report.page import Report
 
 MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"
 
 
-def identification_page(analysis: Analysis) -> Report:
+def identification_page(analysis: IdentificationResult) -> Report:
     """Headings, tables and figures of an identification, most important first."""
     model, result = analysis.model, analysis.result
     errors = residual_std(result.estimation)
@@ -62,7 +62,7 @@ def identification_page(analysis: Analysis) -> Report:
     return page
 
 
-def _errors(page: Report, analysis: Analysis) -> None:
+def _errors(page: Report, analysis: IdentificationResult) -> None:
     page.heading("Errors")
     rows = []
     for role, recordings, predictions in (("estimation", analysis.estimation, analysis.result.estimation),
@@ -86,7 +86,7 @@ def _parameters(page: Report, model: Model) -> None:
                "through inertia only ([G] (6)).")
 
 
-def _friction_choice(page: Report, analysis: Analysis) -> None:
+def _friction_choice(page: Report, analysis: IdentificationResult) -> None:
     scores = analysis.result.friction_scores
     labels = list(dict.fromkeys(label for joint in scores for label in joint))
     if not labels:
@@ -98,7 +98,7 @@ def _friction_choice(page: Report, analysis: Analysis) -> None:
                + "; ".join(f"{j + 1} {law.label}" for j, law in enumerate(analysis.model.friction.laws)) + ".")
 
 
-def _warm_up(page: Report, analysis: Analysis) -> None:
+def _warm_up(page: Report, analysis: IdentificationResult) -> None:
     rows = [[j + 1, 100.0 * w.surplus, 100.0 * w.surplus_std, w.reference, w.rms_constant, w.rms]
             for j, w in enumerate(analysis.warm_up) if w is not None]
     if rows:
@@ -125,7 +125,7 @@ def _linear_loop(page: Report, fit: LinearLoopFit) -> None:
                "command to motor position.")
 
 
-def _segments(page: Report, analysis: Analysis) -> None:
+def _segments(page: Report, analysis: IdentificationResult) -> None:
     filters = analysis.model.provenance["filters"]
     kinds = ("rest", "constant", "reversal", "other")
     rows = []
@@ -139,7 +139,7 @@ def _segments(page: Report, analysis: Analysis) -> None:
                "What the joints do in the estimation recordings.")
 
 
-def _consistency(page: Report, analysis: Analysis) -> None:
+def _consistency(page: Report, analysis: IdentificationResult) -> None:
     model, consistency = analysis.model, analysis.result.consistency
     page.heading("Physical consistency")
     page.text("The identified base parameters are " + ("possible as they are." if consistency.was_consistent else
@@ -186,7 +186,7 @@ def torque_figure(prediction: Prediction) -> Figure:
     return figure
 
 
-def friction_figure(analysis: Analysis) -> Figure:
+def friction_figure(analysis: IdentificationResult) -> Figure:
     """Friction over speed of each joint, with the torque that is left without the rest of the model."""
     model = analysis.model
     n = model.n

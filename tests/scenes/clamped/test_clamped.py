@@ -10,11 +10,11 @@ import pytest
 
 from ideal_robot.elasticity.configurations import ClampLimits, choose_configurations
 from ideal_robot.elasticity.stiffness import condition_number
+from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.play import configurations, record, run, world_of
-from scenes.clamped.stiffness_analysis import analyse
 from scenes.report.page import write_json
 from scenes.scene import load_scene
 from sim.contact.clamp import ClampedArm
@@ -49,7 +49,7 @@ def test_six_joints_in_forty_runs(kr500: Robot) -> None:
     covered: dict[str, list[bool]] = {"motor": [], "wrench": []}
     for seed in range(40):
         recordings, truths = record(scene, kr500, world, postures, np.random.default_rng(seed), arms)
-        analysis = analyse(recordings, kr500)
+        analysis = analyse_stiffness(recordings, kr500)
         assert set(analysis.by("motor")) == set(analysis.by("wrench")) == set(range(1, 7))
         for one in analysis.joints:
             truth = float(world.stiffness[one.joint - 1])
@@ -90,7 +90,7 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
     result = run(load_scene("clamped_kr500_1"), out=tmp_path)
     content = json.loads(write_json(tmp_path / "run.json", result.json()).read_text())
     robot = Robot.load(content["urdf"])
-    again = analyse([Recording.read(content["recording"])], robot)
+    again = analyse_stiffness([Recording.read(content["recording"])], robot)
     for mine, theirs in zip(again.joints, content["joints"], strict=True):
         assert mine.stiffness == pytest.approx(theirs["stiffness"], rel=1e-9)
         assert set(theirs) >= {"joint", "stiffness", "offset", "std_percent", "relative_error_percent", "method"}
@@ -99,7 +99,7 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
 
 def test_bad_input_is_named(kr500: Robot) -> None:
     with pytest.raises(InputError, match="motor, wrench or both"):
-        analyse([], kr500, "laser")
+        analyse_stiffness([], kr500, "laser")
     with pytest.raises(InputError, match="unknown key"):
         world_of(kr500, {"stifness": 1.0})
     scene = load_scene("clamped_kr500_1").changed(clamp={"configurations": [[0.0, 1.0]]})

@@ -15,10 +15,10 @@ from ideal_robot.identification.excitation import design_excitation
 from ideal_robot.identification.idim import identify
 from ideal_robot.identification.program import plan_two_step
 from ideal_robot.identification.two_step import identify_two_step
+from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.identification.analysis import analyse
 from scenes.identification.plan import fourier_commands
 from sim.arm.arm import SimulatedArm
 from sim.arm.specimen import draw_specimen
@@ -152,7 +152,7 @@ def test_two_step_program_is_written_for_people_and_machines(tmp_path: Path) -> 
 def test_warming_gears_are_seen() -> None:
     robot = Robot.load("kr15")
     world = World.default("kr15").replace(start_temperature=22.0, time_compression=120.0)
-    analysis = analyse([played(robot, world, commands_of(robot, 8.0), 1)], robot, cascade=False)
+    analysis = identify_model([played(robot, world, commands_of(robot, 8.0), 1)], robot, cascade=False)
     base_axes = analysis.warm_up[:3]
     assert all(w is not None and w.surplus > 3.0 * w.surplus_std and w.rms < w.rms_constant for w in base_axes)
-    assert analysis.json()["linear_loop"]["relative_degree"]
+    assert analysis.to_dict()["linear_loop"]["relative_degree"]

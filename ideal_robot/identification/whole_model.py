@@ -1,9 +1,9 @@
-"""From recordings to a model, its figures and its JSON: what ``ideal-robot identify`` does."""
+"""The whole model of an arm from recordings: rigid body, friction, controllers, stiffness, closed loop."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,10 @@ from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
+from ideal_robot.plain import plain
+from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.given import expect, recordings_of
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -33,8 +36,8 @@ _WARMTH = 3.0
 
 
 @dataclass(frozen=True)
-class Analysis:
-    """Everything the report shows.
+class IdentificationResult:
+    """The identified model and everything behind it.
 
     Attributes:
         model: the identified model, controller and stiffness included where the recordings show them.
@@ -42,7 +45,8 @@ class Analysis:
         controller: identification of the controllers at the interpolation cycle, or None.
         two_step: the measured operating points, for the two-step method.
         estimation, validation: the recordings.
-        warnings: all named warnings.
+        warnings: named warnings, each ``name: sentence``.
+        missing: what the recordings could not tell, each ``part: what is needed``.
         linear_loop: impulse responses of the closed loop, [G] (7), where there are commands; or None.
         warm_up: per joint how friction falls with gear temperature, where that was logged and rose; or None.
     """
@@ -54,13 +58,14 @@ class Analysis:
     estimation: tuple[Recording, ...]
     validation: tuple[Recording, ...]
     warnings: tuple[str, ...]
+    missing: tuple[str, ...] = ()
     linear_loop: LinearLoopFit | None = None
     warm_up: tuple[WarmUp | None, ...] = ()
 
-    def json(self) -> dict[str, Any]:
-        """The figures for machines."""
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values."""
         model = self.model
-        return {
+        values: dict[str, Any] = plain({
             "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
             "method": model.provenance["method"],
             "parameters": [
@@ -96,11 +101,13 @@ class Analysis:
             "stiffness": model.stiffness,
             "consistent": {"was": self.result.consistency.was_consistent,
                            "largest_deviation_in_std": float(np.max(np.abs(self.result.consistency.deviation)))},
-            "warnings": list(self.warnings),
-        }
+            "warnings": self.warnings,
+            "missing": self.missing,
+        })
+        return values
 
 
-def residual_std(predictions: Sequence[Prediction]) -> np.ndarray:
+def residual_std(predictions: Sequence[Prediction]) -> Array:
     """Standard deviation of the residual over that of the torque, per joint over several recordings [%]."""
     y = np.concatenate([p.measured for p in predictions])
     e = y - np.concatenate([p.tau for p in predictions])
@@ -108,17 +115,24 @@ def residual_std(predictions: Sequence[Prediction]) -> np.ndarray:
         return np.asarray(100.0 * np.std(e, axis=0) / np.std(y, axis=0))
 
 
-def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequence[Recording] = (),
-            method: str = "joint", friction: str = "auto", cutoff: float | None = None,
-            cutoff_decimation: float | None = None, without_integrator: Sequence[Recording] = (),
-            cascade: bool = True, progress: Callable[[float, str], None] = lambda fraction, text: None) -> Analysis:
+def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
+                   validation: Recording | Sequence[Recording] = (), method: str = "joint", friction: str = "auto",
+                   cutoff: float | None = None, cutoff_decimation: float | None = None,
+                   without_integrator: Recording | Sequence[Recording] = (), cascade: bool = True,
+                   progress: Progress = silent) -> IdentificationResult:
     """Identifies rigid body, friction, offsets and, where the recordings hold what is needed, controller and stiffness.
 
+    What the recordings cannot tell stands in ``missing`` of the result, what they tell badly in ``warnings``.
+
     Args:
-        recordings, validation: to identify from, and to compare with.
+        recordings: one or several of free motion, with ``t`` [s], ``q_i`` [rad] and ``tau_i`` [N m] or
+            ``current_i`` [A]; ``q_c_i`` [rad] for the controllers, ``qa_i`` [rad] for stiffness and damping.
         robot: the arm.
+        validation: recordings the model is compared with and never fitted to.
         method: ``joint`` (whole motions at once) or ``two-step`` ([G] 3.1.2, recordings of the planned program).
-        friction, cutoff, cutoff_decimation: as for ``ideal_robot.identification.idim.identify``.
+        friction: key of a friction law for all joints; ``auto`` chooses law and refinements per joint.
+        cutoff: position filter [Hz]; chosen from the data if None.
+        cutoff_decimation: decimation filter [Hz]; half of the position filter if None.
         without_integrator: recordings with the controllers' integrators off, for [G] (16).
         cascade: fit the controllers at their own cycles too, which precorrection is better with; takes half a minute.
         progress: called with the share done and what is being done.
@@ -128,6 +142,10 @@ def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequen
     """
     if method not in METHODS:
         raise InputError(f"expected one of {', '.join(METHODS)}", field="method", value=method)
+    expect(robot, Robot, "robot", "load one by Robot.load")
+    recordings, validation, without_integrator = (
+        recordings_of(given, name) for given, name in ((recordings, "recordings"), (validation, "validation"),
+                                                       (without_integrator, "without_integrator")))
     progress(0.05, "friction and rigid body")
     two_step = None
     if method == "joint":
@@ -135,19 +153,29 @@ def analyse(recordings: Sequence[Recording], robot: Robot, *, validation: Sequen
                           cutoff_decimation=cutoff_decimation)
     else:
         result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
-    warnings = list(result.warnings)
+    warnings, missing = list(result.warnings), []
     progress(0.6, "controller")
     controller, loop, model = None, None, result.model
     with_command = [r for r in result.recordings if r.has("q_c")]
     if with_command:
         controller, model = _with_controller(with_command, without_integrator, robot, model, warnings, cascade)
         loop = _linear_loop(with_command, robot, warnings)
+        if controller is None:
+            missing.append("controller: the commands do not determine it, see the warning no-controller")
+        if loop is None:
+            missing.append("linear loop: the commands do not determine it, see the warning no-linear-loop")
+    else:
+        missing.append("controller, linear loop: commands q_c_1 to "
+                       f"q_c_{robot.n} are needed; without a controller the model cannot correct a path")
     with_arm = [r for r in result.recordings if r.has("qa")]
     if with_arm:
         stiffness, damping = stiffness_from_arm(with_arm, model)
         model = dataclasses.replace(model, stiffness=stiffness, damping=damping)
-    return Analysis(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings), loop,
-                    _warm_up(model, result))
+    else:
+        missing.append(f"stiffness, damping: measured arm angles qa_1 to qa_{robot.n} are needed, or recordings of the "
+                       "clamped arm (analyse_stiffness); gears count as rigid")
+    return IdentificationResult(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings),
+                                tuple(missing), loop, _warm_up(model, result))
 
 
 def friction_points(model: Model, result: Identification) -> tuple[Array, Array, Array | None]:

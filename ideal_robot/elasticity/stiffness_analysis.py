@@ -1,4 +1,4 @@
-"""Stiffness of an arm from any mix of clamped and payload recordings: what ``stiffness`` and clamped scenes compute."""
+"""Stiffness of an arm from any mix of clamped and payload recordings: all methods that they allow."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from ideal_robot.elasticity.stiffness import (
     identify_stiffness,
 )
 from ideal_robot.errors import InputError
+from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.given import recordings_of
 from ideal_robot.signals.recording import Recording
 
 CLAMPED_METHODS: tuple[Method, ...] = ("motor", "wrench")
@@ -54,9 +56,9 @@ class StiffnessAnalysis:
                  / wrench[joint].stiffness}
                 for joint in sorted(set(motor) & set(wrench))]
 
-    def json(self) -> dict[str, Any]:
-        """The content of ``--json``."""
-        return {
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values."""
+        values: dict[str, Any] = plain({
             "robot": self.robot.name,
             "urdf": self.robot.urdf,
             "joints": [
@@ -71,12 +73,13 @@ class StiffnessAnalysis:
                 {"source": one.source, "q_0": one.q_0, "measured": list(one.measured),
                  "clock_offset": one.clock.offset, "clock_drift": one.clock.drift,
                  "condition": condition_number(self.robot, one.q_0)} for one in self.signals],
-            "warnings": list(self.warnings),
-        }
+            "warnings": self.warnings,
+        })
+        return values
 
 
-def analyse(recordings: Sequence[Recording], robot: Robot, method: str = "both", *, clamp: bool | None = None,
-            drive_gain: float = 0.03) -> StiffnessAnalysis:
+def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot, method: str = "both", *,
+                      clamp: bool | None = None, drive_gain: float = 0.03) -> StiffnessAnalysis:
     """Identifies stiffness by every method asked for.
 
     Args:
@@ -91,7 +94,8 @@ def analyse(recordings: Sequence[Recording], robot: Robot, method: str = "both",
         InputError: unknown method, or a recording that does not have what it takes.
     """
     if method not in (*CLAMPED_METHODS, "both"):
-        raise InputError("expected motor, wrench or both", field="--method", value=method)
+        raise InputError("expected motor, wrench or both", field="method", value=method)
+    recordings = recordings_of(recordings, "recordings")
     hung = [one for one in recordings if "payload" in one.columns]
     signals = tuple(clamped_signals(one, robot) for one in recordings if "payload" not in one.columns)
     wanted = [one for one in CLAMPED_METHODS if method in (one, "both")]
