@@ -14,6 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
+from scenes.line.replay import line_replay
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
 from sim.arm.picture import picture
@@ -54,6 +55,10 @@ def run_page(result: LineResult) -> Report:
                     ("largest", f"{mm['max']:.3f} mm"),
                     ("fields used", f"{result.fields_used} of {result.fields_seen}"),
                     ("real-time factor", f"{result.timing.real_time_factor:.1f}")])
+    moving = line_replay(result)
+    if moving is not None:
+        report.heading("The run")
+        report.replay(moving, "Green to red: distance of the tool from the drawn line; the pale part is still to come.")
     report.heading("The cell")
     report.figure(_cell(result), "The arm at the middle of the path, and the surface from above with the "
                   "drawn line, the reference path and where the tool truly went.")

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from types import TracebackType
+from typing import Any
 
 import cv2
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
@@ -17,14 +20,12 @@ from sim.bullet import output_dropped, pybullet
 Picture = NDArray[np.uint8]
 
 
-def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azimuth: float = 50.0,
-            elevation: float = -18.0, distance: float | None = None, target: Sequence[float] | None = None,
-            lines: Sequence[Array] = ()) -> Picture:
-    """Renders the arm on a floor with PyBullet's CPU renderer.
+class Stage:
+    """An arm on a floor that can be shown in many postures from one place.
 
     Args:
         robot: any robot whose URDF holds primitive shapes; links without visible shape stay invisible.
-        q: arm angles ``(n,)`` [rad].
+        q: arm angles ``(n,)`` [rad] that the view is fitted to.
         width: of the picture [px].
         height: of the picture [px].
         azimuth: direction of view about the vertical [°].
@@ -32,6 +33,63 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
         distance: of the camera from ``target`` [m]; fitted to the arm if None.
         target: point in the middle of the picture [m]; fitted to the arm if None.
         lines: polylines ``(N, 3)`` [m] in the base frame to be drawn as thin rods, e.g. a path.
+        surface: corners ``(4, 3)`` [m] of a flat surface to be drawn as a plate, or None.
+
+    Raises:
+        InputError: ``q`` of wrong size.
+    """
+
+    def __init__(self, robot: Robot, q: Array, *, width: int = 800, height: int = 600, azimuth: float = 50.0,
+                 elevation: float = -18.0, distance: float | None = None, target: Sequence[float] | None = None,
+                 lines: Sequence[Array] = (), surface: Array | None = None) -> None:
+        q = np.asarray(q, dtype=float)
+        if q.shape != (robot.n,):
+            raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
+        self._size, self._direction = (width, height), (azimuth, elevation)
+        self._names = list(robot.pinocchio.names)[1:]
+        client = self._client = pybullet.connect(pybullet.DIRECT)
+        with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
+            self._body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
+        self._order = {pybullet.getJointInfo(self._body, i, physicsClientId=client)[1].decode(): i
+                       for i in range(pybullet.getNumJoints(self._body, physicsClientId=client))}
+        self._place(q)
+        for line in lines:
+            _draw(np.asarray(line, dtype=float), client)
+        if surface is not None:
+            _lay(np.asarray(surface, dtype=float), client)
+        low, high = _extent(self._body, len(self._order), client)
+        # A slab that the shadow map covers: on an endless plane its border would show as a false shadow.
+        size = float(np.linalg.norm(high - low))
+        floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
+                                           rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
+        self._target = [float(x) for x in (0.5 * (low + high) if target is None else target)]
+        self._distance = 1.25 * size if distance is None else distance
+        self._light = 2.5 * size
+
+    def __enter__(self) -> Stage:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, tb: TracebackType | None) -> None:
+        pybullet.disconnect(self._client)
+
+    def show(self, q: Array) -> Picture:
+        """The arm at ``q (n,)`` [rad] as RGB picture ``(height, width, 3)``, rendered by PyBullet's CPU renderer."""
+        self._place(q)
+        return _render(self._client, *self._size, self._target, self._distance, *self._direction, light=self._light)
+
+    def _place(self, q: Array) -> None:
+        for name, angle in zip(self._names, q, strict=True):
+            pybullet.resetJointState(self._body, self._order[name], angle, physicsClientId=self._client)
+
+
+def picture(robot: Robot, q: Array, **view: Any) -> Picture:
+    """One picture of an arm in a posture.
+
+    Args:
+        robot: the arm.
+        q: arm angles ``(n,)`` [rad].
+        view: size, direction and lines as for ``Stage``.
 
     Returns:
         RGB picture ``(height, width, 3)``.
@@ -39,30 +97,8 @@ def picture(robot: Robot, q: Array, *, width: int = 800, height: int = 600, azim
     Raises:
         InputError: ``q`` of wrong size.
     """
-    q = np.asarray(q, dtype=float)
-    if q.shape != (robot.n,):
-        raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
-    client = pybullet.connect(pybullet.DIRECT)
-    try:
-        with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
-            body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
-        order = {pybullet.getJointInfo(body, i, physicsClientId=client)[1].decode(): i
-                 for i in range(pybullet.getNumJoints(body, physicsClientId=client))}
-        for name, angle in zip(list(robot.pinocchio.names)[1:], q, strict=True):
-            pybullet.resetJointState(body, order[name], angle, physicsClientId=client)
-        for line in lines:
-            _draw(np.asarray(line, dtype=float), client)
-        low, high = _extent(body, len(order), client)
-        # A slab that the shadow map covers: on an endless plane its border would show as a false shadow.
-        size = float(np.linalg.norm(high - low))
-        floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
-                                           rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
-        pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
-        centre = [float(x) for x in (0.5 * (low + high) if target is None else target)]
-        far = 1.25 * size if distance is None else distance
-        return _render(client, width, height, centre, far, azimuth, elevation, light=2.5 * size)
-    finally:
-        pybullet.disconnect(client)
+    with Stage(robot, q, **view) as stage:
+        return stage.show(np.asarray(q, dtype=float))
 
 
 def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,
@@ -101,3 +137,19 @@ def _draw(line: Array, client: int, radius: float = 0.004) -> None:
         shape = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, radius=radius, length=length,
                                            rgbaColor=[0.1, 0.1, 0.6, 1.0], physicsClientId=client)
         pybullet.createMultiBody(0.0, -1, shape, (0.5 * (start + end)).tolist(), turn, physicsClientId=client)
+
+
+def _lay(corners: Array, client: int, thickness: float = 0.01) -> None:
+    """A plate whose upper side is the parallelogram of the corners, given in order."""
+    along, across = corners[1] - corners[0], corners[3] - corners[0]
+    length, width = float(np.linalg.norm(along)), float(np.linalg.norm(across))
+    normal = np.cross(along, across)
+    normal *= np.sign(normal[2]) / np.linalg.norm(normal) if normal[2] else 1.0 / np.linalg.norm(normal)
+    x = along / length
+    rotation = np.column_stack([x, np.cross(normal, x), normal])
+    shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.5 * length, 0.5 * width, 0.5 * thickness],
+                                       rgbaColor=[0.97, 0.97, 0.93, 1.0], physicsClientId=client)
+    # The line is drawn as a rod with its middle on the surface.
+    place = 0.25 * corners.sum(axis=0) - (0.5 * thickness + 0.002) * normal
+    pybullet.createMultiBody(0.0, -1, shape, place.tolist(), pin.Quaternion(rotation).coeffs().tolist(),
+                             physicsClientId=client)

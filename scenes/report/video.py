@@ -1,0 +1,167 @@
+"""A film of a run: the arm, its path with the error enlarged, and the error over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError, InputError
+from scenes.report.replay import Replay
+from sim.arm.picture import Picture, Stage
+
+ENDINGS = (".mp4", ".gif")
+_ARM, _SIDE, _PLOT = (560, 420), 340, 120
+"""Size of the arm's picture, width of the path's panel, height of the plot [px]."""
+_INK, _SOFT, _ACCENT, _PAPER = (28, 36, 48), (136, 147, 161), (224, 106, 0), (244, 246, 248)
+
+
+def check_video(path: Path) -> None:
+    """Refuses a name whose ending says no film, before any work is done.
+
+    Raises:
+        InputError: another ending than ``.mp4`` and ``.gif``.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        raise InputError(f"expected a name ending in {' or '.join(ENDINGS)}", field="--video", value=str(path))
+
+
+def write_video(replay: Replay, path: Path, *, rate: float = 20.0, slow: float = 2.0) -> Path:
+    """Writes a film.
+
+    Args:
+        replay: what it shows.
+        path: ending in ``.mp4`` or ``.gif``.
+        rate: pictures a second of the film [1/s].
+        slow: how many times slower than the run it plays.
+
+    Raises:
+        InputError: another ending.
+        IdealRobotError: this OpenCV cannot write MP4 films.
+    """
+    check_video(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
+    try:
+        if path.suffix.lower() == ".gif":
+            pictures = [Image.fromarray(frame).quantize(96) for frame in frames(replay, rate * slow)]
+            pictures[0].save(partial, save_all=True, append_images=pictures[1:], duration=round(1000.0 / rate), loop=0,
+                             optimize=True)
+        else:
+            _mp4(replay, partial, rate, slow)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+    return path
+
+
+def _mp4(replay: Replay, path: Path, rate: float, slow: float) -> None:
+    writer: cv2.VideoWriter | None = None
+    for frame in frames(replay, rate * slow):
+        if writer is None:
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate,
+                                     (frame.shape[1], frame.shape[0]))
+            if not writer.isOpened():
+                raise IdealRobotError("this OpenCV cannot write MP4 films; give a name ending in .gif")
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+    if writer is not None:
+        writer.release()
+
+
+def frames(replay: Replay, rate: float) -> Iterator[Picture]:
+    """Pictures ``(height, width, 3)``, RGB, at even times.
+
+    Args:
+        replay: what they show.
+        rate: pictures a second of the run [1/s].
+    """
+    times = np.arange(replay.t[0], replay.t[-1], 1.0 / rate)
+    rows = np.clip(np.searchsorted(replay.t, times), 0, len(replay.t) - 1)
+    lines = [curve[:: max(1, len(curve) // 60)] for curve in list(replay.curves.values())[:1]]
+    counts = np.isfinite(replay.error)
+    scale = float(np.nanmax(np.abs(replay.error))) if counts.any() else 1.0
+    seen, shown, box = _flattened(replay, counts)
+    middle = 0.5 * (replay.tool.min(axis=0) + replay.tool.max(axis=0))
+    target = [0.6 * float(middle[0]), 0.6 * float(middle[1]), 0.42]
+    with Stage(replay.robot, replay.q[0], width=_ARM[0], height=_ARM[1], azimuth=62.0, elevation=-26.0, target=target,
+               distance=2.2, lines=lines, surface=replay.surface) as stage:
+        for k in rows:
+            frame = np.full((_ARM[1] + _PLOT, _ARM[0] + _SIDE, 3), 255, dtype=np.uint8)
+            frame[: _ARM[1], : _ARM[0]] = stage.show(replay.q[k])
+            _path_panel(frame[: _ARM[1], _ARM[0] :], replay, seen, shown, box, int(k), scale)
+            _error_panel(frame[_ARM[1] :], replay, int(k), scale)
+            yield frame
+
+
+def _flattened(replay: Replay, counts: np.ndarray) -> tuple[Array, Array, tuple[Array, float]]:
+    """Wanted path and enlarged trace in the plane in which the path spreads most, with middle and scale of a panel."""
+    wanted = np.where(counts[:, None], replay.wanted, replay.tool)
+    enlarged = wanted + replay.enlarged * (replay.tool - wanted)
+    mean = wanted.mean(axis=0)
+    plane = np.linalg.svd(wanted - mean, full_matrices=False)[2][:2]
+    # A path rather upright than across fits the panel better.
+    a, b = (wanted - mean) @ plane[::-1].T, (enlarged - mean) @ plane[::-1].T
+    both = np.vstack([a, b])
+    low, high = np.percentile(both, 1.0, axis=0), np.percentile(both, 99.0, axis=0)
+    scale = 0.86 * min(_SIDE / max(high[0] - low[0], 1e-6), (_ARM[1] - 60) / max(high[1] - low[1], 1e-6))
+    return a, b, (0.5 * (low + high), float(scale))
+
+
+def _path_panel(panel: np.ndarray, replay: Replay, wanted: Array, shown: Array, box: tuple[Array, float], k: int,
+                scale: float) -> None:
+    panel[:] = _PAPER
+    middle, zoom = box
+    height, width = panel.shape[:2]
+
+    def at(points: Array) -> np.ndarray:
+        return np.rint((points - middle) * zoom * [1.0, -1.0] + [width / 2, height / 2 + 14]).astype(np.int32)
+
+    cv2.polylines(panel, [at(wanted).reshape(-1, 1, 2)], False, _INK, 1, cv2.LINE_AA)
+    trace = at(shown)
+    step = max(1, len(trace) // 500)
+    for i in range(step, k + 1, step):
+        cv2.line(panel, trace[i - step].tolist(), trace[i].tolist(), _colour(float(replay.error[i]), scale), 2,
+                 cv2.LINE_AA)
+    cv2.circle(panel, trace[k].tolist(), 4, _ACCENT, -1, cv2.LINE_AA)
+    _text(panel, f"error enlarged {replay.enlarged:g} times", (10, 20))
+
+
+def _error_panel(panel: np.ndarray, replay: Replay, k: int, scale: float) -> None:
+    height, width = panel.shape[:2]
+    x = 60 + (width - 75) * (replay.t - replay.t[0]) / (replay.t[-1] - replay.t[0])
+    y = height - 22 - (height - 50) * np.nan_to_num(np.abs(replay.error)) / scale
+    for level in (0.0, scale):
+        row = round(height - 22 - (height - 50) * level / scale)
+        cv2.line(panel, (60, row), (width - 15, row), (223, 228, 234), 1)
+        _text(panel, f"{level:.2g} {replay.unit}", (6, row + 4))
+    counts = np.isfinite(replay.error)
+    points = np.column_stack([x, y]).round().astype(np.int32)
+    for first, last in _pieces(counts):
+        cv2.polylines(panel, [points[first:last].reshape(-1, 1, 2)], False, _ACCENT, 1, cv2.LINE_AA)
+    cv2.line(panel, (round(x[k]), 22), (round(x[k]), height - 22), _INK, 1)
+    said = f"{replay.t[k] - replay.t[0]:.2f} s"
+    if counts[k]:
+        said += f"   {replay.error_name} {abs(replay.error[k]):.3f} {replay.unit}"
+    _text(panel, said, (60, 15))
+
+
+def _pieces(counts: np.ndarray) -> list[tuple[int, int]]:
+    """First and last-plus-one indices of the stretches that count."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], counts, [False]]).astype(int)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _colour(error: float, scale: float) -> tuple[int, int, int]:
+    """Green for none to red for the largest; gray where the error does not count."""
+    if not np.isfinite(error):
+        return _SOFT
+    share = min(1.0, abs(error) / scale)
+    return round(40 + 190 * share), round(150 - 110 * share), 50
+
+
+def _text(panel: np.ndarray, text: str, at: tuple[int, int]) -> None:
+    cv2.putText(panel, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
