@@ -12,7 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "trials", "benchmarks", "examples", "tests", "docs"}
 IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
-               "import-linter": "importlinter"}
+               "import-linter": "importlinter", "pillow": "PIL"}
 """Where a package's name is not its module's."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter"}
 """Tools of development that are started as programs."""
