@@ -14,8 +14,71 @@ OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "trials", "benchm
 IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
                "import-linter": "importlinter", "pillow": "PIL"}
 """Where a package's name is not its module's."""
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "trials")
+"""Where files import without circles, and at their top."""
+IMPORTED_LATE = {"rosbags", "matplotlib"}
+"""Heavy packages that few users need, imported where they are used."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter"}
 """Tools of development that are started as programs."""
+
+
+def imports(tree: ast.AST) -> list[str]:
+    """Full names of what is imported anywhere in a tree, whole modules and what is taken from them."""
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
+
+
+def files() -> dict[str, ast.Module]:
+    """Modules of all folders but scenes by their dotted names."""
+    trees = {}
+    for folder in PACKAGES:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            trees[name.removesuffix(".__init__")] = ast.parse(path.read_text(encoding="utf-8"))
+    return trees
+
+
+def circle(graph: dict[str, set[str]]) -> list[str]:
+    """One way from a file over its imports back to itself; empty if there is none."""
+    done: set[str] = set()
+
+    def visit(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return [*way[way.index(name) :], name]
+        if name not in done:
+            for other in sorted(graph[name]):
+                if found := visit(other, [*way, name]):
+                    return found
+            done.add(name)
+        return []
+
+    return next((found for name in sorted(graph) if (found := visit(name, []))), [])
+
+
+def test_no_file_imports_itself_over_others() -> None:
+    """Also what is imported for types alone, or inside functions."""
+    trees = files()
+    graph = {}
+    for name, tree in trees.items():
+        modules = {module if module in trees else module.rpartition(".")[0] for module in imports(tree)}
+        graph[name] = (modules & set(trees)) - {name}
+    assert " → ".join(circle(graph)) == ""
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"b"}}) == ["b", "c", "b"]
+
+
+def test_imports_stand_at_the_top() -> None:
+    late = []
+    for name, tree in files().items():
+        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        found = {module for function in functions for module in imports(function)}
+        if not any(isinstance(node, ast.FunctionDef) and node.name == "__getattr__" for node in tree.body):
+            late += [f"{name}: {module}" for module in sorted(found) if module.split(".")[0] not in IMPORTED_LATE]
+    assert late == []
 
 
 def third_party_imports() -> dict[str, str]:
@@ -23,15 +86,9 @@ def third_party_imports() -> dict[str, str]:
     found: dict[str, str] = {}
     for folder in sorted(OURS):
         for path in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                names = []
-                if isinstance(node, ast.Import):
-                    names = [alias.name for alias in node.names]
-                elif isinstance(node, ast.ImportFrom) and node.level == 0:
-                    names = [str(node.module)]
-                for name in (name.split(".")[0] for name in names):
-                    if name not in OURS and name not in sys.stdlib_module_names:
-                        found.setdefault(name, str(path.relative_to(ROOT)))
+            for name in {name.split(".")[0] for name in imports(ast.parse(path.read_text(encoding="utf-8")))}:
+                if name not in OURS and name not in sys.stdlib_module_names:
+                    found.setdefault(name, str(path.relative_to(ROOT)))
     return found
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import interpolate
+from scipy import interpolate, signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import regressor
@@ -258,8 +258,6 @@ def _moving(t: Array, q: Array, qd: Array, v_small: Array, rest: float, robot: R
 
 def _noise(filtered: FilteredSignals) -> Array:
     """Noise of the torque measurement in the band that is looked at: the floor of its spectrum above the band."""
-    from scipy import signal
-
     rate = 1.0 / filtered.dt
     band = min(filtered.cutoff_decimation, 0.5 * rate)
     f, power = signal.welch(filtered.tau, fs=rate, nperseg=min(len(filtered.tau), 1024), axis=0)
