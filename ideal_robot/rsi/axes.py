@@ -45,6 +45,10 @@ class Axes:
         """Joint angles ``(n,)`` [rad] of axis angles [deg]."""
         return np.asarray(self.sign * np.radians(angles - self.zero))
 
+    def turned(self, degrees: Array) -> Array:
+        """Changes of joint angles ``(n,)`` [rad] of changes of axis angles [deg]."""
+        return np.asarray(self.sign * np.radians(degrees))
+
     def angles(self, q: Array) -> Array:
         """Axis angles ``(n,)`` [deg] of joint angles [rad]."""
         return np.asarray(self.sign * np.degrees(q) + self.zero)

@@ -6,22 +6,42 @@ before the next. ``cycle`` answers the last packet with the command and waits fo
 
 from __future__ import annotations
 
+import math
 import time
+from array import array
 from types import TracebackType
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from ideal_robot.execution.interface import RobotState
 from ideal_robot.robots.limits import checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.axes import Axes
-from ideal_robot.rsi.link import PacketLink, passed
-from ideal_robot.rsi.message import DECIMALS, RobMessage, format_sen
+from ideal_robot.rsi.catch_up import CatchUp
+from ideal_robot.rsi.following import FollowingWatch
+from ideal_robot.rsi.format import RsiFormat
+from ideal_robot.rsi.in_force import InForce
+from ideal_robot.rsi.link import PacketLink
+from ideal_robot.rsi.message import RobMessage, format_sen
 from ideal_robot.rsi.rsi_error import RsiError
+from ideal_robot.rsi.stamps import Stamps
 
-_TRIALS = 3
-"""Cycles within which the expected cycle time has to show."""
+_APART = 1.0
+"""How far measured and commanded axes may be apart before anything moves [deg]."""
+_AHEAD = 3
+"""Packets in a row whose time stamp lies too far ahead, after which it is believed."""
+_PACE = 25
+"""Packets whose arrival tells the cycle where time stamps do not."""
+_TOO_FAST = 2.5
+"""Times the expected pace at which the controller's cycle counts as another one."""
+_RESTED = 1e-6
+"""Change of the command in a cycle below which the arm counts as commanded to rest [rad]."""
+_REST_TIME = 0.3
+"""Rest after which the measured position tells where relative corrections have led [s]."""
+_RESYNC = 1e-3
+"""Difference of measured and commanded position at rest that is made good [rad]; less is the controller's own."""
 
 
 class RsiRobot:
@@ -29,36 +49,59 @@ class RsiRobot:
 
     Absolute corrections are the whole difference from where the arm was commanded when RSI began; relative ones are
     what is added in this cycle. What is sent is rounded, and the rest of the rounding is made good in the next cycle.
+    Where an answer was missed, the next ones lead from what the controller has in force back to what is wanted.
 
     Args:
         robot: number of joints, limits, cycle time, drive gains and ``[rsi]`` axes.
         host: address of ours to listen on.
         port: UDP port; 0 for any free one, see ``address``.
         relative: whether the controller takes the corrections as relative.
+        form: tags, sender type, decimals and what the controller does without an answer.
+        controller: address of the controller; None for whoever sends the first sound packet.
         timeout: silence of the controller after which the link counts as broken [s].
-        max_lost: cycles in a row of which the packet may be lost; not counted until the first two in a row have come.
+        bridge: how long packets may be lost in a row [s]; not counted until the first two in a row have come.
+        answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
     Raises:
-        InputError: an address that cannot be listened on, an arm with sliding joints.
+        InputError: an address that cannot be listened on, an arm with sliding joints, absolute corrections of which
+            the controller says that it gives them up without an answer.
 
     Attributes:
         t_ipo: interpolation cycle [s].
         counts: what happened on the link.
-        commanded: joint angles the controller was commanded last ``(n,)`` [rad].
+        commanded: joint angles in force at the controller ``(n,)`` [rad].
         answer_times: from reading each packet to its answer [s].
+        fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
+        stamps: how the controller's time stamps rise.
     """
 
     def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = 49152, relative: bool = False,
-                 timeout: float = 1.0, max_lost: int = 3) -> None:
+                 form: RsiFormat | None = None, controller: str | None = None, timeout: float = 1.0,
+                 bridge: float = 0.1, answers_within: float = 0.3) -> None:
+        self.form = form or RsiFormat()
+        if not relative and self.form.hold_on is False:
+            raise InputError("without an answer the controller would return to the start; set HOLDON=\"1\" for absolute "
+                             "corrections, or use --relative", field="HOLDON", value=0)
         self.robot, self.t_ipo, self.axes = robot, robot.t_ipo, Axes.of(robot)
-        self.relative, self.timeout, self.max_lost = relative, timeout, max_lost
-        self._link = PacketLink(host, port, robot.n)
+        self.relative, self.timeout = relative, timeout
+        self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
+        self.fault: str | None = None
+        self.stamps = Stamps(round(1e3 * robot.t_ipo))
+        self.answer_times = array("d")
+        self._link = PacketLink(host, port, robot.n, controller)
         self.counts = self._link.counts
         self.commanded = np.full(robot.n, np.nan)
-        self.answer_times: list[float] = []
-        self._step = round(1e3 * robot.t_ipo)
+        # Data of an arm without limits give no room; then a start from rest takes a third of a second.
+        v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+        room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
+        self._brake = np.where(np.isfinite(robot.a_max), robot.a_max, v_max / 0.3) * robot.t_ipo**2
+        self._catch_up = CatchUp(room, v_max, robot.t_ipo)
+        self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
+                                     np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative)
+        self._in_force = InForce(robot.n, relative and self.form.hold_on is True)
         self._first: RobMessage | None = None
-        self._elapsed = 0
+        self._elapsed = self._ahead = self._still = self._late = 0
+        self._missed = self._in_doubt = False
         self._answer: bytes | None = None
 
     @property
@@ -66,22 +109,33 @@ class RsiRobot:
         """Where it listens: host and port."""
         return self._link.address
 
+    @property
+    def settled(self) -> bool:
+        """Whether what is in force is what was wanted, nothing missed and not yet made good."""
+        return not (self._missed or self._catch_up.active)
+
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller's first packet; who sends it is the controller from then on.
 
         Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
 
         Raises:
-            RsiError: no packet within ``patience`` [s].
+            RsiError: no packet within ``patience`` [s]; the measured arm is elsewhere than its controller says.
         """
         # Packets may have queued up since the port was opened.
-        first = self._link.newest(self._link.next(time.perf_counter() + patience, patience))
-        self._first = self._last = first
-        self._late, self._in_step = first.late, False
+        first, _ = self._link.newest(self._link.next(time.perf_counter() + patience, patience), self.stamps)
         held = first.actual if first.setpoint is None else first.setpoint
+        apart = np.abs(held - first.actual)
+        if (apart > _APART).any():
+            axis = int(np.argmax(apart))
+            raise RsiError(f"axis {axis + 1} is measured at {first.actual[axis]:.2f}° and commanded to {held[axis]:.2f}°"
+                           " (AIPos, ASPos) before anything was sent; start RSI anew, from rest")
+        self._first = self._last = first
+        self._late = first.late or 0
         self._begin = held.copy()
-        self._sent = self._correction = np.zeros(self.robot.n)
-        self.commanded = self.axes.joints(held)
+        self.commanded = self._wanted = self.axes.joints(held)
+        self._began = self._link.arrived
+        self._watch.begin(self.commanded, self.axes.joints(first.actual))
         return self._state(first)
 
     def cycle(self, q_c: Array) -> RobotState:
@@ -103,36 +157,51 @@ class RsiRobot:
         """
         if self._first is None:
             raise RsiError("connect to the controller before a command is handed over")
-        q_c = checked_command(self.robot, q_c, self.commanded, self.t_ipo)
-        wanted = self.axes.angles(q_c) - self._begin
-        correction = np.round(wanted - self._sent if self.relative else wanted, DECIMALS)
-        self._sent, self._correction = self._sent + correction if self.relative else correction, correction
+        q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
+        wanted, self._wanted = self._wanted, q_c
+        if self._watch.adds_up:
+            self._answer_with(self._slowed())
+            return
+        self._resynchronise(q_c - wanted)
+        if self._missed:
+            drift = self.axes.turned(self._in_force.step) - (q_c - wanted)
+            self._catch_up.start(self.commanded - wanted, drift, q_c - wanted)
+            self._missed = False
+        if self._catch_up.active:
+            q_c = np.clip(q_c + self._catch_up.next(), self.robot.q_min, self.robot.q_max)
+        position = self._in_force.position
+        correction = self.axes.angles(q_c) - self._begin
+        if self.relative:
+            correction = np.round(correction - position, self.form.decimals)
+            self._in_force.send(position + correction)
+        else:
+            correction = np.round(correction, self.form.decimals)
+            self._in_force.send(correction)
         self.commanded = q_c
-        self._answer = format_sen(correction, self._last.ipoc)
-        self._link.send(self._answer)
-        self.answer_times.append(time.perf_counter() - self._link.arrived)
+        self._answer_with(correction)
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next packet.
 
         Raises:
-            RsiError: silence, too many packets lost in a row, another cycle time than the robot's, or with relative
-                corrections an answer that came late (where the arm is commanded is then not known any more).
+            RsiError: silence, packets lost for longer than can be bridged, another cycle time than the robot's.
         """
         if self._first is None:
             raise RsiError("connect to the controller first")
         end = time.perf_counter() + self.timeout
         while True:
             message = self._link.next(end, self.timeout)
-            since = passed(self._last, message)
+            since = self.stamps.cycles(self._last.ipoc, message.ipoc)
             if since == 0:
                 self.counts.repeated += 1
                 if self._answer is not None:
                     self._link.send(self._answer)
             elif since < 0:
                 self.counts.outdated += 1
+            elif self.stamps.in_step and since - 1 > self.max_lost:
+                self._too_far(since)
             else:
-                return self._advance(self._link.newest(message))
+                return self._advance(message, since)
 
     def close(self) -> None:
         """Stops listening; the controller holds the arm and reports that its sensor is gone."""
@@ -145,30 +214,78 @@ class RsiRobot:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def _advance(self, message: RobMessage) -> RobotState:
-        since = passed(self._last, message)
-        lost = since // self._step - 1
-        self._in_step = self._in_step or lost == 0
-        # One large step is a loss, three from the start are another cycle time.
-        if since % self._step or not (self._in_step or self.counts.cycles < _TRIALS):
-            raise RsiError(f"the controller's time stamp rose by {since} ms in a cycle; {self._step} ms are expected "
-                           f"for {self.robot.name} (t_ipo in the robot's data, or --cycle)")
-        if self._in_step and lost > self.max_lost:
-            raise RsiError(f"{lost} packets in a row were lost, more than {self.max_lost}; check network and load")
+    def _answer_with(self, correction: Array) -> None:
+        self._answer = format_sen(correction, self._last.ipoc, self.form)
+        self._link.send(self._answer)
+        self.answer_times.append(time.perf_counter() - self._link.arrived)
+
+    def _slowed(self) -> Array:
+        """Corrections that shrink to nothing within the acceleration limit: the controller adds them up."""
+        correction = self._in_force.position
+        shrunk = np.sign(correction) * np.maximum(np.abs(correction) - np.degrees(self._brake), 0.0)
+        self._in_force.send(np.round(shrunk, self.form.decimals))
+        return shrunk
+
+    def _resynchronise(self, step: Array) -> None:
+        """After lost increments, at rest: where the arm is measured is where they have led."""
+        moving = np.max(np.abs(step)) > _RESTED or not self.settled
+        self._still = 0 if moving or not self._in_doubt else self._still + 1
+        if self._still * self.t_ipo >= _REST_TIME:
+            self._still, self._in_doubt = 0, False
+            beside = self._measured - self._watch.rest - self.commanded
+            if np.max(np.abs(beside)) > _RESYNC:
+                self.commanded = self.commanded + beside
+                self._in_force.is_at(self.axes.angles(self.commanded) - self._begin)
+                self._missed = True
+                self.counts.resynchronised += 1
+
+    def _too_far(self, since: int) -> None:
+        """A time stamp further ahead than can be bridged: one alone is no cycle of this controller."""
+        self._ahead += 1
+        self.counts.refuse(f"its time stamp lies {since} cycles ahead")
+        if self._ahead >= _AHEAD:
+            raise RsiError(f"{since - 1} packets in a row were lost, more than {self.max_lost}; check network and load")
+
+    def _advance(self, message: RobMessage, since: int) -> RobotState:
+        newest, waited = self._link.newest(message, self.stamps)
+        further = self.stamps.cycles(message.ipoc, newest.ipoc) if newest is not message else 0
+        if since + further - 1 > self.max_lost and self.stamps.in_step:
+            # A stamp far ahead in the queue is not believed before its like have come.
+            newest, further = message, 0
+        since += further
+        # Stamps that never rise cannot tell what was lost; what waited in the queue was.
+        lost = max(since - 1, waited if self.stamps.rise == 0 else 0)
         self.counts.lost += lost
-        self._elapsed += since
-        late, self._late = message.late - self._late, message.late
-        self.counts.late += max(late, 0)
-        if self.relative and late > lost and self._correction.any():
-            raise RsiError("an answer came late: with relative corrections it is not known whether it still counted; "
-                           "use absolute ones, or a faster or less loaded computer")
-        self._last, self._answer = message, None
-        return self._state(message)
+        self._elapsed += 1 + lost
+        self._ahead = 0
+        late = 0 if newest.late is None else max(newest.late - self._late, 0)
+        self._late = self._late if newest.late is None else newest.late
+        self.counts.late += late
+        self._in_doubt = self._in_doubt or (self.relative and late + lost > 0)
+        if self._in_force.advance(used=late <= lost, missed=lost):
+            self._missed = True
+            self.commanded = self.axes.joints(self._begin + self._in_force.position)
+        self._last, self._answer = newest, None
+        self._check_pace()
+        return self._state(newest)
+
+    def _check_pace(self) -> None:
+        """Where time stamps do not tell the cycle, the clock tells at least that it is not a much shorter one."""
+        if self.stamps.rise in (None, self.stamps.step) or self.counts.cycles != _PACE:
+            return
+        pace = (self._link.arrived - self._began) / self.counts.cycles
+        if pace * _TOO_FAST < self.t_ipo:
+            raise RsiError(f"packets come every {1e3 * pace:.1f} ms, {1e3 * self.t_ipo:.0f} ms are expected; tell the "
+                           "controller's cycle with --cycle")
 
     def _state(self, message: RobMessage) -> RobotState:
         """Torque is the current in ampere times the drive gain, NaN where the controller sends no current."""
         self.counts.cycles += 1
+        self._measured = self.axes.joints(message.actual)
+        if self.fault is None:
+            self.fault = self._watch.check(self.commanded, self._measured)
+            self.counts.implausible = self._watch.missing
         tau = np.full(self.robot.n, np.nan)
         if message.current is not None:
             tau = self.axes.sign * message.current * self.robot.drive_gain
-        return RobotState(1e-3 * self._elapsed, self.axes.joints(message.actual), tau)
+        return RobotState(self.t_ipo * self._elapsed, self._measured, tau)

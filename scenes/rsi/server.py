@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from itertools import islice
 from typing import Any
 
@@ -11,13 +11,15 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, LimitError
-from ideal_robot.execution.interface import RobotState
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
 from planning.path.stopping import stopping_rows
 from scenes.path.precorrect import check_limits
 from scenes.result import Progress, silent
+from scenes.rsi.cycle_log import CycleLog
+from scenes.rsi.run import RsiRun
+from scenes.rsi.undisturbed import undisturbed
 from scenes.scene_error import SceneError
 
 START_TOLERANCE = np.radians(0.5)
@@ -26,51 +28,10 @@ _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""
 _STANDING = 0.3
 """How long the arm is held after braking [s]."""
-
-
-@dataclass(frozen=True)
-class RsiRun:
-    """A path played over RSI.
-
-    Attributes:
-        recording: ``t`` [s] since the first packet, which is answered by no correction, ``q_d_i``, ``q_c_i`` (handed
-            over at ``t``), ``q_i`` and, where the controller sends currents, ``current_i`` and ``tau_i``.
-        failure: why it ended before the end of the path, or None.
-        counts: what happened on the link.
-        answer_times_ms: median, 99th percentile and maximum from reading a packet to its answer; NaN without any.
-        begun: rows of rest before the path.
-        rows: rows of the path, rests included.
-    """
-
-    recording: Recording
-    failure: str | None
-    counts: dict[str, Any]
-    answer_times_ms: dict[str, float]
-    begun: int
-    rows: int
-
-    def json(self) -> dict[str, Any]:
-        """Key figures."""
-        return {**self.recording.meta, "failure": self.failure, "cycles": len(self.recording.t),
-                "path_cycles": self.rows, "link": self.counts, "answer_time_ms": self.answer_times_ms,
-                "motor_rms_error_mrad": None if len(self.recording.t) <= self.begun else self.errors_mrad()}
-
-    def errors_mrad(self) -> Array:
-        """Root mean square of desired position minus motor angle, rest before the path left out ``(n,)`` [mrad]."""
-        off = (self.recording.joints("q_d") - self.recording.joints("q"))[self.begun :]
-        return np.asarray(1e3 * np.sqrt(np.mean(off**2, axis=0)))
-
-    def table(self) -> tuple[list[str], list[list[Any]]]:
-        """What a person wants first."""
-        link = self.counts
-        rows: list[list[Any]] = [["cycles answered", f"{len(self.recording.t)} of {self.rows}"],
-                                 ["packets lost", link["lost"]], ["repeated", link["repeated"]],
-                                 ["refused", link["refused"]], ["answers late by the controller's count", link["late"]],
-                                 ["answer after, median ms", self.answer_times_ms["median"]],
-                                 ["answer after, worst ms", self.answer_times_ms["max"]]]
-        if len(self.recording.t) > self.begun:
-            rows.append(["motor error, worst joint mrad rms", float(np.max(self.errors_mrad()))])
-        return ["figure", "value"], rows
+_BRAKING_MAX = 5.0
+"""Longest that braking takes [s]."""
+_SETTLING = 2.0
+"""How long the arm is held at most behind the path until nothing that was missed is left to be made good [s]."""
 
 
 class RsiServer:
@@ -98,8 +59,13 @@ class RsiServer:
         """Brings the arm to rest on the path from the next cycle on; to be called from anywhere."""
         self._reason = self._reason or reason
 
-    def play(self, *, patience: float = 60.0, progress: Progress = silent) -> RsiRun:
+    def play(self, *, patience: float = 60.0, core: int | None = None, progress: Progress = silent) -> RsiRun:
         """Waits for the controller up to ``patience`` [s], then plays the path; what happened is in the result.
+
+        Args:
+            patience: how long the controller is waited for [s].
+            core: processor core to keep to; None for any.
+            progress: called now and then with the share that is done.
 
         Raises:
             RsiError: no controller came.
@@ -107,25 +73,32 @@ class RsiServer:
         """
         # Compiled code is loaded before the first packet has to be answered.
         self.feedforward.step(self.feedforward.init(self.q_d[0]), self.q_d[: self.feedforward.n_d])
-        self.link.connect(patience)
-        q_d = self._from(self.link.commanded)
+        log = CycleLog(len(self.q_d) + round((_SETTLING + _BRAKING_MAX) / self.link.t_ipo), self.link.robot.n)
+        with undisturbed(core) as granted:
+            self.link.connect(patience)
+            q_d = self._from(self.link.commanded)
+            try:
+                self._answer(q_d, log, progress)
+            except IdealRobotError as error:
+                self._reason = self._reason or str(error)
+        return self._run(log, granted)
+
+    def _answer(self, q_d: Array, log: CycleLog, progress: Progress) -> None:
+        """Answers packet by packet; the command of the next cycle is computed while the controller is busy."""
         commands = self._commands(q_d)
-        rows: list[tuple[RobotState, Array, Array]] = []
-        try:
-            # The first answer changes nothing and needs no computing.
-            self.link.send(self.link.commanded)
-            command = next(commands, None)
-            state = self.link.receive()
-            while command is not None:
-                self.link.send(command[1])
-                rows.append((state, *command))
-                if len(rows) % 50 == 0:
-                    progress(len(rows) / len(q_d), "")
-                if (command := next(commands, None)) is not None:
-                    state = self.link.receive()
-        except IdealRobotError as error:
-            self._reason = self._reason or str(error)
-        return self._run(rows)
+        # The first answer changes nothing and needs no computing.
+        self.link.send(self.link.commanded)
+        command = next(commands, None)
+        state = self.link.receive()
+        while command is not None:
+            self.link.send(command[1])
+            log.add(state, *command)
+            if len(log) % 50 == 0:
+                progress(min(len(log) / len(q_d), 1.0), "")
+            if self.link.fault is not None:
+                self.stop(f"stopped on the path at {state.t:.3f} s: {self.link.fault}")
+            if (command := next(commands, None)) is not None:
+                state = self.link.receive()
 
     def _from(self, held: Array) -> Array:
         """The path from where the arm is held: the offset to its start fades within the rest before it."""
@@ -155,10 +128,15 @@ class RsiServer:
             state, last = after, np.vstack([last[1], q_c])
             yield ahead[k], q_c
         else:
+            for _ in range(round(_SETTLING / T)):
+                if self.link.settled or self._reason is not None:
+                    break
+                q_c, state = law.step(state, ahead[-law.n_d :])
+                yield ahead[-1], q_c
             return
         speed = float(np.max(np.abs(ahead[k + 1] - ahead[k]) / T / robot.a_max))
         braking = max(speed, _BRAKING_MIN)
-        cycles = int(np.ceil((1.5 * braking + _STANDING) / T))
+        cycles = int(np.ceil((min(1.5 * braking, _BRAKING_MAX) + _STANDING) / T))
         for planned in islice(stopping_rows(ahead[k : k + cycles + law.n_d], T, braking, 1.0), cycles):
             q_c, state = law.step(state, planned[: law.n_d])
             q_c = self._held(q_c, last)
@@ -173,19 +151,17 @@ class RsiServer:
         moved = np.clip(np.clip(q_c - last[1], step - bend, step + bend), -robot.v_max * T, robot.v_max * T)
         return np.asarray(np.clip(last[1] + moved, robot.q_min, robot.q_max))
 
-    def _run(self, rows: list[tuple[RobotState, Array, Array]]) -> RsiRun:
+    def _run(self, log: CycleLog, granted: list[str]) -> RsiRun:
         robot, counts = self.link.robot, asdict(self.link.counts)
         meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "rsi",
                 "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"},
                 "corrections": "relative" if self.link.relative else "absolute", **self.meta}
-        n = robot.n
-        columns = {"q_d": np.array([row[1] for row in rows]).reshape(-1, n),
-                   "q_c": np.array([row[2] for row in rows]).reshape(-1, n),
-                   "q": np.array([row[0].q for row in rows]).reshape(-1, n)}
-        tau = np.array([row[0].tau for row in rows]).reshape(-1, n)
+        t, columns = log.columns()
+        tau = columns.pop("tau")
         if np.isfinite(tau).all():
             columns |= {"current": tau / robot.drive_gain, "tau": tau}
-        recording = Recording.from_arrays(np.array([row[0].t for row in rows]), meta=meta, source="rsi", **columns)
+        recording = Recording.from_arrays(t, meta=meta, source="rsi", **columns)
         times = 1e3 * np.array(self.link.answer_times or [np.nan])
         spread = {"median": float(np.median(times)), "p99": float(np.percentile(times, 99)), "max": float(times.max())}
-        return RsiRun(recording, self._reason, counts, spread, self.rest, len(self.q_d))
+        return RsiRun(recording, self._reason, counts, self.link.stamps.described(), spread, granted, self.rest,
+                      len(self.q_d))

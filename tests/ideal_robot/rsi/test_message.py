@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import gc
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ideal_robot.rsi import PacketError
+from ideal_robot.rsi.format import RsiFormat
 from ideal_robot.rsi.message import MAX_PACKET, format_sen, parse_rob
 
 PACKET = (b'<Rob Type="KUKA"><RIst X="1.0" Y="2.0" Z="3.0" A="0.0" B="0.0" C="0.0"/>'
@@ -28,23 +31,28 @@ def test_a_controllers_packet_is_read() -> None:
 
 def test_what_is_not_sent_is_none() -> None:
     message = parse_rob(b'<Rob><AIPos A1="1" A2="2"/><IPOC>7</IPOC></Rob>', 2)
-    assert (message.setpoint, message.current, message.late) == (None, None, 0)
+    assert (message.setpoint, message.current, message.late) == (None, None, None)
 
 
 def test_the_answer_is_what_a_controller_expects() -> None:
-    answer = format_sen(np.array([0.1, -2.0, 1e-9]), 4208163634)
+    answer = format_sen(np.array([0.1, -2.0, 1e-9]), 4208163634, RsiFormat())
     assert answer == (b'<Sen Type="ImFree"><AK A1="0.100000" A2="-2.000000" A3="0.000000"/>'
                       b"<IPOC>4208163634</IPOC></Sen>")
 
 
 @pytest.mark.parametrize(("old", "new", "says"), [
-    (b"<Rob", b"<Sen", "not XML"),
+    (b"<Rob", b"<Sen", "expected <Rob>, got <Sen>"),
     (b"Rob", b"Sen", "expected <Rob>"),
     (b"</Rob>", b"", "not XML"),
-    (b"<Tech", b"\xff<Tech", "not XML"),
     (b"<Tech", b"\0<Tech", "zero byte"),
+    (b"<Tech", b"<![CDATA[<Tech]]><Tech", "declaration"),
+    (b"<Tech", b"<a><Tech", "closes another"),
+    (b"<Tech", b"<a>" * 20 + b"<Tech", "nested more than"),
+    (b"</Rob>", b"</Rob><Rob></Rob>", "outside"),
+    (b"</Rob>", b"</Rob>more", "goes on after"),
+    (b"<AIPos", b'<AIPos/><AIPos', "AIPos stands there 2 times"),
+    (b'A1="0.5"', b'A1="0.5" A1="0.7"', "AIPos has"),
     (b"<Rob", b'<!DOCTYPE Rob [<!ENTITY a "b">]><Rob', "entity"),
-    (b"<Tech", b"&a;<Tech", "not XML"),
     (b"<IPOC>4208163634</IPOC>", b"", "IPOC is missing"),
     (b"4208163634", b"-4", "IPOC is no whole number"),
     (b"4208163634", b"12.5", "IPOC is no whole number"),
@@ -58,13 +66,54 @@ def test_the_answer_is_what_a_controller_expects() -> None:
     (b'A1="0.5"', b'A1=""', "AIPos A1"),
     (b'A1="0.5" ', b"", "expected A1 to A6"),
     (b'A1="0.5"', b'A1="0.5" A7="0"', "expected A1 to A6"),
-    (b'D="3"', b'D="x"', "Delay is no whole number"),
     (b"<Tech", b" " * MAX_PACKET + b"<Tech", "more than"),
 ])
 def test_what_is_wrong_is_refused_and_named(old: bytes, new: bytes, says: str) -> None:
     assert old in PACKET
     with pytest.raises(PacketError, match=says):
         parse_rob(PACKET.replace(old, new, 1 if old == b"<Rob" else -1), 6)
+
+
+@pytest.mark.parametrize(("old", "new"), [
+    (b"<Tech", b"<!-- A1=\"7\" <b> --><Tech"),
+    (b"</Rob>", b"</Rob>\0\0\r\n"),
+    (b"<Rob", b'<?xml version="1.0" encoding="ISO-8859-1"?>\n<Rob'),
+    (b"<Tech", b"<Name>M\xfcller</Name><Tech"),
+    (b"<Tech", b"<EStr>robot info: &lt;</EStr><a><b><AIPos/></b></a><Tech"),
+    (b'Type="KUKA"', b"TYPE='KUKA'"),
+    (b'A1="0.5" A2="-90.25"', b'A2="-90.25"\n\tA1 = "0.5" E1="12.5"'),
+    (b'D="3"', b'D="3.0"'),
+])
+def test_what_controllers_do_besides_is_no_reason_to_refuse(old: bytes, new: bytes) -> None:
+    assert old in PACKET
+    message, plain = parse_rob(PACKET.replace(old, new, 1), 6), parse_rob(PACKET, 6)
+    assert (message.ipoc, message.late, message.ignored) == (plain.ipoc, plain.late, ())
+    np.testing.assert_array_equal(message.actual, plain.actual)
+
+
+@pytest.mark.parametrize(("old", "new", "name"), [
+    (b'D="3"', b'D="x"', "Delay"), (b'D="3"', b"", "Delay"), (b'D="3"/>', b'D="3"/><Delay D="4"/>', "Delay"),
+    (b'A1="1.5"', b'A1="nan"', "MACur"), (b'<ASPos A1="0.0"', b"<ASPos", "ASPos"), (b"<ASPos", b"<ASPos/><ASPos", "ASPos"),
+])
+def test_what_is_optional_and_wrong_is_left_out_and_named(old: bytes, new: bytes, name: str) -> None:
+    assert old in PACKET
+    message = parse_rob(PACKET.replace(old, new, 1), 6)
+    assert message.ignored == (name,)
+    assert {"Delay": message.late, "ASPos": message.setpoint, "MACur": message.current}[name] is None
+    assert message.ipoc == 4208163634
+
+
+def test_rubbish_leaves_nothing_for_the_garbage_collection() -> None:
+    packet = b"<Rob>" + b"<a>" * 1300
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(200):
+            with pytest.raises(PacketError):
+                parse_rob(packet, 6)
+        assert gc.collect() < 20
+    finally:
+        gc.enable()
 
 
 @given(st.binary(max_size=300))

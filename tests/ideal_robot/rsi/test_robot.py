@@ -110,15 +110,20 @@ def test_lost_packets_cost_time_and_are_counted(pair) -> None:
     controller.send(4)
     assert link.cycle(ROBOT.home).t == pytest.approx(0.048)
     assert link.counts.lost == 2
-    controller.send(9)
-    with pytest.raises(RsiError, match="4 packets in a row were lost"):
+    # One stamp far ahead is not believed, its like are.
+    controller.send(99)
+    controller.send(5)
+    assert link.cycle(ROBOT.home).t == pytest.approx(0.060)
+    for k in (20, 21, 22):
+        controller.send(k)
+    with pytest.raises(RsiError, match="packets in a row were lost, more than 9"):
         link.cycle(ROBOT.home)
 
 
 def test_a_controller_with_a_shorter_cycle_is_refused_at_once(pair) -> None:
     link, controller = pair
     controller.send(1 / 3)
-    with pytest.raises(RsiError, match=r"rose by 4 ms.*12 ms are expected"):
+    with pytest.raises(RsiError, match=r"rose by 4 in a cycle; 12 \(ms\).*--cycle"):
         link.cycle(ROBOT.home)
 
 
@@ -128,7 +133,7 @@ def test_a_controller_with_a_longer_cycle_is_told_from_a_slow_start(pair) -> Non
         controller.send(k)
         link.cycle(ROBOT.home)
     controller.send(6)
-    with pytest.raises(RsiError, match=r"rose by 24 ms.*12 ms are expected"):
+    with pytest.raises(RsiError, match=r"rose by 24 in a cycle"):
         link.cycle(ROBOT.home)
 
 
@@ -149,20 +154,6 @@ def test_of_packets_from_before_the_newest_is_the_first() -> None:
             assert link.connect(5.0).t == 0.0
             link.send(ROBOT.home)
             assert f"<IPOC>{(START + 24) % 2**32}</IPOC>" in controller.answer()
-
-
-def test_a_late_answer_ends_relative_corrections_only(pair) -> None:
-    link, controller = pair
-    controller.send(1, late=1)
-    # Where nothing was to move, nothing is in doubt.
-    link.cycle(ROBOT.home)
-    controller.send(2, late=2)
-    if link.relative:
-        with pytest.raises(RsiError, match="came late"):
-            link.cycle(moved(0.1))
-    else:
-        link.cycle(moved(0.1))
-    assert link.counts.late == 2
 
 
 def test_of_several_packets_the_newest_is_answered(pair) -> None:

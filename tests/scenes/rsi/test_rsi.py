@@ -18,7 +18,8 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.rsi.server import RsiRun, RsiServer
+from scenes.rsi.run import RsiRun
+from scenes.rsi.server import RsiServer
 from scenes.rsi.setup import rsi_server
 from scenes.scene_error import SceneError
 from sim.arm.arm import SimulatedArm

@@ -1,0 +1,109 @@
+"""Whether the measured arm does what was commanded, from the first packet on, and if not what the cause looks like.
+
+An arm under a position controller is, but for a tolerance, between the smallest and the largest of the commands of the
+last while, which is as long as its loop needs to answer. Where it is not, the motion of the last cycles is held against
+what each cause would make of the same commands.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+
+TOLERANCE = np.radians(0.3)
+"""How far an arm may be outside its commands [rad] …"""
+_SHARE = 0.1
+"""… and in addition by this share of what they changed by."""
+_PATIENCE = 2
+"""Cycles in a row after which a deviation counts."""
+_EXPLAINS = 0.35
+"""Share of the motion a cause may leave unexplained."""
+
+
+class FollowingWatch:
+    """Compares measured with commanded joint angles in every cycle.
+
+    Args:
+        n: number of joints.
+        window: cycles within which the loop answers a command.
+        jump: largest believable change in one cycle ``(n,)`` [rad].
+        relative: whether we take the corrections as relative.
+
+    Attributes:
+        adds_up: whether the controller turned out to add up absolute corrections.
+        missing: readings that could not be and were not used.
+        rest: measured minus commanded at rest, before anything moved ``(n,)`` [rad].
+    """
+
+    def __init__(self, n: int, window: int, jump: Array, relative: bool) -> None:
+        rows = max(2 * window, 8)
+        self.adds_up, self.missing, self.rest = False, 0, np.zeros(n)
+        self._window, self._jump, self._relative = window, jump, relative
+        self._commanded, self._measured, self._sum = np.zeros((rows, n)), np.zeros((rows, n)), np.zeros((rows, n))
+        self._count = self._outside = self._jumped = 0
+
+    def begin(self, commanded: Array, measured: Array) -> None:
+        """The first packet: commanded and measured joint angles ``(n,)`` [rad], at rest."""
+        self._commanded[:], self._measured[:], self._sum[:] = commanded, measured, 0.0
+        self._start, self._last = commanded.copy(), measured.copy()
+        # At rest a controller holds the arm a little beside its command, which is no error of following.
+        self.rest = measured - commanded
+
+    def check(self, commanded: Array, measured: Array) -> str | None:
+        """One cycle: what is commanded now and what was measured ``(n,)`` [rad]. Returns what is wrong, if anything."""
+        leap = np.abs(measured - self._last)
+        if (leap > self._jump * (1 + self._jumped)).any():
+            # One reading of its kind counts as missing; a second says that the arm, or its encoder, is elsewhere.
+            self.missing, self._jumped = self.missing + 1, self._jumped + 1
+            joint = int(np.argmax(leap / self._jump))
+            return None if self._jumped < _PATIENCE else (
+                f"the measured position of joint {joint + 1} jumped by {np.degrees(leap[joint]):.1f}°")
+        self._last, self._jumped = measured.copy(), 0
+        row = self._count % len(self._commanded)
+        self._sum[row] = self._sum[row - 1] + commanded - self._start
+        self._commanded[row], self._measured[row] = commanded, measured
+        self._count += 1
+        recent = self._commanded[(row - np.arange(self._window)) % len(self._commanded)]
+        low, high = recent.min(axis=0), recent.max(axis=0)
+        at = measured - self.rest
+        beyond = np.maximum(low - at, at - high) - TOLERANCE - _SHARE * (high - low)
+        self._outside = self._outside + 1 if (beyond > 0).any() else 0
+        return self._cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
+
+    def _cause(self, joint: int) -> str:
+        """What the motion of the last cycles looks like."""
+        order = (self._count + np.arange(len(self._commanded))) % len(self._commanded)
+        commanded, measured = self._commanded[order], self._measured[order]
+        total = self._sum[order, joint]
+        told, moved = commanded[:, joint] - commanded[0, joint], measured[:, joint] - measured[0, joint]
+        beside = np.degrees(moved[-1] - told[-1] + measured[0, joint] - self.rest[joint] - commanded[0, joint])
+        says = f"joint {joint + 1} is {abs(beside):.2f}° off its command"
+        if np.ptp(moved) < 0.1 * np.ptp(told):
+            still = np.ptp(measured, axis=0) < 0.1 * np.ptp(commanded, axis=0)
+            if self._relative and _left(moved, np.gradient(told)) < _EXPLAINS:
+                return f"{says}: the controller takes increments as absolute corrections (--absolute)"
+            if still[np.ptp(commanded, axis=0) > TOLERANCE].all():
+                return (f"{says}: the arm does not move; check the tag of the corrections (--tag, --rsi-config), the "
+                        "sender type, that they are wired to AXISCORR, and its limits")
+            return f"{says}: joint {joint + 1} does not move"
+        causes = {"turned": _left(moved, -told), "adds up": np.inf if self._relative else _left(moved, total - total[0])}
+        cause = min(causes, key=causes.__getitem__)
+        if causes[cause] > _EXPLAINS:
+            return f"{says} and does not follow it; check model, cycle, load and what stands in the way"
+        if cause == "turned":
+            return f"{says}: it turns against it; check axis_sign in the robot's data"
+        self.adds_up = True
+        return f"{says}: the controller adds up absolute corrections (--relative, or make its corrections absolute)"
+
+
+def _left(moved: Array, expected: Array) -> float:
+    """Share of a motion ``(N,)`` that ``expected (N,)`` leaves, at the lag at which it leaves least."""
+    size = float(np.linalg.norm(moved - moved[0]))
+    if size == 0.0:
+        return np.inf
+    shares = []
+    for lag in range(0, len(moved) // 3):
+        late = np.concatenate([np.full(lag, expected[0]), expected[: len(expected) - lag]])
+        shares.append(float(np.linalg.norm(moved - moved[0] - late + late[0])) / size)
+    return min(shares)
