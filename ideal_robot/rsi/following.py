@@ -17,8 +17,11 @@ _SHARE = 0.1
 """… and in addition by this share of what they changed by."""
 _PATIENCE = 2
 """Cycles in a row after which a deviation counts."""
-_EXPLAINS = 0.35
-"""Share of the motion a cause may leave unexplained."""
+_LAGS, _DEAD = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0), 4
+"""Time constants and longest dead time that are tried [cycles]."""
+_EXPLAINS, _SURE = 0.35, 0.12
+"""Share of the motion a cause may leave unexplained; less where the arm is then stopped in another way."""
+_ADDS_UP = "the controller adds up absolute corrections (--relative, or make its corrections absolute)"
 
 
 class FollowingWatch:
@@ -58,7 +61,7 @@ class FollowingWatch:
             self.missing, self._jumped = self.missing + 1, self._jumped + 1
             joint = int(np.argmax(leap / self._jump))
             return None if self._jumped < _PATIENCE else (
-                f"the measured position of joint {joint + 1} jumped by {np.degrees(leap[joint]):.1f}°")
+                f"the measured position of joint {joint + 1} jumped by {np.degrees(leap[joint]):.0f}°")
         self._last, self._jumped = measured.copy(), 0
         row = self._count % len(self._commanded)
         self._sum[row] = self._sum[row - 1] + commanded - self._start
@@ -70,6 +73,19 @@ class FollowingWatch:
         beyond = np.maximum(low - at, at - high) - TOLERANCE - _SHARE * (high - low)
         self._outside = self._outside + 1 if (beyond > 0).any() else 0
         return self._cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
+
+    def stopping(self, commanded: Array, measured: Array) -> str | None:
+        """One cycle of braking: an arm that goes on under a command that stands still is one that adds it up."""
+        still = np.array_equal(commanded, self._commanded[0])
+        self._commanded[0], step, self._last = commanded, measured - self._last, measured.copy()
+        joint = int(np.argmax(np.abs(step)))
+        expected = commanded[joint] - self._start[joint]
+        goes_on = still and not self._relative and abs(step[joint] - expected) < 0.5 * abs(expected)
+        self._outside = self._outside + 1 if goes_on else 0
+        if self._outside < 2 * _PATIENCE or self.adds_up:
+            return None
+        self.adds_up = True
+        return f"joint {joint + 1} goes on while its command stands still: {_ADDS_UP}"
 
     def _cause(self, joint: int) -> str:
         """What the motion of the last cycles looks like."""
@@ -87,23 +103,21 @@ class FollowingWatch:
                 return (f"{says}: the arm does not move; check the tag of the corrections (--tag, --rsi-config), the "
                         "sender type, that they are wired to AXISCORR, and its limits")
             return f"{says}: joint {joint + 1} does not move"
-        causes = {"turned": _left(moved, -told), "adds up": np.inf if self._relative else _left(moved, total - total[0])}
-        cause = min(causes, key=causes.__getitem__)
-        if causes[cause] > _EXPLAINS:
-            return f"{says} and does not follow it; check model, cycle, load and what stands in the way"
-        if cause == "turned":
+        if not self._relative and _left(moved, total - total[0]) <= _SURE:
+            self.adds_up = True
+            return f"{says}: {_ADDS_UP}"
+        if _left(moved, -told) <= _EXPLAINS:
             return f"{says}: it turns against it; check axis_sign in the robot's data"
-        self.adds_up = True
-        return f"{says}: the controller adds up absolute corrections (--relative, or make its corrections absolute)"
-
+        return f"{says} and does not follow it; check model, cycle, load and what stands in the way"
 
 def _left(moved: Array, expected: Array) -> float:
-    """Share of a motion ``(N,)`` that ``expected (N,)`` leaves, at the lag at which it leaves least."""
-    size = float(np.linalg.norm(moved - moved[0]))
-    if size == 0.0:
-        return np.inf
-    shares = []
-    for lag in range(0, len(moved) // 3):
-        late = np.concatenate([np.full(lag, expected[0]), expected[: len(expected) - lag]])
-        shares.append(float(np.linalg.norm(moved - moved[0] - late + late[0])) / size)
+    """Share of a motion ``(N,)`` that ``expected (N,)`` leaves, at the dead time and lag that fit best."""
+    size, N = float(np.linalg.norm(moved)), len(moved)
+    shares = [np.inf]
+    for lag in _LAGS:
+        kernel = np.exp(-np.arange(N) / lag) if lag else np.eye(1, N)[0]
+        slow = np.convolve(expected, kernel / kernel.sum())[:N]
+        for dead in range(_DEAD + 1):
+            late = np.concatenate([np.zeros(dead), slow[: N - dead]])
+            shares.append(float(np.linalg.norm(moved - late)) / max(size, 1e-12))
     return min(shares)

@@ -86,7 +86,7 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
     if ipoc is None:
         raise PacketError("IPOC is missing")
     if _WHOLE.fullmatch(ipoc[1].strip()) is None:
-        raise PacketError(f"IPOC is no whole number ({ipoc[1][:40]!r})")
+        raise PacketError(f"IPOC is no whole number ({ipoc[1][:40]!a})")
     setpoint, current = optional("ASPos"), optional("MACur")
     late = None
     if "Delay" in found:
@@ -121,11 +121,11 @@ def _elements(text: str) -> dict[str, list[_Element]]:
         if name is None:
             continue
         if not open_tags and (closed or name != "Rob" or tag["end"]):
-            raise PacketError(f"packet is not XML (<{name[:40]}> outside)" if closed else
-                              f"expected <Rob>, got <{name[:40]}>")
+            raise PacketError(f"packet is not XML ({name[:40]!a} outside)" if closed else
+                              f"expected <Rob>, got {name[:40]!a}")
         if tag["end"]:
             if open_tags.pop() != name or tag["attributes"] or tag["empty"]:
-                raise PacketError(f"packet is not XML (</{name[:40]}> closes another element)")
+                raise PacketError(f"packet is not XML ({name[:40]!a} closes another element)")
             if len(open_tags) == 1:
                 found.setdefault(name, []).append((attributes, text[inside:start]))
             closed = not open_tags
@@ -164,11 +164,11 @@ def _axes(found: dict[str, list[_Element]], tag: str, n: int) -> Array | None:
     values = {name: double or single for name, double, single in pairs if not name.startswith("E")}
     names = [f"A{i + 1}" for i in range(n)]
     if values.keys() != set(names) or len({name for name, _, _ in pairs}) != len(pairs):
-        raise PacketError(f"{tag} has {' '.join(sorted(values))[:80] or 'no axes'}, expected A1 to A{n}")
+        raise PacketError(f"{tag} has {' '.join(sorted(values))[:80]!a}, expected A1 to A{n}")
     return np.array([_number(tag, name, values[name]) for name in names])
 
 
 def _number(tag: str, name: str, text: str) -> float:
     if _NUMBER.fullmatch(text.strip()) is None or not math.isfinite(value := float(text)):
-        raise PacketError(f"{tag} {name} is no finite number ({text[:40]!r})")
+        raise PacketError(f"{tag} {name} is no finite number ({text[:40]!a})")
     return value

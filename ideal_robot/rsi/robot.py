@@ -73,6 +73,7 @@ class RsiRobot:
         answer_times: from reading each packet to its answer [s].
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         stamps: how the controller's time stamps rise.
+        too_fast: times the expected pace at which packets count as those of another cycle, where stamps do not tell it.
     """
 
     def __init__(self, robot: Robot, *, host: str = "127.0.0.1", port: int = 49152, relative: bool = False,
@@ -80,12 +81,13 @@ class RsiRobot:
                  bridge: float = 0.1, answers_within: float = 0.3) -> None:
         self.form = form or RsiFormat()
         if not relative and self.form.hold_on is False:
-            raise InputError("without an answer the controller would return to the start; set HOLDON=\"1\" for absolute "
+            raise InputError("without an answer the controller would return to the start; set HOLDON to 1 for absolute "
                              "corrections, or use --relative", field="HOLDON", value=0)
         self.robot, self.t_ipo, self.axes = robot, robot.t_ipo, Axes.of(robot)
         self.relative, self.timeout = relative, timeout
         self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
         self.fault: str | None = None
+        self.too_fast = _TOO_FAST
         self.stamps = Stamps(round(1e3 * robot.t_ipo))
         self.answer_times = array("d")
         self._link = PacketLink(host, port, robot.n, controller)
@@ -94,7 +96,7 @@ class RsiRobot:
         # Data of an arm without limits give no room; then a start from rest takes a third of a second.
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
-        self._brake = np.where(np.isfinite(robot.a_max), robot.a_max, v_max / 0.3) * robot.t_ipo**2
+        self._brake = 1.8 * room * robot.t_ipo**2
         self._catch_up = CatchUp(room, v_max, robot.t_ipo)
         self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
                                      np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative)
@@ -128,8 +130,8 @@ class RsiRobot:
         apart = np.abs(held - first.actual)
         if (apart > _APART).any():
             axis = int(np.argmax(apart))
-            raise RsiError(f"axis {axis + 1} is measured at {first.actual[axis]:.2f}° and commanded to {held[axis]:.2f}°"
-                           " (AIPos, ASPos) before anything was sent; start RSI anew, from rest")
+            raise RsiError(f"axis {axis + 1} is measured at {first.actual[axis]:.2f}° and commanded to "
+                           f"{held[axis]:.2f}° (AIPos, ASPos) before anything was sent; start RSI anew, from rest")
         self._first = self._last = first
         self._late = first.late or 0
         self._begin = held.copy()
@@ -274,7 +276,7 @@ class RsiRobot:
         if self.stamps.rise in (None, self.stamps.step) or self.counts.cycles != _PACE:
             return
         pace = (self._link.arrived - self._began) / self.counts.cycles
-        if pace * _TOO_FAST < self.t_ipo:
+        if pace * self.too_fast < self.t_ipo:
             raise RsiError(f"packets come every {1e3 * pace:.1f} ms, {1e3 * self.t_ipo:.0f} ms are expected; tell the "
                            "controller's cycle with --cycle")
 
@@ -285,6 +287,8 @@ class RsiRobot:
         if self.fault is None:
             self.fault = self._watch.check(self.commanded, self._measured)
             self.counts.implausible = self._watch.missing
+        else:
+            self.fault = self._watch.stopping(self.commanded, self._measured) or self.fault
         tau = np.full(self.robot.n, np.nan)
         if message.current is not None:
             tau = self.axes.sign * message.current * self.robot.drive_gain

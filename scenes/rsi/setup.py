@@ -7,12 +7,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.feedforward.precorrection import Precorrection
+from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
@@ -22,12 +30,16 @@ from scenes.path.precorrect import check_limits, desired_path, robot_of
 from scenes.rsi.server import RsiServer
 
 METHODS = ("ideal", "precorrected", "none")
+_ANSWER_MAX = 0.4
+"""Time after which a loop has answered a command [s]."""
+_TRIED = 20.0
+"""How much of the path is tried on the identified loop [s]."""
 
 
 @contextmanager
 def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = None, method: str = "ideal",
-               host: str = "127.0.0.1", port: int = 49152, relative: bool = False, cycle: float | None = None,
-               delay: bool = False, rest: float = 0.6) -> Iterator[RsiServer]:
+               cycle: float | None = None, delay: bool = False, rest: float = 0.6, **link_options: Any
+               ) -> Iterator[RsiServer]:
     """A server that listens, and stops listening at the end of the block.
 
     Args:
@@ -35,29 +47,76 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
         robot: shipped robot or URDF; None for the one the model names.
         model: identified model; None for the shipped one of the robot. Not needed for ``none``.
         method: one of ``METHODS``.
-        host, port, relative: see ``RsiRobot``.
-        cycle: interpolation cycle in place of the robot's [s].
+        cycle: interpolation cycle in place of the robot's [s]; the identified loop is brought to it.
         delay: whether the planner's delay of one cycle is in force.
         rest: rest before the path [s].
+        link_options: see ``RsiRobot``.
 
     Raises:
         InputError: anything of this cannot be used, or the path leaves the robot's limits.
     """
-    if method not in METHODS:
-        raise InputError(f"expected one of {', '.join(METHODS)}", field="--method", value=method)
     if not 0.0 <= rest <= 60.0:
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
+    arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
+    _, q_d = desired_path(Recording.read(path), arm, path, rest)
+    check_limits(q_d, arm, arm.t_ipo, file=path, start=-rest)
+    if loop is not None:
+        link_options.setdefault("answers_within", answers_within(loop, arm))
+        if cycle is not None:
+            _require_better(law, loop, q_d, file)
+    meta = {"method": method, "model": None if method == "none" else str(file), "path": str(path)}
+    with RsiRobot(arm, **link_options) as link:
+        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta)
+
+
+def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
+             cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, LoopModel | None, Path]:
+    """Arm, feedforward and identified loop at one cycle, and the file of the model; see ``rsi_server``.
+
+    Raises:
+        InputError: anything of this cannot be used.
+    """
+    if method not in METHODS:
+        raise InputError(f"expected one of {', '.join(METHODS)}", field="--method", value=method)
     if cycle is not None and not (1e-3 <= cycle <= 0.1 and math.isclose(1e3 * cycle, round(1e3 * cycle))):
         raise InputError("expected whole milliseconds from 0.001 to 0.1 s", field="--cycle", value=cycle)
     arm, file = _arm(robot, model, method)
     if cycle is not None:
-        arm = replace(arm, t_ipo=cycle)
-    _, q_d = desired_path(Recording.read(path), arm, path, rest)
-    check_limits(q_d, arm, arm.t_ipo, file=path, start=-rest)
-    law = _feedforward(method, arm, file, int(delay))
-    meta = {"method": method, "model": None if method == "none" else str(file), "path": str(path)}
-    with RsiRobot(arm, host=host, port=port, relative=relative) as link:
-        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta)
+        arm = at_cycle(arm, cycle)
+    if method == "none":
+        return arm, PassThrough(arm.t_ipo), None, file
+    identified = Model.load(file)
+    loop = loop_model(identified, arm, delay=int(delay))
+    law = (Precorrection.complete(identified, arm, delay=int(delay)) if method == "precorrected" else IdealRobot(loop))
+    return arm, law, loop, file
+
+
+def at_cycle(arm: Robot, cycle: float) -> Robot:
+    """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it."""
+    grid = 1e-6
+    position = math.gcd(round(cycle / grid), round(arm.t_position / grid))
+    velocity = math.gcd(position, round(arm.t_velocity / grid))
+    return replace(arm, t_ipo=cycle, t_position=grid * position, t_velocity=grid * velocity)
+
+
+def answers_within(loop: LoopModel, arm: Robot) -> float:
+    """Time in which the identified loop answers a command to 97 %, and half of it more [s]."""
+    response = LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo))
+    open_until = (np.abs(np.cumsum(response.g, axis=0) - 1.0) > 0.03).any(axis=1)
+    return float(1.5 * arm.t_ipo * (2 + np.flatnonzero(open_until)[-1]))
+
+
+def _require_better(law: Feedforward, loop: LoopModel, q_d: Array, file: Path) -> None:
+    """At another cycle than the robot's the identified loop has to be still of use.
+
+    Raises:
+        InputError: on the identified loop the correction makes the path worse.
+    """
+    part = q_d[: round(_TRIED / law.t_ipo)]
+    errors = [float(np.sqrt(np.mean((part - simulate(loop, q_c).q_a[:-1]) ** 2))) for q_c in (law.along(part), part)]
+    if not errors[0] <= errors[1] + 1e-6:
+        raise InputError("at this cycle the identified loop cannot be inverted; identify the arm at it, or use "
+                         "--method none", file=file, field="--cycle", value=law.t_ipo)
 
 
 def _arm(robot: str | None, model: Path | None, method: str) -> tuple[Robot, Path]:
@@ -73,12 +132,3 @@ def _arm(robot: str | None, model: Path | None, method: str) -> tuple[Robot, Pat
                          f"no model is shipped for {arm.name}; identify one and give its path, or use --method none",
                          field="--model", value=str(model or arm.name))
     return arm, file
-
-
-def _feedforward(method: str, arm: Robot, file: Path, delay: int) -> Feedforward:
-    if method == "none":
-        return PassThrough(arm.t_ipo)
-    model = Model.load(file)
-    if method == "precorrected":
-        return Precorrection.complete(model, arm, delay=delay)
-    return IdealRobot.of(model, arm, delay=delay)

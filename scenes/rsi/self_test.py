@@ -1,0 +1,149 @@
+"""Which interpolation cycle this computer holds: the whole way of a packet and back, with the real feedforward."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.rsi import RsiRobot
+from scenes.result import Progress, silent
+from scenes.rsi.server import RsiServer
+from scenes.rsi.setup import prepared
+
+CYCLES_MS = (12, 8, 4, 2, 1)
+"""Cycles that are tried [ms]."""
+_ALLOWED = 1e-3
+"""Share of late answers with which a cycle counts as held."""
+
+
+@dataclass(frozen=True)
+class CycleTest:
+    """One cycle.
+
+    Attributes:
+        cycle_ms: cycle [ms].
+        delays_ms: from each packet to its answer as the other process saw it [ms]; inf for none.
+        computing_ms: from reading each packet to its answer as the server saw it [ms].
+        failure: why the server gave up, or None.
+    """
+
+    cycle_ms: int
+    delays_ms: Array
+    computing_ms: Array
+    failure: str | None
+
+    @property
+    def late(self) -> float:
+        """Share of answers that came later than the cycle, or not at all."""
+        return float(np.mean(self.delays_ms >= self.cycle_ms))
+
+    @property
+    def held(self) -> bool:
+        """Whether the cycle is held."""
+        return self.failure is None and self.late <= _ALLOWED
+
+
+@dataclass(frozen=True)
+class HeldCycles:
+    """What came of all.
+
+    Attributes:
+        tests: one a cycle.
+        granted: what the system granted for even timing.
+        load: processes that wanted to run on average in the last minute, per core.
+        cores: processor cores this process may use.
+    """
+
+    tests: tuple[CycleTest, ...]
+    granted: list[str]
+    load: float
+    cores: int
+
+    def shortest(self) -> int | None:
+        """Shortest cycle that is held, and all longer ones too [ms]."""
+        shortest = None
+        for test in self.tests:
+            if not test.held:
+                break
+            shortest = test.cycle_ms
+        return shortest
+
+    def json(self) -> dict[str, Any]:
+        """Key figures."""
+        return {"shortest_cycle_ms": self.shortest(), "granted": self.granted, "load_per_core": self.load,
+                "cores": self.cores, "cycles": [
+                    {"cycle_ms": t.cycle_ms, "held": t.held, "share_late": t.late, "packets": len(t.delays_ms),
+                     "answer_ms": dict(zip(("median", "p99", "max"), _spread(t.delays_ms), strict=True)),
+                     "computing_ms": dict(zip(("median", "p99", "max"), _spread(t.computing_ms), strict=True)),
+                     "failure": t.failure} for t in self.tests]}
+
+    def table(self) -> tuple[list[str], list[list[Any]]]:
+        """One row a cycle."""
+        rows = [[t.cycle_ms, "yes" if t.held else "no", f"{1e2 * t.late:.2f}", *_spread(t.delays_ms)]
+                for t in self.tests]
+        return ["cycle ms", "held", "late %", "answer after, median ms", "99 %", "worst"], rows
+
+    def reasons(self) -> list[str]:
+        """What decides it on this computer, as sentences."""
+        lines = [f"granted: {', '.join(self.granted)}; {self.cores} cores, load {self.load:.1f} per core"]
+        failed = next((t for t in self.tests if not t.held), None)
+        if failed is None:
+            return [*lines, "every cycle tried is held"]
+        own, whole = _spread(failed.computing_ms), _spread(failed.delays_ms)
+        lines.append(f"{failed.cycle_ms} ms are not held: {1e2 * failed.late:.2f} % of the answers late"
+                     + (f"; {failed.failure}" if failed.failure else ""))
+        if own[1] > 0.5 * failed.cycle_ms:
+            lines.append(f"the answer itself takes up to {own[1]:.1f} ms (99 %): a faster processor, or --method none")
+        elif whole[2] > failed.cycle_ms:
+            lines.append("the program was not let run in time: stop other programs, keep to a core of its own (--core),"
+                         " permit real-time priority (rtprio in limits.conf), or take a real-time kernel")
+        return lines
+
+
+def held_cycles(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
+                core: int | None = None, seconds: float = 4.0, cycles_ms: tuple[int, ...] = CYCLES_MS,
+                progress: Progress = silent) -> HeldCycles:
+    """Plays rest to a process of its own that sends packets in real time.
+
+    Args:
+        robot, model, method: see ``rsi_server``; the kr6 if none is named.
+        core: processor core to keep to; None for any.
+        seconds: how long each cycle is tried [s].
+        cycles_ms: cycles that are tried, longest first [ms].
+        progress: called with the share that is done.
+    """
+    tests, granted = [], []
+    for i, cycle_ms in enumerate(cycles_ms):
+        progress(i / len(cycles_ms), f"{cycle_ms} ms")
+        name = robot if robot is not None or model is not None else "kr6"
+        arm, law, _, _ = prepared(robot=name, model=model, method=method, cycle=1e-3 * cycle_ms)
+        packets = round(1e3 * seconds / cycle_ms)
+        with RsiRobot(arm, port=0) as link:
+            server = RsiServer(link, law, np.tile(arm.home, (packets, 1)), 0)
+            words = [sys.executable, "-m", "scenes.rsi.pacer", str(link.address[1]), str(cycle_ms), str(packets),
+                     *(f"{angle:.6f}" for angle in link.axes.angles(arm.home))]
+            with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as pacer:
+                run = server.play(patience=30.0, core=core)
+                told = pacer.communicate(timeout=30.0 + 2 * seconds)[0]
+        delays = np.array([np.inf if delay is None else delay for delay in json.loads(told)])
+        # Silence after the pacer's last packet is how the test ends, not why it fails.
+        ended = run.failure is not None and len(run.recording.t) < 0.9 * packets
+        failure = run.failure if ended else None
+        tests.append(CycleTest(cycle_ms, delays[:-1], 1e3 * np.array(link.answer_times), failure))
+        granted = run.precautions
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    load = os.getloadavg()[0] / (os.cpu_count() or 1) if hasattr(os, "getloadavg") else float("nan")
+    return HeldCycles(tuple(tests), granted, load, cores)
+
+
+def _spread(times: Array) -> list[float]:
+    return [float(np.median(times)), float(np.percentile(times, 99)), float(np.max(times))] if len(times) else 3 * [
+        float("nan")]

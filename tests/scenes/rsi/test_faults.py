@@ -1,0 +1,133 @@
+"""What a real controller may do to the server: each ends on the path, within limits, with the cause named."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.robots.robot import Robot
+from ideal_robot.rsi.format import RsiFormat
+from scenes.rsi.run import RsiRun
+from scenes.rsi.setup import rsi_server
+from tests.scenes.rsi.test_rsi import motion, written
+from tests.sim.devices.lagging_controller import LaggingController, playing
+from tests.sim.devices.rsi_link import PATIENCE
+
+ROBOT = Robot.load("kr6")
+SIGN = np.array([-1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
+HOME = SIGN * np.degrees(ROBOT.home)
+
+
+def played(folder: Path, controller: LaggingController, **options) -> RsiRun:
+    path = written(folder, motion())
+    with rsi_server(path, **{"robot": "kr6", "method": "none", "port": 0, "cycle": controller.cycle, "rest": 0.4,
+                             **options}) as server:
+        server.link.timeout = PATIENCE
+        with playing(controller, server.link.address):
+            return server.play(patience=PATIENCE)
+
+
+def largest_acceleration(controller: LaggingController) -> Array:
+    """What the controller had to command, as a share of the arm's limit ``(n,)``."""
+    commanded = np.radians(controller.commanded)
+    return np.asarray(np.abs(np.diff(commanded, 2, axis=0)).max(axis=0) / controller.cycle**2 / ROBOT.a_max)
+
+
+def jump(cycle: int, measured: Array) -> Array:
+    return measured + (40.0 * np.eye(6)[1] if cycle > 70 else 0.0)
+
+
+@pytest.mark.parametrize(("fault", "relative", "says"), [
+    ({"gain": np.array([1, 1, 1, -1, 1, 1.0])}, False, r"joint 4 .*turns against.*axis_sign"),
+    ({"gain": np.array([1, 1, 1, -1, 1, 1.0]), "adds_up": True}, True, r"joint 4 .*turns against.*axis_sign"),
+    ({"tag": "AKorr"}, False, r"the arm does not move; check the tag"),
+    ({"gain": np.array([1, 1, 1, 1, 1, 0.0])}, False, r"joint 6 does not move"),
+    ({"adds_up": True}, False, r"adds up absolute corrections"),
+    ({"adds_up": False}, True, r"takes increments as absolute"),
+    ({"measured": jump}, False, r"measured position of joint 2 jumped by (39|40)°"),
+    ({"gain": np.full(6, 1.6)}, False, r"does not follow it"),
+])
+def test_an_arm_that_does_something_else_is_stopped_and_the_cause_named(tmp_path: Path, fault, relative, says) -> None:
+    controller = LaggingController(HOME, **fault)
+    run = played(tmp_path, controller, relative=relative)
+    assert run.failure is not None
+    assert re.search(says, run.failure), run.failure
+    assert "stopped on the path at" in run.failure
+    assert 40 < len(run.recording.t) < run.rows
+    assert np.all(largest_acceleration(controller) <= 1.0), largest_acceleration(controller)
+    # At rest in the end, also where the controller adds up.
+    assert np.max(np.abs(np.diff(controller.commanded[-5:], axis=0))) < 1e-3
+
+
+def test_an_arm_measured_elsewhere_than_commanded_is_not_moved(tmp_path: Path) -> None:
+    controller = LaggingController(HOME, measured=lambda _, at: at + 30.0 * np.eye(6)[2])
+    with pytest.raises(IdealRobotError, match=r"axis 3 is measured at .* before anything was sent"):
+        played(tmp_path, controller)
+    assert all(np.array_equal(row, HOME) for row in controller.commanded)
+
+
+def test_one_reading_that_cannot_be_is_missing_and_said(tmp_path: Path) -> None:
+    controller = LaggingController(HOME, measured=lambda k, at: at + (40.0 * (k == 70)))
+    run = played(tmp_path, controller)
+    assert run.failure is None
+    assert run.counts["implausible"] == 1
+
+
+def test_a_loop_that_answers_slowly_is_no_fault(tmp_path: Path) -> None:
+    assert played(tmp_path, LaggingController(HOME, lag=0.09)).failure is None
+
+
+@pytest.mark.parametrize(("rise", "says"), [(1, "rise by 1 a packet"), (0, "do not rise"), (None, "rise by 12 ms")])
+def test_how_time_stamps_rise_is_found(tmp_path: Path, rise: int | None, says: str) -> None:
+    controller = LaggingController(HOME, rise=rise)
+    path = written(tmp_path, motion())
+    with rsi_server(path, robot="kr6", method="none", port=0, rest=0.4) as server:
+        # In lockstep packets come as fast as they are answered, which on a real arm would be another cycle.
+        server.link.timeout, server.link.too_fast = PATIENCE, np.inf
+        with playing(controller, server.link.address):
+            run = server.play(patience=PATIENCE)
+    assert run.failure is None
+    assert says in run.stamps
+    np.testing.assert_allclose(np.diff(run.recording.t), ROBOT.t_ipo, atol=1e-9)
+
+
+def test_a_much_faster_pace_than_expected_is_refused_where_stamps_do_not_tell(tmp_path: Path) -> None:
+    run = played(tmp_path, LaggingController(HOME, rise=1))
+    assert run.failure is not None
+    assert "12 ms are expected" in run.failure
+    assert "--cycle" in run.failure
+
+
+LOSSES = {"one late answer": {"late": lambda k: k == 150},
+          "5 % lost": {"lost": lambda k: k > 20 and (k * 2654435761) % 2**32 < 0.05 * 2**32},
+          "5 % late": {"late": lambda k: k > 20 and (k * 2654435761) % 2**32 < 0.05 * 2**32}}
+
+
+@pytest.mark.parametrize("loss", [*LOSSES, "50 ms stalls"])
+@pytest.mark.parametrize("cycle", [0.004, 0.012])
+@pytest.mark.parametrize("mode", ["absolute", "increments", "increments held on"])
+def test_what_is_missed_is_made_good_within_the_limits(tmp_path: Path, loss: str, cycle: float, mode: str) -> None:
+    stall = {"held_back": lambda k: k % round(0.4 / cycle) < round(0.048 / cycle) and k > 20}
+    controller = LaggingController(HOME, cycle=cycle, adds_up=mode != "absolute",
+                                   goes_on=mode == "increments held on", **LOSSES.get(loss, stall))
+    run = played(tmp_path, controller, relative=mode != "absolute", method="ideal",
+                 form=RsiFormat(hold_on=mode != "increments"))
+    assert run.failure is None
+    assert run.counts["late"] + run.counts["lost"] > 0
+    commanded = np.radians(controller.commanded)
+    # The arm gets where it was to go, however many answers were missed.
+    np.testing.assert_allclose(commanded[-1] * SIGN, run.recording.joints("q_c")[-1], atol=1e-5)
+    speed = np.diff(commanded, axis=0) / cycle
+    bend = np.diff(speed, axis=0) / cycle
+    if mode == "increments held on":
+        assert np.all(np.abs(bend).max(axis=0) <= ROBOT.a_max), np.abs(bend).max(axis=0) / ROBOT.a_max
+    else:
+        # A controller that holds stops the arm at once by itself; what is ours is everything else.
+        own = np.abs(speed[1:]) > 1e-12
+        assert np.all((np.abs(bend) * own).max(axis=0) <= ROBOT.a_max), (np.abs(bend) * own).max(axis=0) / ROBOT.a_max
+    assert np.all(np.abs(speed) <= 1.6 * np.abs(np.diff(motion(), axis=0)).max(axis=0) / ROBOT.t_ipo + 0.1)
