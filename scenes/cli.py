@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib
 import os
+import signal
 import sys
+import warnings
 
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -47,15 +49,35 @@ def _register() -> None:
 
 
 def main() -> None:
-    """Entry point: exit code 0 done, 1 the job failed, 2 bad input, each with one clear line."""
+    """Entry point: exit code 0 done, 1 the job failed, 2 bad input, each with one clear line.
+
+    With ``IDEAL_ROBOT_DEBUG=1`` in the environment errors of the program itself show their traceback.
+    """
+    debug = os.environ.get("IDEAL_ROBOT_DEBUG", "") not in ("", "0")
+    if not debug:
+        warnings.simplefilter("ignore")
+    # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     _register()
     try:
         app()
-    except InputError as error:
-        print(f"ideal-robot: {shown(error)}", file=sys.stderr)
-        sys.exit(2)
     except IdealRobotError as error:
         print(f"ideal-robot: {shown(error)}", file=sys.stderr)
+        sys.exit(2 if isinstance(error, InputError) else 1)
+    except MemoryError:
+        print("ideal-robot: not enough memory for this; use shorter recordings or fewer at once", file=sys.stderr)
+        sys.exit(1)
+    except OSError as error:
+        if debug:
+            raise
+        print(f"ideal-robot: {shown(error)}", file=sys.stderr)
+        sys.exit(1)
+    except Exception as error:
+        if debug:
+            raise
+        reason = shown(f"{type(error).__name__}: {error}")[:300]
+        print(f"ideal-robot: cannot be computed from this input ({reason}); if the input is right, report it with what "
+              "IDEAL_ROBOT_DEBUG=1 in the environment shows", file=sys.stderr)
         sys.exit(1)
 
 

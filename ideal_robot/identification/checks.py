@@ -79,7 +79,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
 def _in_robot_order(recording: Recording, robot: Robot) -> Recording:
     """Columns renumbered where the recording names its joints (bags do, often in alphabetical order)."""
     names, wanted = recording.meta.get("joints"), list(robot.pinocchio.names)[1:]
-    if not names or names == wanted or set(names) != set(wanted):
+    if not isinstance(names, list) or names == wanted or sorted(map(str, names)) != sorted(wanted):
         return recording
     columns = dict(recording.columns)
     for prefix in {name.rsplit("_", 1)[0] for name in columns if name.endswith("_1")}:

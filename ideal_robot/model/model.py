@@ -24,12 +24,14 @@ from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.model_checks import require_consistent
 from ideal_robot.model.model_file import SCHEMA, read_values, write_values
 from ideal_robot.model.parametrisation import Parameter, described, sensitivity
 from ideal_robot.model.prediction import Prediction
 from ideal_robot.model.urdf_export import urdf_with_inertials
 from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.urdf import model_of
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
@@ -102,7 +104,7 @@ class Model:
     @cached_property
     def kinematics(self) -> pin.Model:
         """Pinocchio model of the URDF with its nominal inertias."""
-        return pin.buildModelFromXML(self.urdf)
+        return model_of(self.urdf, f"the URDF in the model of {self.robot_name}")
 
     @cached_property
     def dynamics(self) -> pin.Model:
@@ -269,7 +271,7 @@ class Model:
         """
         try:
             base = values["base"]
-            return cls(
+            model = cls(
                 robot_name=values["robot"]["name"], urdf=values["robot"]["urdf"],
                 urdf_hash=values["robot"]["urdf_hash"],
                 base=BaseParameters(tuple(base["full_names"]), tuple(base["full_units"]), tuple(base["independent"]),
@@ -284,8 +286,10 @@ class Model:
                 effects=tuple(FittedEffect.from_dict(entry) for entry in values.get("effects", [])),
                 provenance=dict(values.get("provenance", {})),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
             raise InputError(f"not a complete model file ({type(error).__name__}: {error})", file=file) from error
+        require_consistent(model, file)
+        return model
 
     def save(self, path: str | Path) -> Path:
         """Writes the model as JSON; nothing is left half-written."""

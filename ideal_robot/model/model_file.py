@@ -30,7 +30,7 @@ def read_values(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError("no such model file", file=path)
     values = read_json(path, "a model file")
-    if not isinstance(values, dict) or not isinstance(values.get("schema"), int):
+    if not isinstance(values, dict) or type(values.get("schema")) is not int:
         raise InputError("not a model file; expected JSON with a schema number", file=path, field="schema")
     if values["schema"] > SCHEMA:
         raise InputError(f"written by a later version; this one reads up to schema {SCHEMA}", file=path, field="schema",

@@ -6,7 +6,6 @@ Nothing here is identified and nothing comes from the simulator: it is what stan
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import resources
@@ -18,8 +17,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
+from ideal_robot.robots.drive_data import read_drive_data
 from ideal_robot.robots.joints import prismatic_joints
+from ideal_robot.robots.urdf import model_of
 
 SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
 
@@ -102,54 +104,33 @@ class Robot:
                 whose length is not the joint count.
         """
         urdf, data_path = _locate(name_or_urdf, data)
-        try:
-            model = pin.buildModelFromUrdf(str(urdf))
-        except Exception as error:
-            raise InputError(f"not a readable URDF ({error})", file=urdf) from error
-        if model.nv < 1:
-            raise InputError("the URDF has no moving joint", file=urdf)
-        if model.nq != model.nv:
-            raise InputError("only revolute (with limits) and prismatic joints are supported; "
-                             "replace continuous joints by revolute ones with limits", file=urdf)
-        values: dict[str, Any] = {}
-        if data_path is not None:
-            try:
-                values = tomllib.loads(data_path.read_text(encoding="utf-8"))
-            except (OSError, tomllib.TOMLDecodeError) as error:
-                raise InputError(f"not a readable robot data file ({error})", file=data_path) from error
-        joints = values.get("joints", {})
-        controller = values.get("controller", {})
+        model = model_of(read_text(urdf, "a URDF"), urdf)
+        drive, values = read_drive_data(data_path)
 
-        def per_joint(key: str, default: Any) -> Array:
-            array = np.asarray(joints.get(key, default), dtype=float)
-            if array.ndim == 0:
-                array = np.full(model.nv, float(array))
-            if array.shape != (model.nv,):
-                raise InputError(f"expected {model.nv} numbers, one per joint", file=data_path, field=f"joints.{key}",
-                                 value=joints.get(key))
-            return _frozen(array)
+        def per_joint(key: str) -> Array:
+            return _frozen(drive.per_joint(key, model.nv, data_path))
 
-        gear_ratio = per_joint("gear_ratio", 1.0)
+        gear_ratio = per_joint("gear_ratio")
         v_max = np.where(model.velocityLimit > 0, model.velocityLimit, np.inf)
         tau_max = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
         return cls(
-            name=str(values.get("name", urdf.stem)),
+            name=drive.name or urdf.stem,
             urdf=urdf,
             pinocchio=model,
-            tool_frame=_tool_frame(model, values.get("tool_frame"), data_path),
+            tool_frame=_tool_frame(model, drive.tool_frame, data_path),
             q_min=_frozen(model.lowerPositionLimit),
             q_max=_frozen(model.upperPositionLimit),
             v_max=_frozen(v_max),
-            a_max=per_joint("a_max", np.inf),
+            a_max=per_joint("a_max"),
             gear_ratio=gear_ratio,
             # The file gives rotor inertia and torque constant on the motor side, as data sheets do.
-            rotor_inertia=_frozen(per_joint("rotor_inertia", 0.0) * gear_ratio**2),
-            drive_gain=_frozen(per_joint("torque_constant", 1.0) * gear_ratio),
+            rotor_inertia=_frozen(per_joint("rotor_inertia") * gear_ratio**2),
+            drive_gain=_frozen(per_joint("torque_constant") * gear_ratio),
             tau_max=_frozen(tau_max),
-            t_ipo=float(controller.get("t_ipo", 0.012)),
-            t_position=float(controller.get("t_position", 0.002)),
-            t_velocity=float(controller.get("t_velocity", 0.0005)),
-            home=per_joint("home", 0.0),
+            t_ipo=float(drive.controller.t_ipo),
+            t_position=float(drive.controller.t_position),
+            t_velocity=float(drive.controller.t_velocity),
+            home=per_joint("home"),
             data=values,
         )
 

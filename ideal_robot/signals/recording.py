@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.signals.ros_bag import SUFFIXES, read_joint_states
+from ideal_robot.signals.table_file import read_table
 from ideal_robot.whole_file import whole_file
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
@@ -174,24 +175,17 @@ class Recording:
             InputError: no such file, not readable, or a column that is not numeric.
         """
         path = Path(path)
-        if not path.exists():
+        try:
+            there = path.is_file() or path.is_dir()
+        except OSError:  # e.g. a name that is too long
+            there = False
+        if not there:
             raise InputError("no such recording", file=path)
         if path.is_dir() or path.suffix in SUFFIXES:
             columns, meta = read_joint_states(path)
             return cls(columns, meta, str(path))
-        meta = {}
-        try:
-            if path.suffix == ".csv":
-                frame = pd.read_csv(path)
-            else:
-                table = pq.read_table(path)
-                raw = (table.schema.metadata or {}).get(b"ideal_robot")
-                meta = json.loads(raw) if raw else {}
-                frame = table.to_pandas()
-        except Exception as error:
-            raise InputError(f"not a readable recording ({error}); expected Parquet, CSV, a ROS 2 bag or MCAP",
-                             file=path) from error
-        return cls.from_frame(frame, meta=meta, source=str(path))
+        columns, meta = read_table(path)
+        return cls(columns, meta, str(path))
 
 
 def _own(values: Any, source: str, name: str) -> Array:

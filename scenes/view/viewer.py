@@ -11,7 +11,8 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.signals.recording import Recording
 
 
@@ -33,7 +34,8 @@ class Viewer:
             raise InputError("needs the package viser (pip install 'ideal-robot[view]')", field="view") from error
         self._robot = robot
         self._data = robot.pinocchio.createData()
-        self._geometry = pin.buildGeomFromUrdf(robot.pinocchio, str(robot.urdf), pin.GeometryType.VISUAL)
+        shapes = without_meshes(robot.urdf.read_text(encoding="utf-8"))
+        self._geometry = pin.buildGeomFromUrdfString(robot.pinocchio, shapes, pin.GeometryType.VISUAL)
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
         self.server.initial_camera.position = (2.6, -2.2, 1.7)
         self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
@@ -104,7 +106,8 @@ def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
     """
     recording = Recording.read(path)
     name = robot or recording.meta.get("robot")
-    if name is None:
+    # A recording may name an arm that ships with the program; files are opened only where the user says so.
+    if name is None or (robot is None and name not in SHIPPED):
         raise InputError("the recording does not say its robot; give --robot", file=path)
     arm = Robot.load(name)
     if arm.n != recording.n:

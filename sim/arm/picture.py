@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.urdf import without_meshes
 from sim.bullet import output_dropped, pybullet
 
 Picture = NDArray[np.uint8]
@@ -49,7 +52,7 @@ class Stage:
         self._names = list(robot.pinocchio.names)[1:]
         client = self._client = pybullet.connect(pybullet.DIRECT)
         with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
-            self._body = pybullet.loadURDF(str(robot.urdf), useFixedBase=True, physicsClientId=client)
+            self._body = _load(robot, client)
         self._order = {pybullet.getJointInfo(self._body, i, physicsClientId=client)[1].decode(): i
                        for i in range(pybullet.getNumJoints(self._body, physicsClientId=client))}
         self._place(q)
@@ -99,6 +102,14 @@ def picture(robot: Robot, q: Array, **view: Any) -> Picture:
     """
     with Stage(robot, q, **view) as stage:
         return stage.show(np.asarray(q, dtype=float))
+
+
+def _load(robot: Robot, client: int) -> int:
+    """The arm with its primitive shapes: Bullet would open whatever file a mesh names."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(without_meshes(robot.urdf.read_text(encoding="utf-8")), encoding="utf-8")
+        return int(pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client))
 
 
 def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,

@@ -1,0 +1,134 @@
+"""A URDF's text to Pinocchio's model, after checks of what Pinocchio takes on trust or only grumbles about."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.errors import InputError
+
+MAX_BYTES = 20_000_000
+"""Longest URDF [characters]."""
+MAX_JOINTS = 40
+"""Most moving joints: identification's matrices grow with their square."""
+MAX_ELEMENTS = 20_000
+"""Most XML elements."""
+_NUMBERS = ("xyz", "rpy", "mass", "lower", "upper", "effort", "velocity", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_LARGEST = 1e9
+"""Largest magnitude of a number, except of limits, which may be infinite."""
+
+
+def model_of(text: str, file: str | Path | None = None) -> pin.Model:
+    """The kinematics and nominal inertias of a URDF.
+
+    Args:
+        text: of the URDF. Nothing it names (meshes, entities) is opened.
+        file: where it comes from, for the message.
+
+    Raises:
+        InputError: broken XML, entities, numbers that are none, loops, no or too many moving joints, joints of other
+            kinds than revolute with limits and prismatic.
+    """
+    _check(text, file)
+    model = _built(text, file)
+    if model.nv < 1:
+        raise InputError("the URDF has no moving joint", file=file)
+    if model.nv > MAX_JOINTS:
+        raise InputError(f"the URDF has {model.nv} moving joints, at most {MAX_JOINTS} are supported", file=file)
+    if model.nq != model.nv:
+        raise InputError("only revolute (with limits) and prismatic joints are supported; "
+                         "replace continuous joints by revolute ones with limits", file=file)
+    for j in range(1, model.njoints):
+        if model.joints[j].nv != 1:
+            raise InputError("only joints of one degree of freedom are supported", file=file, field=model.names[j])
+        inertia = model.inertias[j]
+        numbers = np.concatenate([model.jointPlacements[j].homogeneous.ravel(), inertia.inertia.ravel(),
+                                  inertia.lever, [inertia.mass]])
+        if not np.all(np.isfinite(numbers)):
+            raise InputError("place or inertia is not finite", file=file, field=model.names[j])
+        if not model.lowerPositionLimit[j - 1] <= model.upperPositionLimit[j - 1]:
+            raise InputError("the lower limit lies above the upper one", file=file, field=model.names[j])
+    return model
+
+
+def without_meshes(text: str) -> str:
+    """The same URDF without what would make a viewer open other files: only primitive shapes stay."""
+    root = ET.fromstring(text)
+    for link in root.findall("link"):
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            if shape.find("./geometry/mesh") is not None:
+                link.remove(shape)
+    for element in root.iter("material"):
+        for texture in element.findall("texture"):
+            element.remove(texture)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _check(text: str, file: str | Path | None) -> None:
+    if len(text) > MAX_BYTES:
+        raise InputError(f"longer than {MAX_BYTES / 1e6:.0f} MB; is this a URDF?", file=file)
+    if "<!ENTITY" in text or "\0" in text:
+        raise InputError("declares entities or holds null characters; they are not read", file=file)
+    reader: Any = ET.XMLPullParser(events=("start", "end"))
+    depth, count = 0, 0
+    try:
+        for start in range(0, len(text), 20_000):
+            reader.feed(text[start : start + 20_000])
+            for event, element in reader.read_events():
+                if event == "end":
+                    depth -= 1
+                    continue
+                depth, count = depth + 1, count + 1
+                if depth > 30 or count > MAX_ELEMENTS:
+                    raise InputError("more elements or deeper nested than any arm needs", file=file)
+                if count == 1 and element.tag != "robot":
+                    raise InputError("not a URDF: the root element is not <robot>", file=file, value=element.tag[:40])
+                _check_numbers(element, file)
+        reader.close()
+    except (ET.ParseError, ValueError) as error:
+        raise InputError(f"not a readable URDF ({error})", file=file) from error
+    if count == 0:
+        raise InputError("not a URDF: it is empty", file=file)
+
+
+def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
+    keys = (*_NUMBERS, "value") if element.tag == "mass" else _NUMBERS
+    for key in keys:
+        if key not in element.attrib:
+            continue
+        written = element.attrib[key]
+        try:
+            numbers = [float(word) for word in written.split()]
+        except ValueError as error:
+            raise InputError("expected numbers", file=file, field=f"{element.tag}.{key}",
+                             value=written[:40]) from error
+        limit = math.inf if element.tag == "limit" else _LARGEST
+        if any(math.isnan(number) or abs(number) > limit for number in numbers):
+            raise InputError("a number that no arm has", file=file, field=f"{element.tag}.{key}", value=written[:40])
+
+
+def _built(text: str, file: str | Path | None) -> pin.Model:
+    """Pinocchio's model; what its URDF library writes to standard error meanwhile goes into our one line."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as said:
+        before = os.dup(2)
+        os.dup2(said.fileno(), 2)
+        try:
+            return pin.buildModelFromXML(text)
+        except Exception as error:  # the binding raises whatever the library leads to
+            said.seek(0)
+            reason = re.search(r"Error:\s*([^\n]*)", said.read().decode(errors="replace"))
+            shown = reason.group(1) if reason else " ".join(str(error).split())
+            raise InputError(f"not a readable URDF ({shown[:200]})", file=file) from error
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
