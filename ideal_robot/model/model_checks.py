@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from ideal_robot.errors import InputError
 from ideal_robot.model.controller_model import ControllerModel
 
-if TYPE_CHECKING:
-    from ideal_robot.model.model import Model
-
 _SYMBOLS = 12
 """Full parameters a joint: ten of its link, its rotor inertia, its torque offset."""
 
 
-def require_consistent(model: Model, file: Path | str | None = None) -> None:
+def require_consistent(model: Any, file: Path | str | None = None) -> None:
     """Refuses a model whose parts do not fit together.
 
     Args:
-        model: as read.
+        model: a ``Model`` as read (not named as its type: ``Model`` itself calls this).
         file: where it comes from, for the message.
 
     Raises:
@@ -102,7 +99,7 @@ def _controller(controller: ControllerModel, n: int, file: Path | str | None) ->
         raise InputError("expected a table", file=file, field="controller.std")
 
 
-def _effects(model: Model, n: int, file: Path | str | None) -> None:
+def _effects(model: Any, n: int, file: Path | str | None) -> None:
     for i, fitted in enumerate(model.effects):
         key = f"effects.{i}"
         if not 0 <= fitted.joint <= n:
