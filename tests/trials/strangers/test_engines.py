@@ -1,0 +1,128 @@
+"""Three engines, one mechanics: without friction they agree with each other and with Newton and Euler's equations."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.trials.strangers.plants import a_motion, a_plant, an_arm
+from trials.strangers import drive
+from trials.strangers.engines import ENGINES
+from trials.strangers.motion import STEP
+from trials.strangers.plant import BRISTLE, CONSTRAINT, DAHL, TANH, BalanceSpring, Coupling, Plant, Run
+
+
+def inverse_dynamics(plant: Plant, run: Run) -> np.ndarray:
+    """Torque that a run's motion takes at the middles of its steps, and the torque that acted there ``(2, M, n)``."""
+    q = run.q
+    v = np.diff(q, axis=0) / STEP
+    a = np.diff(v, axis=0) / STEP
+    data = plant.model.createData()
+    rows = np.arange(2000, len(a) - 5, 50)
+    taken = [pin.rnea(plant.model, data, q[k], v[k - 1], a[k - 1]) + plant.rotor * a[k - 1] for k in rows]
+    return np.array([taken, run.tau[rows]])
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_bare_arm_obeys_inverse_dynamics(engine: str) -> None:
+    arm = an_arm()
+    plant = a_plant(arm, friction=False)
+    taken, acted = inverse_dynamics(plant, ENGINES[engine](plant, a_motion(arm)))
+    scale = np.std(acted, axis=0)
+    # PyBullet's torque is the mean over its step, and its angles are one step ahead of the row's torque.
+    assert np.all(np.std(taken - acted, axis=0) < (0.05 if engine == "pybullet" else 0.01) * scale)
+
+
+def test_engines_agree_with_friction_off() -> None:
+    arm = an_arm()
+    plant, motion = a_plant(arm, friction=False), a_motion(arm)
+    runs = {name: play(plant, motion) for name, play in ENGINES.items()}
+    scale = np.std(runs["mujoco"].q, axis=0)
+    for name, run in runs.items():
+        # Our arm's controller hears of its command every 2 ms, through an interpolator; the others every step.
+        worst = 0.03 if name == "pybullet" else 2e-3
+        assert np.all(np.abs(run.q - runs["mujoco"].q[: len(run.q)]) < worst * scale)
+
+
+@pytest.mark.parametrize("kind", [CONSTRAINT, TANH, BRISTLE, DAHL])
+@pytest.mark.parametrize("stiffness", [np.inf, 5e4])
+def test_mujoco_and_integrator_agree_with_friction(kind: int, stiffness: float) -> None:
+    """Different ways through standstill: the torques of a whole motion still differ by little."""
+    arm = an_arm()
+    plant, motion = a_plant(arm, kind=kind, stiffness=stiffness), a_motion(arm)
+    one, two = (ENGINES[name](plant, motion) for name in ("mujoco", "integrator"))
+    assert np.all(np.std(one.tau - two.tau, axis=0) < 0.05 * np.std(one.tau, axis=0))
+    twist = np.abs(one.q - one.qa).max()
+    assert twist > 1e-5 if np.isfinite(stiffness) else twist == 0.0
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
+def test_arm_sticks_at_rest(engine: str) -> None:
+    """With dry friction above what pushes, nothing moves but by the engine's own creep, less than 5 mrad/s."""
+    arm = an_arm()
+    plant = a_plant(arm)
+    block = plant.block.copy()
+    block[drive.COULOMB] = 1e3 * arm.need
+    block[[drive.C_KP, drive.C_KI]] = 0.0
+    motion = a_motion(arm, 0.5)
+    run = ENGINES[engine](dataclasses.replace(plant, block=block), motion)
+    assert np.abs(run.q - run.q[0]).max() < (2.5e-3 if engine == "mujoco" else 1e-9)
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_tilted_base_changes_torque_by_gravity_alone(engine: str) -> None:
+    arm = an_arm()
+    plant, motion = a_plant(arm, friction=False), a_motion(arm)
+    model = plant.model.copy()
+    model.gravity.linear = pin.exp3(np.deg2rad(3.0) * np.array([1.0, 0.0, 0.0])) @ model.gravity.linear
+    tilted = dataclasses.replace(plant, model=model)
+    one, two = ENGINES[engine](plant, motion), ENGINES[engine](tilted, motion)
+    rows = np.arange(2000, len(one.t), 100)
+    expected = np.array([tilted.holding(one.q[k]) - plant.holding(one.q[k]) for k in rows])
+    change = (two.tau - one.tau)[rows]
+    assert np.std(change - expected) < 0.1 * np.std(expected)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
+def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
+    """Springs are torques of the angle, a shaft is inertia and friction of two speeds."""
+    arm = an_arm()
+    plant, motion = a_plant(arm, friction=False), a_motion(arm)
+    plain = ENGINES[engine](plant, motion)
+    rows = np.arange(2000, len(plain.t), 50)
+    q = plain.q
+    v, a = np.gradient(q, STEP, axis=0), np.gradient(np.gradient(q, STEP, axis=0), STEP, axis=0)
+
+    stretched = BalanceSpring(1, 200.0, 0.1, 0.5, 0.2, 0.4)
+    change = ENGINES[engine](dataclasses.replace(plant, spring=stretched), motion).tau - plain.tau
+    x = q[:, 1] - 0.4
+    length = np.sqrt(0.29 - 0.2 * np.cos(x))
+    expected = 200.0 * (length - 0.1) * 0.1 * np.sin(x) / length
+    assert np.std((change[:, 1] - expected)[rows]) < 0.1 * np.std(expected[rows])
+
+    block = plant.block.copy()
+    block[drive.CABLE, 1], block[drive.CABLE_REST, 1] = 30.0, 0.2
+    change = ENGINES[engine](dataclasses.replace(plant, block=block), motion).tau - plain.tau
+    expected = 30.0 * (q[:, 1] - 0.2)
+    assert np.std((change[:, 1] - expected)[rows]) < 0.1 * np.std(expected[rows])
+
+    inertia = float(plant.rotor[2])
+    shaft = Coupling(2, 1, -1.0, inertia, 0.5 * inertia, 0.0)
+    change = ENGINES[engine](dataclasses.replace(plant, coupling=shaft), motion).tau - plain.tau
+    expected = inertia * (a[:, 2] - a[:, 1]) + 0.5 * inertia * (v[:, 2] - v[:, 1])
+    assert np.std((change[:, 2] - expected)[rows]) < 0.2 * np.std(expected[rows])
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: str) -> None:
+    arm = an_arm()
+    gap = np.zeros(arm.n)
+    gap[1] = 4e-3
+    plant = dataclasses.replace(a_plant(arm), gap=gap)
+    run = ENGINES[engine](plant, a_motion(arm, 4.0))
+    twist = (run.q - run.qa)[1000:, 1]
+    assert np.percentile(np.abs(twist), 80) > 1.7e-3
+    assert np.abs((run.q - run.qa)[:, 0]).max() == 0.0

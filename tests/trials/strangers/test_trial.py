@@ -1,0 +1,66 @@
+"""Trials follow from their seeds, and are of the size that they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.trials.strangers.plants import a_motion, a_plant, an_arm
+from trials.strangers.effects import INSIDE, Setup, torque_filter
+from trials.strangers.engines import ENGINES
+from trials.strangers.logger import draw_logger, record
+from trials.strangers.trial import KINDS, SHARES, draw_trial
+from trials.strangers.visible import read, sizes
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_a_seed_gives_the_same_recording_bit_for_bit(engine: str) -> None:
+    one, two = (draw_trial(7, "none", engine, seconds=(4.0, 5.0)) for _ in range(2))
+    assert one.recording.hash == two.recording.hash
+    assert one.urdf == two.urdf
+    assert draw_trial(10, "none", engine, seconds=(4.0, 5.0)).recording.hash != one.recording.hash
+
+
+def test_size_that_came_out_is_near_the_one_drawn() -> None:
+    trial = draw_trial(12, "inside", "integrator", (4.0, 5.0), (8.0, 10.0))
+    assert 4.0 / 1.7 <= trial.causes[0].size <= 5.0 * 1.7
+    assert trial.recording.n >= 2
+
+
+def test_a_third_of_the_trials_and_more_hold_nothing() -> None:
+    assert SHARES[KINDS.index("none")] > 1.0 / 3.0
+    assert sum(SHARES) == pytest.approx(1.0)
+
+
+def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
+    arm = an_arm()
+    rng = np.random.default_rng(2)
+    setup = Setup(a_plant(arm), draw_logger(rng, arm.n, ()))
+    motion = a_motion(arm, 8.0)
+    effect = INSIDE["cable_spring"](rng, setup, 1)
+    assert effect is not None
+
+    def seen(amount: float) -> float:
+        changed = effect.apply(setup, amount)
+        return float(sizes(healthy, read(record(changed.logger, changed.plant, ENGINES["integrator"](
+            changed.plant, motion)), arm.model), absorbed=True)[1])
+
+    healthy = read(record(setup.logger, setup.plant, ENGINES["integrator"](setup.plant, motion)), arm.model)
+    assert seen(0.0) == 0.0
+    assert seen(4.0) > 1.5 * seen(2.0) > 0.0
+
+
+def test_filter_of_all_torques_is_late_by_its_time_constant() -> None:
+    arm = an_arm()
+    rng = np.random.default_rng(2)
+    setup = Setup(a_plant(arm), draw_logger(rng, arm.n, ()))
+    run = ENGINES["integrator"](setup.plant, a_motion(arm, 8.0))
+    effect = torque_filter(rng, setup, 0)
+    assert effect is not None
+    late = effect.apply(setup, 2.0)
+    one, two = (record(s.logger, s.plant, run) for s in (setup, late))
+    slope = np.gradient(one.joints("tau"), one.t, axis=0)
+    change = two.joints("tau") - one.joints("tau")
+    lag = -np.sum(change * slope, axis=0) / np.sum(slope**2, axis=0)
+    assert np.all(lag > 0.0)
+    assert effect.values(2.0)["torque_filter", 0, "time constant"] == pytest.approx(6e-3)

@@ -1,0 +1,232 @@
+"""A trial: arm, plant, motion, logger and effect drawn from one seed, played in one engine."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.signals.recording import Recording
+from trials.strangers.arm import draw_arm
+from trials.strangers.effects import (
+    AGAINST_MODEL,
+    ARM,
+    INSIDE,
+    NEW,
+    NOT_IN,
+    OUTSIDE,
+    Draw,
+    Drawn,
+    Setup,
+    Values,
+)
+from trials.strangers.engines import ENGINES
+from trials.strangers.equivalents import right_names
+from trials.strangers.logger import Logger, draw_logger, record
+from trials.strangers.motion import Motion, draw_motion
+from trials.strangers.plant import (
+    BRISTLE,
+    DAHL,
+    REGULARISATIONS,
+    Plant,
+    Run,
+    draw_plant,
+)
+from trials.strangers.visible import Reading, read, sizes, twist_sizes
+
+KINDS = ("none", "inside", "new", "outside", "two", "model", "arm")
+SHARES = (0.38, 0.20, 0.09, 0.09, 0.09, 0.10, 0.05)
+_POOLS: dict[str, dict[str, Draw]] = {
+    "inside": INSIDE, "new": NEW, "outside": OUTSIDE, "two": INSIDE, "model": AGAINST_MODEL, "arm": ARM}
+_CLOSE = 1.7
+"""By what the size that came out may differ from the one drawn."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What was put into a recording.
+
+    Attributes:
+        name, joint: as drawn; joint from 1, 0 for the whole arm.
+        size: as it came out, in multiples of visible.
+        right: names with joints that are right for it.
+        outside: whether the library has no name for it.
+    """
+
+    name: str
+    joint: int
+    size: float
+    right: frozenset[tuple[str, int]]
+    outside: bool
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One trial.
+
+    Attributes:
+        seed, kind, engine: what it was drawn from.
+        recording, urdf: for the diagnosis.
+        reference: a healthy recording of the same arm, where a model is to be known before; else None.
+        causes: what is in the recording; empty for none.
+        healthy: names with joints that are true of the plant without any cause.
+        values: true numbers of parameters by effect, joint, parameter.
+        arm, motion, logger, controller, friction, gears: what was drawn, in a word each.
+    """
+
+    seed: int
+    kind: str
+    engine: str
+    recording: Recording
+    urdf: str
+    reference: Recording | None
+    causes: tuple[Cause, ...]
+    healthy: frozenset[tuple[str, int]]
+    values: Values
+    arm: str
+    motion: str
+    logger: str
+    controller: str
+    friction: str
+    gears: str
+
+
+def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
+               size: tuple[float, float] = (0.5, 10.0), seconds: tuple[float, float] = (20.0, 45.0)) -> Trial:
+    """Draws a trial.
+
+    Args:
+        seed: everything follows from it.
+        kind: one of ``KINDS``; drawn if None, more than a third of them ``none``.
+        engine: one of ``ENGINES``; by turns with the seed if None.
+        size: range of the effect's size in multiples of visible, drawn evenly in its logarithm.
+        seconds: range of the recording's length [s].
+    """
+    rng = np.random.default_rng([seed, 40013])
+    drawn_kind = str(rng.choice(KINDS, p=SHARES))
+    kind = drawn_kind if kind is None else kind
+    engine = list(ENGINES)[seed % len(ENGINES)] if engine is None else engine
+    for _ in range(25):
+        try:
+            trial = _attempt(rng, seed, kind, engine, size, seconds)
+        except RuntimeError:
+            # A plant that its controller cannot hold is no trial.
+            continue
+        if trial is not None:
+            return trial
+    raise RuntimeError(f"no trial of kind {kind} in {engine} from seed {seed}")
+
+
+def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
+             size: tuple[float, float], seconds: tuple[float, float]) -> Trial | None:
+    arm = draw_arm(rng)
+    plant = draw_plant(rng, arm)
+    if engine == "pybullet":
+        plant = dataclasses.replace(_with_cascade(rng, plant), regularisation=np.full(arm.n, BRISTLE))
+    duration = float(rng.uniform(*seconds))
+    motion = draw_motion(rng, arm, duration)
+    qa = tuple(range(int(rng.integers(min(2, arm.n), arm.n + 1)))) if kind == "arm" else None
+    healthy = _Player(Setup(plant, draw_logger(rng, arm.n, qa)), engine, motion)
+    drawn = _effects(rng, kind, engine, healthy.setup)
+    if drawn is None:
+        return None
+    setup, causes, values = healthy.setup, [], {}
+    for effect in drawn:
+        target = float(np.exp(rng.uniform(*np.log(size))))
+        found = healthy.scaled(effect, target, kind)
+        if found is None:
+            return None
+        amount, seen = found
+        setup = effect.apply(setup, amount)
+        values.update(effect.values(amount))
+        outside = kind == "outside"
+        right = frozenset({("unknown", effect.joint)}) if outside else right_names(
+            effect.name, effect.joint, arm.n, setup.logger.qa)
+        causes.append(Cause(effect.name, effect.joint, seen, right, outside))
+    run = healthy.run if not drawn else ENGINES[engine](setup.plant, motion)
+    reference = None
+    if kind == "model":
+        again = draw_motion(rng, arm, duration, motion.kind)
+        other = dataclasses.replace(healthy.setup.logger, seed=int(rng.integers(2**31)))
+        reference = record(other, plant, ENGINES[engine](plant, again))
+    logger = setup.logger
+    return Trial(
+        seed, kind, engine, record(logger, setup.plant, run), arm.urdf, reference, tuple(causes),
+        _truly_there(setup), values, f"{arm.name}/{arm.n}", motion.kind, logger.torque, plant.controller,
+        REGULARISATIONS[int(plant.regularisation[0])], "elastic" if plant.elastic.any() else "rigid")
+
+
+def _with_cascade(rng: np.random.Generator, plant: Plant) -> Plant:
+    """The same plant under the cascade that our arm always has."""
+    if plant.controller == "cascade":
+        return plant
+    while True:
+        other = draw_plant(rng, plant.arm)
+        if other.controller == "cascade":
+            return other
+
+
+def _effects(rng: np.random.Generator, kind: str, engine: str, setup: Setup) -> list[Drawn] | None:
+    """Effects of a trial, no two of them at one joint; None where the plant cannot have the one drawn."""
+    if kind == "none":
+        return []
+    result: list[Drawn] = []
+    pool = {name: draw for name, draw in _POOLS[kind].items() if name not in NOT_IN.get(engine, frozenset())}
+    joints = rng.permutation(setup.plant.n)
+    for j in joints[: 2 if kind == "two" else 1]:
+        effect = pool[str(rng.choice(sorted(pool)))](rng, setup, int(j))
+        if effect is None:
+            return None
+        result.append(effect)
+    return result
+
+
+def _truly_there(setup: Setup) -> frozenset[tuple[str, int]]:
+    """What is true of the plant and its logger beside the causes, see ``equivalents.HEALTHY``."""
+    plant, found = setup.plant, set()
+    for j in range(plant.n):
+        if plant.regularisation[j] in (BRISTLE, DAHL):
+            found.add(("presliding_hysteresis", j + 1))
+        if np.isfinite(plant.stiffness[j]) and np.isfinite(plant.stiffness).all():
+            found |= {("joint_elasticity", j + 1), ("arm:joint_elasticity", j + 1)}
+    if setup.logger.late > 2e-4:
+        found |= {("torque_filter", 0), ("dead_time", 0)}
+    return frozenset(found)
+
+
+class _Player:
+    """The healthy twin, played once, against which effects are sized."""
+
+    def __init__(self, setup: Setup, engine: str, motion: Motion) -> None:
+        self.engine, self.motion = engine, motion
+        self.run = ENGINES[engine](setup.plant, motion)
+        noise: Array = setup.logger.noise * np.std(self.run.tau, axis=0)
+        self.setup = Setup(setup.plant, dataclasses.replace(setup.logger, noise=noise))
+        self._reading: Reading | None = None
+
+    def scaled(self, effect: Drawn, target: float, kind: str) -> tuple[float, float] | None:
+        """Amount of an effect that makes it about as large as wanted, and how large it became; None where it cannot."""
+        if self._reading is None:
+            self._reading = self._read(self.setup, self.run)
+        amount = min(1.0, effect.largest)
+        for _ in range(3):
+            changed = effect.apply(self.setup, amount)
+            run = self.run if changed.plant is self.setup.plant else ENGINES[self.engine](changed.plant, self.motion)
+            reading = self._read(changed, run)
+            if kind == "arm":
+                every = twist_sizes(self._reading, reading)
+            else:
+                every = sizes(self._reading, reading, absorbed=kind != "model")
+            seen = float(np.max(every) if effect.joint == 0 else every[effect.joint - 1])
+            if target / _CLOSE <= seen <= target * _CLOSE:
+                return amount, seen
+            if seen < 1e-6 or amount * target / seen > effect.largest:
+                return None
+            amount *= target / seen
+        return None
+
+    def _read(self, setup: Setup, run: Run) -> Reading:
+        plain: Logger = dataclasses.replace(setup.logger, jitter=0.0, dropped=0.0, spikes=0.0, temp=(), xy=False)
+        return read(record(plain, setup.plant, run), setup.plant.arm.model)
