@@ -62,7 +62,7 @@ def robot_of(plant: Plant, folder: Path) -> Robot:
     robot, n = Robot.load(path), plant.n
     # The world counts the ripple's order per motor turn.
     order = np.where(plant.block[drive.RIPPLE] != 0.0, plant.block[drive.RIPPLE_ORDER], 1.0)
-    return dataclasses.replace(robot, model=plant.model, rotor_inertia=plant.rotor, drive_gain=np.ones(n),
+    return dataclasses.replace(robot, pinocchio=plant.model, rotor_inertia=plant.rotor, drive_gain=np.ones(n),
                                tau_max=1.0e3 * plant.arm.need, v_max=np.full(n, np.inf), gear_ratio=order,
                                q_min=np.full(n, -1e3), q_max=np.full(n, 1e3), t_ipo=_CYCLE)
 
