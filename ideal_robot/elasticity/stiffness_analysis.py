@@ -21,6 +21,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import recordings_of
+from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
 
 CLAMPED_METHODS: tuple[Method, ...] = ("motor", "wrench")
@@ -97,7 +98,8 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         raise InputError("expected motor, wrench or both", field="method", value=method)
     recordings = recordings_of(recordings, "recordings")
     hung = [one for one in recordings if "payload" in one.columns]
-    signals = tuple(clamped_signals(one, robot) for one in recordings if "payload" not in one.columns)
+    pushed, warnings = _plausible([one for one in recordings if "payload" not in one.columns], robot)
+    signals = tuple(clamped_signals(one, robot) for one in pushed)
     wanted = [one for one in CLAMPED_METHODS if method in (one, "both")]
     if method == "both":
         # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
@@ -115,7 +117,22 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         joints.extend(identify_stiffness(standing, robot, one, tolerances))
     if hung:
         joints.extend(identify_from_payloads(hung, robot))
-    return StiffnessAnalysis(robot, tuple(joints), standing, bool(clamp), _warnings(signals, robot, joints))
+    return StiffnessAnalysis(robot, tuple(joints), standing, bool(clamp),
+                             (*warnings, *_warnings(signals, robot, joints)))
+
+
+def _plausible(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recording], list[str]]:
+    """The clamped recordings without samples that cannot be, and warnings."""
+    usable, warnings = [], []
+    for one in recordings:
+        if one.n != robot.n:
+            raise InputError(f"recording has {one.n} joints, the robot {robot.n}", file=one.source, field="q_i")
+        joints = range(1, one.n + 1)
+        driven = [f"{key}_{i}" for key in ("current", "tau") for i in joints if one.has(key)]
+        one, found = plausible(one, [f"q_{i}" for i in joints], driven)
+        usable.append(one)
+        warnings += [f"{one.source}: {text}" for text in found]
+    return usable, warnings
 
 
 def _allows(signals: ClampedSignals, method: Method) -> bool:

@@ -12,8 +12,9 @@ import numpy as np
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.units import require_joint_units, require_metres, require_seconds
+from ideal_robot.signals.units import require_joint_units, require_metres
 
 _MINIMUM_DURATION = 1.0
 _STILL = 1e-3
@@ -45,15 +46,14 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     if not recording.has("tau"):
         recording, text = _with_torque(recording, robot)
         warnings += text
-    recording, text = _finite(recording)
+    # Units first, of practically all samples: degrees would look like jumps, and a jump like degrees.
+    q = recording.joints("q")
+    if np.isfinite(q).all(axis=1).any():
+        require_joint_units(np.nanquantile(q, [0.01, 0.99], axis=0), robot, file=source)
+    names = range(1, n + 1)
+    recording, text = plausible(recording, [f"q_{i}" for i in names], [f"tau_{i}" for i in names])
     warnings += text
     t = recording.t
-    backwards = np.flatnonzero(np.diff(t) <= 0)
-    if len(backwards):
-        k = backwards[0]
-        raise InputError(f"time does not increase at sample {k + 1} (t = {t[k + 1]:.6g} s after {t[k]:.6g} s); sort "
-                         "the samples or cut the recording there", file=source, field="t")
-    require_seconds(t, file=source)
     if len(t) < 100 or t[-1] - t[0] < _MINIMUM_DURATION:
         raise InputError(f"too short: at least {_MINIMUM_DURATION:g} s and 100 samples are needed", file=source,
                          field="t", value=f"{len(t)} samples, {t[-1] - t[0]:.3g} s" if len(t) else "0 samples")
@@ -101,23 +101,3 @@ def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[st
         warnings.append("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
                         "parameters")
     return replace(recording, columns=columns), warnings
-
-
-def _finite(recording: Recording) -> tuple[Recording, list[str]]:
-    """Without samples in which a needed column is not a number; too many of them are an error."""
-    needed = ["t", *[f"{key}_{i + 1}" for key in ("q", "tau") for i in range(recording.n)]]
-    bad = np.zeros(len(recording.t), dtype=bool)
-    worst = ""
-    for name in needed:
-        here = ~np.isfinite(recording.columns[name])
-        if here.any() and not worst:
-            worst = name
-        bad |= here
-    if not bad.any():
-        return recording, []
-    if bad.mean() > 0.05:
-        raise InputError(f"{bad.sum()} of {len(bad)} samples are not numbers (NaN); at most 5 % can be left out",
-                         file=recording.source, field=worst)
-    columns = {name: np.ascontiguousarray(values[~bad]) for name, values in recording.columns.items()}
-    return (replace(recording, columns=columns),
-            [f"not-a-number: {bad.sum()} samples with NaN (first in {worst}) are left out"])

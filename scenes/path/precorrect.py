@@ -20,6 +20,7 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import SHIPPED, Robot
+from ideal_robot.signals.plausible import checked_time
 from ideal_robot.signals.recording import Recording
 from scenes.report.page import Report
 
@@ -119,6 +120,7 @@ def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> t
     for name, column in zip(found, q.T, strict=True):
         if not np.isfinite(column).all():
             raise InputError("holds values that are not finite", file=path, field=name)
+    checked_time(t, str(path))
     grid = np.arange(t[0], t[-1] + 1e-9, arm.t_ipo)
     if len(grid) == len(t) and np.allclose(grid, t, atol=1e-6):
         samples = q

@@ -1,0 +1,155 @@
+"""Values that cannot be: samples that are not numbers, spikes, positions and clocks that jump.
+
+Single bad samples are left out and named; where a recording as a whole cannot be trusted it is refused. A recording
+without any of it comes back as it is, bit for bit. One check for identification, diagnosis and stiffness alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.units import require_seconds
+
+MOST_LEFT_OUT = 0.05
+"""Largest share of samples that may be left out."""
+LONGEST_PAUSE = 600.0
+"""Longest time between two samples [s]; the clock was set, or two recordings joined, where it is longer."""
+_NAMED_PAUSE = 1.0
+_HALF = 2
+"""Samples to either side that a sample is compared with: bursts of up to two are seen."""
+_WINDOW = 2 * _HALF + 1
+_FASTEST = 15.0
+"""No joint of an arm moves faster [rad/s, m/s]."""
+_STRONGER = 50.0
+"""How many times as far from its neighbours as nearly all others a spike of a torque lies ..."""
+_BEYOND = 2.0
+"""... and how many times the span of the signal."""
+
+
+def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[str]
+              ) -> tuple[Recording, list[str]]:
+    """The recording without samples that cannot be, and named warnings.
+
+    Args:
+        recording: to be checked.
+        positions: columns of joint positions ``(N,)`` [rad, m].
+        torques: columns of torques, currents or forces ``(N,)``.
+
+    Raises:
+        InputError: time runs backwards or jumps, a position jumps and stays, more than ``MOST_LEFT_OUT`` is bad.
+    """
+    recording, warnings = _numbers(recording, ["t", *positions, *torques])
+    warnings += checked_time(recording.t, recording.source)
+    bad = np.zeros(len(recording.t), dtype=bool)
+    found: dict[str, NDArray[np.bool_]] = {}
+    for name in positions:
+        found[name] = _position_spikes(recording.columns[name], recording.t)
+    for name in torques:
+        found[name] = _torque_spikes(recording.columns[name])
+    for name, here in found.items():
+        if here.any():
+            first = int(np.argmax(here))
+            warnings.append(f"spike: {np.count_nonzero(here)} samples of {name} that cannot be are left out (first at "
+                            f"t = {recording.t[first]:.6g} s: {recording.columns[name][first]:.4g})")
+            bad |= here
+    if bad.any():
+        worst = max(found, key=lambda name: np.count_nonzero(found[name]))
+        recording = _without(recording, bad, worst, "are spikes")
+    for name in positions:
+        _refuse_jump(recording, name)
+    return recording, warnings
+
+
+def checked_time(t: Array, source: str) -> list[str]:
+    """Warnings about times ``(N,)`` [s].
+
+    Raises:
+        InputError: not finite, not increasing, or a pause of more than ``LONGEST_PAUSE``.
+    """
+    if not np.all(np.isfinite(t)):
+        raise InputError("times are not numbers", file=source, field="t")
+    require_seconds(t, file=source)
+    steps = np.diff(t)
+    backwards = np.flatnonzero(steps <= 0)
+    if len(backwards):
+        k = int(backwards[0])
+        raise InputError(f"time does not increase at sample {k + 1} (t = {t[k + 1]:.6g} s after {t[k]:.6g} s); sort "
+                         "the samples or cut the recording there", file=source, field="t")
+    if len(steps) == 0:
+        return []
+    k = int(np.argmax(steps))
+    if steps[k] > LONGEST_PAUSE:
+        raise InputError(f"the clock jumps by {steps[k]:.6g} s at sample {k + 1}; cut the recording there", file=source,
+                         field="t", value=float(t[k + 1]))
+    if steps[k] > max(_NAMED_PAUSE, 5.0 * float(np.median(steps))):
+        return [f"pause: {np.count_nonzero(steps > max(_NAMED_PAUSE, 5.0 * float(np.median(steps))))} pauses, the "
+                f"longest of {steps[k]:.4g} s after t = {t[k]:.6g} s; nothing near them is used"]
+    return []
+
+
+def _numbers(recording: Recording, needed: Sequence[str]) -> tuple[Recording, list[str]]:
+    bad = np.zeros(len(recording.t), dtype=bool)
+    worst = ""
+    for name in needed:
+        here = ~np.isfinite(recording.columns[name])
+        if here.any() and not worst:
+            worst = name
+        bad |= here
+    if not bad.any():
+        return recording, []
+    return (_without(recording, bad, worst, "are not numbers (NaN)"),
+            [f"not-a-number: {bad.sum()} samples with NaN (first in {worst}) are left out"])
+
+
+def _without(recording: Recording, bad: NDArray[np.bool_], column: str, what: str) -> Recording:
+    if bad.mean() > MOST_LEFT_OUT:
+        raise InputError(f"{bad.sum()} of {len(bad)} samples {what}; at most {100 * MOST_LEFT_OUT:g} % can be left out",
+                         file=recording.source, field=column)
+    return replace(recording, columns={name: np.ascontiguousarray(values[~bad])
+                                       for name, values in recording.columns.items()})
+
+
+def _away(values: Array) -> Array:
+    """Distance of each sample from the median of its neighbourhood ``(N,)``."""
+    return np.asarray(np.abs(values - median_filter(values, _WINDOW, mode="nearest")))
+
+
+def _position_spikes(q: Array, t: Array) -> NDArray[np.bool_]:
+    if len(q) < 2 * _WINDOW:
+        return np.zeros(len(q), dtype=bool)
+    around = np.pad(t, _HALF, mode="edge")
+    time = np.maximum(0.5 * (around[2 * _HALF:] - around[: -2 * _HALF]), _HALF * float(np.median(np.diff(t))))
+    return np.asarray(_away(q) > _FASTEST * time)
+
+
+def _torque_spikes(tau: Array) -> NDArray[np.bool_]:
+    if len(tau) < 2 * _WINDOW:
+        return np.zeros(len(tau), dtype=bool)
+    low, high = np.quantile(tau, [0.005, 0.995])
+    # Cheap first look: a spike leaves the span of the signal.
+    if not np.any((tau > high + (high - low)) | (tau < low - (high - low))):
+        return np.zeros(len(tau), dtype=bool)
+    away = _away(tau)
+    return np.asarray((away > _STRONGER * np.quantile(away, 0.95)) & (away > _BEYOND * (high - low)) & (away > 0))
+
+
+def _refuse_jump(recording: Recording, name: str) -> None:
+    q, t = recording.columns[name], recording.t
+    if len(q) < 2 * _WINDOW:
+        return
+    steps, times = np.abs(np.diff(q)), np.diff(t)
+    usual = float(np.median(times))
+    # After a pause the arm may stand elsewhere.
+    jumps = (steps > _FASTEST * np.maximum(times, _HALF * usual)) & (times < 5.0 * usual)
+    if jumps.any():
+        k = int(np.argmax(jumps))
+        raise InputError(f"the position jumps by {q[k + 1] - q[k]:.4g} from one sample to the next at t = "
+                         f"{t[k]:.6g} s; cut the recording there", file=recording.source, field=name)
