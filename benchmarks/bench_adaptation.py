@@ -21,10 +21,10 @@ from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
+from scenes import load_scene
 from scenes.models import model_for
-from scenes.path.methods import Workshop
+from scenes.path.cell import PathCell
 from scenes.path.scene import joint_path
-from scenes.scene import load_scene
 from sim.arm.arm import SimulatedArm
 from sim.arm.friction import steady_friction
 from sim.arm.specimen import draw_specimen
@@ -45,7 +45,7 @@ def main() -> None:
     world = World.default(robot.name).replace(correction_delay=False, start_temperature=22.0,
                                               time_compression=options.compression)
     path = joint_path(scene, robot, world.t_ipo)
-    place = Workshop(robot, world, model_for(scene, robot), path, "tcp", scene.seed)
+    place = PathCell(robot, world, model_for(scene, robot), path, "tcp", scene.seed)
     loop = place.loop()
     circle = path.q_d[path.counts]
     # Back to the start without a jump: the circle ends where it began.

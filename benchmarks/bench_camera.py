@@ -221,10 +221,10 @@ def calibration(seeds: int) -> list[dict[str, Any]]:
 def calibration_in_scenes(seeds: int) -> list[dict[str, Any]]:
     """The simulated arm driven over the line of a scene, all world effects on; lateral error left."""
     from ideal_robot.elasticity.deflection import GearDeflection
+    from scenes import load_scene
     from scenes.line.calibration import calibrate_by_moving
     from scenes.line.cell import set_up
     from scenes.models import model_for
-    from scenes.scene import load_scene
     from sensing.camera.line_detection import DetectionSettings
     from sim.arm.arm import SimulatedArm
 

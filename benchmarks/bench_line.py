@@ -14,7 +14,7 @@ import numpy as np
 
 from scenes import load_scene
 from scenes.line.cell import prepared
-from scenes.line.play import run
+from scenes.line.kind import run
 
 RUNS = 5
 

@@ -2,7 +2,7 @@
 
 from scenes import load_scene
 from scenes.line.cell import prepared
-from scenes.line.play import run
+from scenes.line.kind import run
 
 for latency in (0.02, 0.04, 0.08):
     scene = load_scene("line").changed(camera={"latency": latency})

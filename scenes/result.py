@@ -3,20 +3,43 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ideal_robot.progress import Progress, silent
 
-__all__ = ["Progress", "RunResult", "silent"]
+if TYPE_CHECKING:
+    from ideal_robot.diagnosis import Diagnosis
+
+__all__ = ["CompareResult", "LoopResult", "Progress", "RunResult", "part_of", "silent"]
+
+
+def part_of(progress: Progress, start: float, share: float, key: str = "") -> Progress:
+    """Progress of a part of a job.
+
+    Args:
+        progress: of the whole job.
+        start: fraction of the job done before the part.
+        share: the part's share of the job.
+        key: what the part is about; shown in front of what is being done.
+    """
+    def move(fraction: float, text: str) -> None:
+        progress(start + share * fraction, text if key in ("", text) else f"{key}: {text}")
+
+    return move
 
 
 class RunResult(Protocol):
     """One scene played with one method."""
 
-    failure: str | None
-    """Why the run ended early, or None; what was done until then is kept."""
-    report: Path | None
-    """The HTML page, where one was asked for."""
+    @property
+    def failure(self) -> str | None:
+        """Why the run ended early, or None; what was done until then is kept."""
+        ...
+
+    @property
+    def report(self) -> Path | None:
+        """The HTML page, where one was asked for."""
+        ...
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
@@ -30,7 +53,10 @@ class RunResult(Protocol):
 class CompareResult(Protocol):
     """One scene played with several methods."""
 
-    report: Path | None
+    @property
+    def report(self) -> Path | None:
+        """The HTML page, where one was asked for."""
+        ...
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``; the runs stand under ``methods``."""
@@ -38,4 +64,31 @@ class CompareResult(Protocol):
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """Column titles and rows, one row a method."""
+        ...
+
+
+class LoopResult(Protocol):
+    """One turn of run, diagnose, extend, run again."""
+
+    @property
+    def report(self) -> Path | None:
+        """The HTML page, where one was asked for."""
+        ...
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Titles of the table's columns."""
+        ...
+
+    @property
+    def diagnosis(self) -> Diagnosis:
+        """What was found."""
+        ...
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        ...
+
+    def table(self) -> list[list[Any]]:
+        """One row a model: before, after, and told the truth."""
         ...

@@ -1,34 +1,26 @@
-"""Scene files: what a person writes to say which robot does what in which world.
-
-A scene is a small TOML file. Its ``kind`` decides which module plays it, and that module says which further keys
-there are. Everything is checked before anything moves.
-"""
+"""What scenes of every kind have: a person writes which robot does what in which world."""
 
 from __future__ import annotations
 
-import importlib
 import re
-from importlib import resources
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import pydantic
 
-from ideal_robot.bounded_values import checked, read_toml
+from ideal_robot.bounded_values import checked
 from ideal_robot.errors import InputError
 
 S = TypeVar("S", bound="Scene")
 
-KINDS = {
-    "line": "scenes.line.play",
-    "path": "scenes.path.play",
-    "force": "scenes.force.play",
-    "clamped": "scenes.clamped.play",
-}
-"""Kind of scene → module with ``SceneModel``, ``METHODS``, ``run(scene, …)`` and ``compare(scene, …)``."""
-
 NAME = re.compile(r"[^\W_](?:[\w .+()-]{0,78}[\w+()-])?")
 """What a scene may be called."""
+
+
+class Table(pydantic.BaseModel):
+    """A table of a scene file: no unknown keys, no changes."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
 
 class Scene(pydantic.BaseModel):
@@ -81,66 +73,20 @@ class Scene(pydantic.BaseModel):
         for key, value in changes.items():
             both = isinstance(value, dict) and isinstance(values.get(key), dict)
             values[key] = {**values[key], **value} if both else value
-        return _checked(type(self), values, Path(f"scene {self.name}")).beside(self.folder)
+        return scene_of(type(self), values, Path(f"scene {self.name}")).beside(self.folder)
 
 
-def module_of(scene: Scene) -> Any:
-    """The module that plays scenes of this kind."""
-    return importlib.import_module(KINDS[scene.kind])
+def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
+    """The scene that these values describe.
 
-
-def library() -> Path:
-    """Folder of the shipped scenes."""
-    return Path(str(resources.files("scenes"))) / "library"
-
-
-def load_scene(name_or_path: str | Path) -> Scene:
-    """Loads a shipped scene by name, or a scene file by path, and checks it.
+    Args:
+        model: the kind's scene.
+        values: keys as they stand in a file.
+        path: of the file, for messages.
 
     Raises:
-        InputError: no such scene, two scenes of the same name, broken TOML, an unknown key, a value out of range.
+        InputError: an unknown key, a missing one, a value out of range.
     """
-    path = _find(str(name_or_path))
-    values = read_toml(path, "a scene file")
-    values.setdefault("name", path.stem)
-    kind = values.get("kind")
-    if not isinstance(kind, str) or kind not in KINDS:
-        raise InputError(f"expected one of {', '.join(KINDS)}", file=path, field="kind", value=kind)
-    scene: Scene = _checked(importlib.import_module(KINDS[kind]).SceneModel, values, path)
-    return scene.beside(path.absolute().parent)
-
-
-def _find(wanted: str) -> Path:
-    """A path wins if it looks like one; a name is looked up among the scene files here and in the library."""
-    if wanted.endswith(".toml") or "/" in wanted:
-        if not Path(wanted).is_file():
-            raise InputError("no such scene file", field="scene", value=wanted)
-        return Path(wanted)
-    found = []
-    names = set()
-    for path in [*sorted(Path.cwd().glob("*.toml")), *sorted(library().glob("*.toml"))]:
-        try:
-            values = read_toml(path, "a scene file")
-        except InputError:
-            # A broken neighbour must not stop other scenes; asked for by name, it is reported when parsed.
-            values = {}
-        is_scene = "kind" in values or path.parent == library() or path.stem == wanted
-        if not is_scene:
-            continue
-        name = str(values.get("name", path.stem))
-        names.add(name)
-        if name == wanted:
-            found.append(path)
-    if len(found) > 1:
-        raise InputError(f"two scenes of the name {wanted!r}: {found[0]} and {found[1]}; rename one or give a path",
-                         field="scene")
-    if not found:
-        raise InputError(f"no scene of that name; there are {', '.join(sorted(names)) or 'none'}, or give the path of "
-                         "a .toml file", field="scene", value=wanted)
-    return found[0]
-
-
-def _checked(model: type[S], values: dict[str, Any], path: Path) -> S:
     checked(values, path)
     try:
         return model(**values)

@@ -8,23 +8,36 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Any
 
+import pandas as pd
+
 from ideal_robot.errors import IdealRobotError, InputError
-from scenes.scene import load_scene, module_of
+from scenes.kind import kind_of
+from scenes.options import chosen
+from scenes.result import silent
+from scenes.scene import Scene
+from scenes.scene_file import load_scene
 
 
 @dataclass(frozen=True)
 class Job:
     """One run of a sweep; ``speed``, ``seed`` and ``method`` None mean the scene's own."""
 
-    scene: str
-    method: str | None
+    scene: str | Scene
+    method: Any
     speed: float | None
     seed: int | None
 
 
-def jobs(scenes: Sequence[str], methods: Sequence[str] = (), speeds: Sequence[float] = (),
+def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Sequence[float] = (),
          seeds: Sequence[int] = ()) -> list[Job]:
-    """All combinations, in the order given; an empty list stands for the scene's own value."""
+    """All combinations, in the order given; an empty list stands for the scene's own value.
+
+    Args:
+        scenes: names, paths of scene files, or scenes.
+        methods: keys, or what ``run_scene`` takes besides; with more than one process it has to be importable.
+        speeds: [m/s].
+        seeds: of all that is drawn.
+    """
     own: tuple[None] = (None,)
     product = itertools.product(scenes, methods or own, speeds or own, seeds or own)
     return [Job(scene, method, speed, seed) for scene, method, speed, seed in product]
@@ -32,13 +45,13 @@ def jobs(scenes: Sequence[str], methods: Sequence[str] = (), speeds: Sequence[fl
 
 def play(job: Job) -> dict[str, Any]:
     """Plays one job without writing anything; a failure is part of the answer, it does not end the sweep."""
-    from scenes.commands.common import chosen
-
-    scene = chosen(load_scene(job.scene), speed=job.speed, seed=job.seed)
-    answer: dict[str, Any] = {"scene": scene.name, "method": job.method, "speed_m_s": getattr(scene, "speed", None),
+    scene = job.scene if isinstance(job.scene, Scene) else load_scene(job.scene)
+    scene = chosen(scene, speed=job.speed, seed=job.seed)
+    key = job.method if isinstance(job.method, str | None) else None
+    answer: dict[str, Any] = {"scene": scene.name, "method": key, "speed_m_s": getattr(scene, "speed", None),
                               "seed": scene.seed, "failure": None}
     try:
-        result = module_of(scene).run(scene, method=job.method, out=None, progress=lambda fraction, text: None)
+        result = kind_of(scene).run(scene, method=job.method, out=None, progress=silent)
     except InputError:
         raise
     except IdealRobotError as error:
@@ -64,6 +77,26 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
         answers[index] = answer
         done(count)
     return [answer for answer in answers if answer is not None]
+
+
+def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence[Any] = (),
+                speeds: Sequence[float] = (), seeds: Sequence[int] = (), processes: int = 2,
+                dask: str | None = None) -> pd.DataFrame:
+    """Plays many runs and returns a table with one row each; a run that fails is a row with its ``failure``.
+
+    Args:
+        scene: one or several, by name, path or as loaded.
+        methods: keys; the scene's own if empty.
+        speeds: [m/s]; the scene's own if empty.
+        seeds: of all that is drawn; the scene's own if empty.
+        processes: local processes.
+        dask: address of a running Dask scheduler instead.
+
+    Raises:
+        InputError: a run's input cannot be used.
+    """
+    scenes = [scene] if isinstance(scene, str | Scene) else scene
+    return pd.json_normalize(sweep(jobs(scenes, methods, speeds, seeds), processes=processes, dask=dask))
 
 
 def _local(work: Sequence[Job], processes: int) -> Iterator[tuple[int, dict[str, Any]]]:

@@ -20,18 +20,19 @@ def command(
 
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
-    from scenes.commands.common import chosen, progress_bar, show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.diagnosis.page import summary
+    from scenes.options import chosen
     from scenes.outputs import check_outputs
-    from scenes.refine.play import close_loop
+    from scenes.play import close_scene
     from scenes.report.page import write_json
-    from scenes.scene import load_scene
+    from scenes.scene_file import load_scene
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:
-        result = close_loop(loaded, out=folder, progress=progress)
+        result = close_scene(loaded, out=folder, progress=progress)
     if json is not None:
         write_json(json, result.json())
     show_table("path error of the true TCP [mm]", list(result.columns), result.table())

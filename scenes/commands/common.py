@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,22 +14,7 @@ from rich.text import Text
 
 from ideal_robot.errors import InputError
 from scenes import result
-from scenes.scene import Scene
 from scenes.terminal import shown
-
-
-def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None) -> Scene:
-    """The scene with the options given on the command line in place of its own values."""
-    changes: dict[str, Any] = {}
-    if speed is not None:
-        if "speed" not in type(scene).model_fields:
-            raise InputError(f"scenes of kind {scene.kind!r} have no speed", field="--speed", value=speed)
-        if not (math.isfinite(speed) and speed > 0):
-            raise InputError("expected a positive number [m/s]", field="--speed", value=speed)
-        changes["speed"] = speed
-    if seed is not None:
-        changes["seed"] = seed
-    return scene.changed(**changes) if changes else scene
 
 
 @contextmanager

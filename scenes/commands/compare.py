@@ -19,16 +19,18 @@ def command(
 
     Example: `ideal-robot compare line --speed 0.7`
     """
-    from scenes.commands.common import chosen, progress_bar, show_table
+    from scenes.commands.common import progress_bar, show_table
+    from scenes.kind import kind_of
+    from scenes.options import chosen
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.scene import load_scene, module_of
+    from scenes.scene_file import load_scene
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)
     folder = out or Path("out") / f"compare_{loaded.name}"
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:
-        result = module_of(loaded).compare(loaded, out=folder, progress=progress)
+        result = kind_of(loaded).compare(loaded, out=folder, progress=progress)
     if json is not None:
         write_json(json, result.json())
     columns, rows = result.table()

@@ -20,16 +20,18 @@ def command(
 
     Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json`
     """
-    from scenes.commands.common import chosen, closed, progress_bar
+    from scenes.commands.common import closed, progress_bar
+    from scenes.kind import kind_of
+    from scenes.options import chosen
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.scene import load_scene, module_of
+    from scenes.scene_file import load_scene
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed)
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:
-        result = module_of(loaded).run(loaded, method=method, out=folder, progress=progress)
+        result = kind_of(loaded).run(loaded, method=method, out=folder, progress=progress)
     if json is not None:
         write_json(json, result.json())
     closed(result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -18,10 +19,9 @@ def command(
 
     Example: `ideal-robot view out/line/recording.parquet`
     """
-    import time
-
     from ideal_robot.robots.robot import SHIPPED, Robot
-    from scenes.scene import load_scene, module_of
+    from scenes.kind import kind_of
+    from scenes.scene_file import load_scene
     from scenes.view.viewer import Viewer, open_recording
 
     recording = None
@@ -33,8 +33,8 @@ def command(
     else:
         scene = load_scene(what)
         arm = Robot.load(scene.robot)
-        module = module_of(scene)
-        curves = module.curves(scene) if hasattr(module, "curves") else {}
+        draw = kind_of(scene).curves
+        curves = {} if draw is None else draw(scene)
     viewer = Viewer(arm, port)
     colours = ((40, 40, 40), (224, 106, 0), (0, 110, 190))
     for (name, points), colour in zip(curves.items(), colours, strict=False):

@@ -21,8 +21,8 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
 from planning.planning_error import OutOfReachError
+from scenes.drawn_line import Geometry, geometry
 from scenes.force.scene import ForceScene
-from scenes.line.scene import Geometry, LineScene, Surface, geometry
 from scenes.models import model_for
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
 from sim.arm.arm import SimulatedArm
@@ -64,7 +64,6 @@ class Cell:
                                lateral=fusion is not None, start_height=START_HEIGHT,
                                force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
 
-
     def contour_follower(self, elasticity: float) -> ContourFollower:
         """A fresh follower of a contour: of the reference it knows the starting point alone."""
         scene, frames = self.scene, self.reference.frames(np.zeros(1))
@@ -79,7 +78,7 @@ class Cell:
 
 def scene_curves(scene: ForceScene) -> dict[str, Array]:
     """Reference path and the true surface above the line ``(N, 3)`` [m], for the viewer."""
-    where = geometry(_as_line(scene), _streams(scene)[0])
+    where = geometry(scene, _streams(scene)[0])
     surface = scene.surface.truth()
     on_plane = (where.drawn - where.plane.translation) @ where.plane.rotation
     return {"line": surface.points(on_plane[:, :2]), "reference": where.reference}
@@ -99,7 +98,7 @@ def set_up(scene: ForceScene) -> Cell:
     robot = Robot.load(scene.robot)
     world = World.from_table(scene.robot, scene.world)
     place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
-    where = geometry(_as_line(scene), place)
+    where = geometry(scene, place)
     out = where.plane.rotation[:, 2]
     if scene.task == "contour":
         # Pressed sideways, the tool keeps its orientation: straight down.
@@ -113,14 +112,6 @@ def set_up(scene: ForceScene) -> Cell:
                          value=list(scene.surface.origin)) from error
     return Cell(scene, robot, world, model_for(scene, robot), scene.surface.truth(), where, reference, profile,
                 ForceSensor(scene.sensor.truth(), sensor_noise), noise, (camera_noise, calibration))
-
-
-def _as_line(scene: ForceScene) -> LineScene:
-    """What of the scene says where line and reference are, as a line scene."""
-    plane = Surface(**{key: getattr(scene.surface, key) for key in Surface.model_fields})
-    line = LineScene(name=scene.name, kind="line", title=scene.title, surface=plane, line=scene.line,
-                     reference=scene.reference, displacement=scene.displacement, seed=scene.seed)
-    return line.beside(scene.folder)
 
 
 def calibrate_tool(cell: Cell) -> ToolLoad:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
 
@@ -9,17 +10,15 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from planning.force.contact import FORCE_ERRORS
+from planning.force.force_follower import SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter
+from scenes.camera_table import believed_camera, camera_settings, true_camera
 from scenes.force.cell import N_D, Cell
 from scenes.force.scene import ForceScene
-from scenes.line.scene import calibration_sizes
-from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
-from sensing.camera.field import Field
+from sensing.camera.field import Field, Window
 from sensing.camera.line_detection import DetectionSettings, LineField, detect_line, search_windows
-from sim.arm.arm import SimulatedArm
-from sim.camera.camera import CameraSettings
 from sim.camera.relief_camera import ReliefCamera
 from sim.camera.surface import DrawnLine
 
@@ -49,32 +48,28 @@ class GlueCamera:
         follower: whose map the fields go into.
     """
 
-    def __init__(self, cell: Cell, follower: Any) -> None:
+    def __init__(self, cell: Cell, follower: SurfaceFollower) -> None:
         scene: ForceScene = cell.scene
         table = scene.camera
         self._rng, calibration = cell.camera_streams
-        believed = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
-                                       default_mount(table.mount_height, table.mount_ahead))
-        true = believed.perturbed(**CalibrationError(**calibration_sizes(scene.calibration)).signed(calibration))
+        believed = believed_camera(table)
+        true = true_camera(believed, scene.calibration, calibration)
         self.camera, self.follower, self._trouble = believed, follower, scene.trouble
         where = cell.geometry
         self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                               background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
-        settings = CameraSettings(**{key: getattr(table, key) for key in CameraSettings.__dataclass_fields__
-                                     if key != "phase"})
-        self._rendered = ReliefCamera(true, self.line, cell.surface, settings, self._rng)
+        self.rendered = ReliefCamera(true, self.line, cell.surface, camera_settings(table), self._rng)
         self.detection = DetectionSettings(line_width=self.line.width, dark=scene.line.gray < scene.line.background)
         reference = cell.reference
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)
         sight = SightSettings(latency=table.latency, distance_ratio=scene.assumed.distance_ratio)
         self.sight = LineOnSurface(follower, believed.T_tool_camera, sight, span)
-        self._under_way: list[Field] = []
         self.fields: list[tuple[float, int, str]] = []
         self.first_used = float("nan")
 
     def close(self) -> None:
         """Frees the renderer."""
-        self._rendered.close()
+        self.rendered.close()
 
     def __enter__(self) -> GlueCamera:
         return self
@@ -83,23 +78,15 @@ class GlueCamera:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def windows(self, t0: float, t1: float) -> list[tuple[float, Any]]:
-        """Exposures of the coming cycle with the windows that are to be read out."""
-        wanted = []
-        for exposure in self._rendered.due(t0, t1):
-            if not self._during(self._trouble.loss, exposure):
-                ahead = self.sight.predict(exposure).seen_from(self.follower.history.pose(exposure))
-                wanted.append((exposure, search_windows(self.camera, ahead, self.detection)))
-        return wanted
+    def windows(self, exposure: float) -> Sequence[Window] | None:
+        """The windows to read out of the field exposed at ``exposure`` [s]; None while nothing arrives."""
+        if self._during(self._trouble.loss, exposure):
+            return None
+        ahead = self.sight.predict(exposure).seen_from(self.follower.history.pose(exposure))
+        return search_windows(self.camera, ahead, self.detection)
 
-    def expose(self, wanted: list[tuple[float, Any]], arm: SimulatedArm) -> None:
-        """Takes the pictures of a cycle that is over."""
-        self._under_way += [self._rendered.windows(t, arm.tcp_at, windows) for t, windows in wanted]
-
-    def sense(self, t: float) -> None:
-        """Evaluates the fields that have arrived by ``t`` and fuses them."""
-        arrived = sorted((f for f in self._under_way if f.t_arrival <= t), key=lambda f: f.t_arrival)
-        self._under_way = [f for f in self._under_way if f.t_arrival > t]
+    def sense(self, t: float, arrived: Sequence[Field]) -> None:
+        """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
         for item in arrived:
             ahead = self.sight.predict(item.t_stamp).seen_from(self.follower.history.pose(item.t_stamp))
             seen = detect_line(item, self.camera, ahead, self.detection)

@@ -53,14 +53,13 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
     """Writes the page of a comparison."""
     scene = comparison.scene
     by = {one.method: one.figures.rms for one in comparison.results}
-    direct = f", {by['direct_feedback']:.2f} N with the best direct feedback" if "direct_feedback" in by else ""
-    page = Report(f"{scene.title}: methods compared", f"RMS force error {by['ideal']:.2f} N with the ideal robot"
-                  f"{direct}.")
+    shown = ", ".join(f"{rms:.2f} N with {method.replace('_', ' ')}" for method, rms in reversed(by.items()))
+    page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
     page.table(*comparison.table())
     figure = Figure(figsize=(9, 4), layout="constrained")
     axis = figure.subplots()
     for one in comparison.results:
-        axis.plot(one.history["t"], one.history["normal"], lw=0.9, color=COLOURS[one.method], label=one.method)
+        axis.plot(one.history["t"], one.history["normal"], lw=0.9, color=COLOURS.get(one.method), label=one.method)
     axis.axhline(scene.force, color="black", lw=0.7)
     axis.set_ylim(0, 3 * scene.force)
     axis.set_xlabel("t [s]")
@@ -79,7 +78,7 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
     if comparison.trials:
         page.heading("Search for the best direct feedback")
         page.table(["K_p [µm/N]", "K_d [µm/N]", "RMS force error [N]"],
-                   [[1e6 * one.k_p, 1e6 * one.k_d, one.rms] for one in comparison.trials])
+                   [[1e6 * one.k_p, 1e6 * one.k_d, one.error] for one in comparison.trials])
     return replace(comparison, report=page.write(out / "report.html"))
 
 

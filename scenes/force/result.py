@@ -4,48 +4,42 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
+from planning.follower import ForceFollower
 from planning.force.contact import Phase
-from planning.force.force_follower import SurfaceFollower
+from scenes.cycle import CycleLog
 from scenes.force.scene import ForceScene
 from sensing.force.wrench import WrenchSample
-from sim.arm.arm import SimulatedArm
-from sim.contact.contact import TipContact
-
-if TYPE_CHECKING:
-    from scenes.force.play import ForceLoop
 
 
 @dataclass
-class ForceLog:
-    """What is written down while a scene is played."""
+class ForceLog(CycleLog):
+    """What is written down while a scene is played.
 
-    t: list[float] = field(default_factory=list)
-    q_d: list[Array] = field(default_factory=list)
-    q_c: list[Array] = field(default_factory=list)
+    Attributes:
+        phase, s, planned: of the follower in each cycle: phase, arc length [m], planned deviation [m].
+        samples: of each cycle with samples: time of the newest [s], normal force [N], innovation squared per value.
+        wrenches: all samples of the force sensor.
+        fields: for ``glue``: time stamp [s], values used, why not all.
+    """
+
     phase: list[str] = field(default_factory=list)
     s: list[float] = field(default_factory=list)
     planned: list[Array] = field(default_factory=list)
-    cycles: list[float] = field(default_factory=list)
     samples: list[tuple[float, float, float]] = field(default_factory=list)
     wrenches: list[WrenchSample] = field(default_factory=list)
     fields: list[tuple[float, int, str]] = field(default_factory=list)
-    failure: str | None = None
 
-    def add(self, t: float, q_d: Array, q_c: Array, follower: SurfaceFollower, seconds: float) -> None:
-        """One cycle."""
-        self.t.append(t)
-        self.q_d.append(q_d.copy())
-        self.q_c.append(q_c)
+    def add(self, t: float, follower: ForceFollower) -> None:
+        """One cycle that begins at ``t`` [s]."""
         self.phase.append(follower.phase.value)
         self.s.append(follower.s_at(t))
         self.planned.append(follower.planned())
-        self.cycles.append(seconds)
 
 
 @dataclass(frozen=True)
@@ -121,7 +115,13 @@ class ForceResult:
 
 
 def force_figures(scene: ForceScene, history: dict[str, Array], log: ForceLog) -> ForceFigures:
-    """From the true normal force of every 0.5 ms."""
+    """How well the force was kept.
+
+    Args:
+        scene: what was wanted.
+        history: true normal force ``normal (N,)`` [N] at ``t (N,)`` [s], every 0.5 ms.
+        log: of the play.
+    """
     moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
     largest = float(history["normal"].max(initial=0.0))
     if len(moving) < 2:
@@ -130,47 +130,3 @@ def force_figures(scene: ForceScene, history: dict[str, Array], log: ForceLog) -
     force = history["normal"][at]
     return ForceFigures(float(np.sqrt(np.mean((force - scene.force) ** 2))), float(force.mean()), largest,
                         float(force.min()), float(np.count_nonzero(force <= 0) * 0.0005), moving[-1] - moving[0])
-
-
-def force_result(scene: ForceScene, method: str, loop: ForceLoop, arm: SimulatedArm, contact: TipContact,
-                 wall: float) -> ForceResult:
-    """Collects what a run leaves behind."""
-    history, log = contact.history(), loop.log
-    lateral: dict[str, Any] = {}
-    series = (np.empty(0), np.empty(0))
-    moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
-    if loop.vision is not None and moving:
-        log.fields = loop.vision.fields
-        at = (history["t"] >= moving[0]) & (history["t"] <= moving[-1])
-        plane = loop.cell.surface.plane
-        tip = history["tip"][at] @ plane.rotation.T + plane.translation
-        lateral, series = loop.vision.control_error(history["t"][at], tip)
-    return ForceResult(
-        scene=scene, method=method, figures=force_figures(scene, history, log),
-        elasticity=(loop.follower.settings.elasticity, loop.elasticity.std, scene.tip.stiffness),
-        tool={"mass": loop.tool.mass, "force_residual_N": float(loop.tool.residual[0])}, history=history, log=log,
-        recording=force_recording(arm, scene, method, loop), urdf=loop.cell.robot.urdf,
-        real_time_factor=arm.t / wall, lateral=lateral, lateral_series=series, failure=log.failure)
-
-
-def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, loop: ForceLoop) -> Recording:
-    """The controller's recording with ``q_d_i``, the wrench as sensed, the felt force ``f_normal``, what calibration
-    said of tool and contact, and why the arm stopped."""
-    recording, log = arm.recording(external=True), loop.log
-    columns = dict(recording.columns)
-    t, q_d = np.array(log.t), np.array(log.q_d)
-    for i in range(q_d.shape[1]):
-        columns[f"q_d_{i + 1}"] = np.interp(recording.t, t, q_d[:, i])
-    if log.samples:
-        felt = np.array(log.samples)
-        order = np.argsort(felt[:, 0])
-        columns["f_normal"] = np.interp(recording.t, felt[order, 0], felt[order, 1])
-    if log.wrenches:
-        times, sensed = np.array([s.t for s in log.wrenches]), np.array([s.wrench for s in log.wrenches])
-        for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-            columns[name] = np.interp(recording.t, times, sensed[:, i])
-    tool = {"bias": loop.tool.bias.tolist(), "mass": loop.tool.mass, "com": loop.tool.com.tolist()}
-    meta = {**recording.meta, "tool": tool, "contact_stiffness": loop.assumed_stiffness, "scene": scene.name,
-            "method": method, "speed": scene.speed, "seed": scene.seed,
-            "stopped_because": log.failure}
-    return Recording(columns, meta, recording.source)

@@ -9,18 +9,15 @@ import numpy as np
 import pydantic
 
 from planning.force.stop_conditions import StopLimits
-from scenes.line.scene import Calibration, Camera, Displacement, Line, Reference, Surface
-from scenes.scene import Scene
+from scenes.camera_table import Calibration, CameraTable
+from scenes.drawn_line import Displacement, Line, Reference, Surface
+from scenes.scene import Scene, Table
 from scenes.shape import Shape
 from sim.contact.contact import HeightSurface, Tip, Wave
 from sim.contact.force_sensor import ForceSensorSettings
 
 
-class _Table(pydantic.BaseModel):
-    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
-
-
-class WaveTable(_Table):
+class WaveTable(Table):
     """One sine of the surface."""
 
     amplitude_mm: float
@@ -48,7 +45,7 @@ class UnknownSurface(Surface):
                              self.slope)
 
 
-class TipTable(_Table):
+class TipTable(Table):
     """The tool's elastic tip."""
 
     stiffness: float = pydantic.Field(default=4000.0, gt=0)
@@ -56,10 +53,11 @@ class TipTable(_Table):
     friction: float = pydantic.Field(default=0.15, ge=0, le=2)
 
     def truth(self) -> Tip:
+        """The tip as the world has it."""
         return Tip(self.stiffness, self.damping, self.friction)
 
 
-class SensorTable(_Table):
+class SensorTable(Table):
     """The force sensor and the tool that hangs on it."""
 
     rate: float = pydantic.Field(default=250.0, gt=0, le=10_000)
@@ -74,10 +72,11 @@ class SensorTable(_Table):
     lie: tuple[float, ...] = ()
 
     def truth(self) -> ForceSensorSettings:
+        """The sensor as the world has it."""
         return ForceSensorSettings(**self.model_dump())
 
 
-class Assumed(_Table):
+class Assumed(Table):
     """What the planning side believes, as a ratio to what calibration found; 1 is right."""
 
     elasticity_ratio: float = pydantic.Field(default=1.0, gt=0)
@@ -87,7 +86,7 @@ class Assumed(_Table):
     """Whether they are corrected on the way, from how the sensor values go with the arm's motion."""
 
 
-class Emergency(_Table):
+class Emergency(Table):
     """When to stop on the path."""
 
     force: float = pydantic.Field(default=80.0, gt=0)
@@ -95,10 +94,11 @@ class Emergency(_Table):
     share: float = pydantic.Field(default=1.0, gt=0, le=2)
 
     def limits(self) -> StopLimits:
+        """The limits as the stop conditions take them."""
         return StopLimits(**self.model_dump())
 
 
-class CameraTrouble(_Table):
+class CameraTrouble(Table):
     """What happens to the camera on the way; times count from the beginning of the travel [s]."""
 
     loss: tuple[float, ...] = ()
@@ -129,7 +129,7 @@ class ForceScene(Scene):
     gains: tuple[float, float] | None = None
     """K_p [m/N] and K_d [m/N] of direct feedback, found by search beforehand; None: searched now."""
     displacement: Displacement = Displacement(lateral_mm=0.0, along_mm=0.0, turn_deg=0.0)
-    camera: Camera = Camera()
+    camera: CameraTable = CameraTable()
     calibration: Calibration = Calibration()
     trouble: CameraTrouble = CameraTrouble()
 

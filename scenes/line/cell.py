@@ -15,18 +15,20 @@ from planning.line.line_follower import FollowerSettings, LineFollower
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
 from planning.planning_error import OutOfReachError
+from scenes.camera_table import believed_camera, camera_settings, true_camera
+from scenes.drawn_line import Geometry, geometry
 from scenes.line.calibration import calibrate_by_moving
-from scenes.line.scene import Geometry, LineScene, calibration_sizes, geometry
+from scenes.line.scene import LineScene
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_error import SceneError
-from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
 from sensing.sensing_error import SensingError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
-from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.camera import RenderedCamera
 from sim.camera.surface import DrawnLine
 from sim.camera.surface import Feature as DrawnFeature
 
@@ -68,10 +70,8 @@ def set_up(scene: LineScene) -> Cell:
     where = geometry(scene, place)
     line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                      background=scene.line.background, edge=1e-3 * scene.line.edge_mm, features=_features(scene))
-    table = scene.camera
-    believed = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
-                                   default_mount(table.mount_height, table.mount_ahead))
-    true_camera = believed.perturbed(**CalibrationError(**calibration_sizes(scene.calibration)).signed(calibration))
+    believed = believed_camera(scene.camera)
+    true = true_camera(believed, scene.calibration, calibration)
     reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
     try:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
@@ -84,10 +84,11 @@ def set_up(scene: LineScene) -> Cell:
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
-    return Cell(scene, robot, world, where, line, true_camera, believed, reference, follower, noise, camera_noise)
+    return Cell(scene, robot, world, where, line, true, believed, reference, follower, noise, camera_noise)
 
 
 def detection(cell: Cell) -> DetectionSettings:
+    """How the line looks."""
     return DetectionSettings(line_width=cell.line.width, dark=cell.line.gray < cell.line.background)
 
 
@@ -121,9 +122,7 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
         InputError: the scene cannot be played.
     """
     cell = set_up(scene)
-    settings = CameraSettings(**{key: getattr(scene.camera, key) for key in CameraSettings.__dataclass_fields__
-                                 if key != "phase"})
-    with RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise) as camera:
+    with RenderedCamera(cell.true_camera, cell.line, camera_settings(scene.camera), cell.camera_noise) as camera:
         hand_eye, reason = None, ""
         if scene.calibration.by_moving:
             progress(0.0, "calibrating the camera")

@@ -21,6 +21,8 @@ from sim.arm.picture import picture
 
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
 COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT}
+NAMED = {"ideal": "the ideal robot", "sensor_path": "the sensed path alone", "none": "no correction",
+         "direct_feedback": "direct sensor feedback at its best gain"}
 PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 """[L] 5: mean control error at top speed."""
 
@@ -105,26 +107,26 @@ def run_page(result: LineResult) -> Report:
 def comparison_page(comparison: LineComparison) -> Report:
     """The page that compares the methods on one scene."""
     runs = comparison.runs
-    ideal, sensor, direct = (1e3 * runs[method].control_error.mean
-                             for method in ("ideal", "sensor_path", "direct_feedback"))
-    report = Report(
-        f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
-        f"Mean distance from the line: {ideal:.2f} mm with the ideal robot, {sensor:.2f} mm with the sensed path "
-        f"alone, {direct:.2f} mm with direct sensor feedback at its best gain.")
+    shown = ", ".join(f"{1e3 * run.control_error.mean:.2f} mm with {NAMED.get(method, method)}"
+                      for method, run in reversed(runs.items()))
+    report = Report(f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
+                    f"Mean distance from the line: {shown}.")
     columns, rows = comparison.table()
     report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")
     report.figure(_along_all(comparison), "Distance from the line along the line, one curve a method. The lower "
                   "picture leaves out those that need another scale.")
-    report.heading("Direct sensor feedback: how much gain?")
-    report.text(
-        f"x_c(k) = x_c(k-1) + K_p Δs(k) + K_d (Δs(k) - Δs(k-1)), [L] (1). A sideways step of 10 mm overshoots by more "
-        f"than 5 % from K_p just above {comparison.overshoot_gain:.3g} per cycle on, because corrections are repeated "
-        f"until the late camera sees their effect. The best gain on this scene, found by search, is "
-        f"K_p = {comparison.gains[0]:.3g}, K_d = {comparison.gains[1]:.3g}.")
-    report.figure(_gains(comparison), "Left: mean error on this scene over the gain. Right: overshoot over a sideways "
-                  "step over the gain.")
-    _timing(report, runs["ideal"])
-    _settings(report, runs["ideal"])
+    if comparison.gains is not None:
+        report.heading("Direct sensor feedback: how much gain?")
+        report.text(
+            f"x_c(k) = x_c(k-1) + K_p Δs(k) + K_d (Δs(k) - Δs(k-1)), [L] (1). A sideways step of 10 mm overshoots by "
+            f"more than 5 % from K_p just above {comparison.overshoot_gain:.3g} per cycle on, because corrections are "
+            f"repeated until the late camera sees their effect. The best gain on this scene, found by search, is "
+            f"K_p = {comparison.gains[0]:.3g}, K_d = {comparison.gains[1]:.3g}.")
+        report.figure(_gains(comparison), "Left: mean error on this scene over the gain. Right: overshoot over a "
+                      "sideways step over the gain.")
+    last = list(runs.values())[-1]
+    _timing(report, last)
+    _settings(report, last)
     return report
 
 
@@ -235,9 +237,10 @@ def _along_all(comparison: LineComparison) -> Figure:
     best = min(run.control_error.p95 for run in comparison.runs.values())
     for method, run in comparison.runs.items():
         whole = run.control_error_from_start
-        upper.plot(1e3 * whole.s, 1e3 * whole.lateral, color=COLOURS[method], label=method.replace("_", " "))
+        (colour,) = upper.plot(1e3 * whole.s, 1e3 * whole.lateral, color=COLOURS.get(method),
+                               label=method.replace("_", " "))
         if run.control_error.p95 < 12 * best:
-            lower.plot(1e3 * run.control_error.s, 1e3 * run.control_error.lateral, color=COLOURS[method])
+            lower.plot(1e3 * run.control_error.s, 1e3 * run.control_error.lateral, color=colour.get_color())
     for axes in (upper, lower):
         axes.axhline(0, color=INK, lw=0.8)
         axes.grid(alpha=0.25)
@@ -251,12 +254,14 @@ def _along_all(comparison: LineComparison) -> Figure:
 def _gains(comparison: LineComparison) -> Figure:
     figure = Figure(figsize=(11, 3.4))
     left, right = figure.subplots(1, 2)
-    tried = sorted((p, 1e3 * e) for p, d, e in comparison.tried if d == 0.0 and np.isfinite(e))
+    good = [trial for trial in comparison.tried if np.isfinite(trial.error)]
+    tried = sorted((trial.k_p, 1e3 * trial.error) for trial in good if trial.k_d == 0.0)
     left.semilogx(*np.array(tried).T, "o-", color=BLUE, label="direct feedback, K_d = 0")
-    with_d = [(p, 1e3 * e) for p, d, e in comparison.tried if d > 0.0 and np.isfinite(e)]
+    with_d = [(trial.k_p, 1e3 * trial.error) for trial in good if trial.k_d > 0.0]
     if with_d:
         left.semilogx(*np.array(with_d).T, "s", color=GREEN, label="with K_d")
-    left.axhline(1e3 * comparison.runs["ideal"].control_error.mean, color=ACCENT, label="ideal robot")
+    if "ideal" in comparison.runs:
+        left.axhline(1e3 * comparison.runs["ideal"].control_error.mean, color=ACCENT, label="ideal robot")
     left.set(xlabel="K_p per cycle", ylabel="mean error [mm]", ylim=(0, None))
     left.legend(frameon=False)
     right.semilogx(*np.array([(k, 100 * o) for k, o in comparison.overshoots]).T, "o-", color=BLUE)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
-from scenes.line.scene import Geometry, LineScene
+from scenes.drawn_line import Geometry
+from scenes.line.scene import LineScene
 from scenes.metrics import PathErrors
 from sensing.camera.field import Window
 from sensing.camera.hand_eye import HandEye
@@ -117,6 +118,7 @@ class LineResult:
         world: the world's settings.
         hand_eye: how the camera was calibrated before the run, if it was; warning: why not, if it should have been.
         s_reference, believed: arc length of the reference at each cycle and the desired deviation there, x_d - x_r [m].
+        sensors: values that each further sensor gave, and how many of them were fused.
         recording_path, report: files written, if any.
     """
 
@@ -139,6 +141,7 @@ class LineResult:
     warning: str = ""
     s_reference: Array = field(repr=False, default_factory=lambda: np.empty(0))
     believed: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    sensors: dict[str, tuple[int, int]] = field(default_factory=dict)
     recording_path: Path | None = None
     report: Path | None = None
 
@@ -157,6 +160,7 @@ class LineResult:
             "path_error_mm": errors.json_mm() if errors is not None
             else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},
             "fields": {"seen": self.fields_seen, "used": self.fields_used},
+            "sensors": {name: {"values": values, "used": used} for name, (values, used) in self.sensors.items()},
             "recording": self.recording_path,
             "recording_hash": self.recording.hash,
             "urdf": self.urdf,

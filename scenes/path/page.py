@@ -9,7 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
-from scenes.path.play import DELAY, REFERENCE, PathComparison, PathResult
+from scenes.path.cell import DELAY, path_methods
+from scenes.path.compare import PathComparison
+from scenes.path.result import PathResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
 
 INK, SOFT = "#1c2430", "#8893a1"
@@ -59,27 +61,37 @@ def run_page(result: PathResult) -> Report:
 def comparison_page(comparison: PathComparison) -> Report:
     """The page of all methods on one path."""
     scene, runs = comparison.scene, comparison.runs
-    ideal, none = runs["ideal"].errors, runs[REFERENCE].errors
-    less = comparison.reduction("ideal")["E_car"]
-    report = Report(
-        f"{scene.title}: every method",
-        f"Nothing learned on this path, the ideal robot stays within {1e3 * ideal.time_matched.E_car:.3f} mm of it "
-        f"(root mean square); the industrial controller alone within {1e3 * none.time_matched.E_car:.2f} mm, or "
-        f"{1e3 * none.aligned.E_car:.2f} mm after removing its delay of {1e3 * none.delay:.1f} ms. That is "
-        f"{less['time_matched']:.1f} % and {less['aligned']:.1f} % less.")
+    none = comparison.reference.errors
+    summary = (f"The industrial controller alone stays within {1e3 * none.time_matched.E_car:.2f} mm of the path (root "
+               f"mean square), or {1e3 * none.aligned.E_car:.2f} mm after removing its delay of "
+               f"{1e3 * none.delay:.1f} ms.")
+    if "ideal" in runs:
+        less = comparison.reduction("ideal")["E_car"]
+        summary = (f"Nothing learned on this path, the ideal robot stays within "
+                   f"{1e3 * runs['ideal'].errors.time_matched.E_car:.3f} mm of it (root mean square). {summary} "
+                   f"That is {less['time_matched']:.1f} % and {less['aligned']:.1f} % less.")
+    report = Report(f"{scene.title}: several methods", summary)
     columns, rows = comparison.full_table()
     report.table(columns, rows, f"{DEFINITION} Paper: {scene.paper.source}.")
-    report.figure(path_figure([runs[method] for method in TRACED]),
+    report.figure(path_figure(_chosen(runs, TRACED, "")),
                   f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")
-    report.figure(deviation_figure([runs[method] for method in DRAWN], "aligned"),
-                  "Aligned deviation over time, without the planner's delay.")
-    report.figure(deviation_figure([runs[method + DELAY] for method in DRAWN], "aligned"),
-                  "The same with the standard path planner's delay in force.")
-    report.figure(learning_figure(comparison), "What learning saw, play by play.")
+    for suffix, text in (("", "Aligned deviation over time, without the planner's delay."),
+                         (DELAY, "The same with the standard path planner's delay in force.")):
+        if shown := _chosen(runs, DRAWN, suffix):
+            report.figure(deviation_figure(shown, "aligned"), text)
+    if comparison.learning_criterion:
+        report.figure(learning_figure(comparison), "What learning saw, play by play.")
     report.heading("World")
     report.text("The model is identified from recordings of this world; nothing is read from the world itself.")
-    report.table(["setting", "value"], [[key, str(value)] for key, value in runs["ideal"].world.items()])
+    report.table(["setting", "value"], [[key, str(value)] for key, value in comparison.reference.world.items()])
     return report
+
+
+def _chosen(runs: dict[str, PathResult], methods: tuple[str, ...], suffix: str) -> list[PathResult]:
+    """Those of the methods that were played, and all of the user's own; all where none of them was."""
+    own = [key for key in runs if key not in path_methods() and not suffix]
+    found = [runs[key] for key in (*(method + suffix for method in methods), *own) if key in runs]
+    return found or ([] if suffix else list(runs.values()))
 
 
 def path_figure(results: list[PathResult]) -> Figure:
@@ -131,13 +143,13 @@ def learning_figure(comparison: PathComparison) -> Figure:
     figure = Figure(figsize=(6.4, 3.2))
     axes = figure.add_subplot()
     plays = ["none", *(f"learned_{p}" for p in range(1, 5))]
-    values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays]
-    axes.semilogy(range(5), values, "o-", color=COLOURS["learned_4"], label="learning on the arm")
+    values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays if method in comparison.runs]
+    axes.semilogy(range(len(values)), values, "o-", color=COLOURS["learned_4"], label="learning on the arm")
     axes.yaxis.set_major_formatter("{x:g}")
-    for method in ("precorrected", "model_learned", "ideal"):
+    for method in (key for key in ("precorrected", "model_learned", "ideal") if key in comparison.runs):
         axes.axhline(1e3 * comparison.runs[method].errors.time_matched.E_car, color=COLOURS[method], lw=1, ls="--",
                      label=method)
-    axes.set_xticks(range(5))
+    axes.set_xticks(range(len(values)))
     axes.set_xlabel("learning steps on the arm")
     axes.set_ylabel("E_car, time-matched [mm]")
     axes.legend(fontsize=8, frameon=False)

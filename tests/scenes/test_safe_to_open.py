@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ideal_robot.errors import InputError
+from scenes import load_scene
 from scenes.cli import main
 from scenes.commands.common import progress_bar, show_table
 from scenes.formula import FUNCTIONS, evaluated
-from scenes.scene import load_scene
 from scenes.shape import Shape
 
 SCENE = """

@@ -14,9 +14,10 @@ from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.clamped.play import configurations, record, run, world_of
+from scenes import load_scene
+from scenes.clamped.kind import run
+from scenes.clamped.play import configurations, record, world_of
 from scenes.report.page import write_json
-from scenes.scene import load_scene
 from sim.contact.clamp import ClampedArm
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes.force.play import play, run
-from scenes.scene import load_scene
+from scenes import load_scene
+from scenes.force.kind import run
+from scenes.force.play import play
 
 
 def test_the_whole_contour_is_followed_in_contact() -> None:

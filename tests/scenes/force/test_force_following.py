@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ideal_robot.signals.recording import Recording
-from scenes.force.play import play, run
+from scenes import load_scene
+from scenes.force.kind import run
+from scenes.force.play import play
 from scenes.force.result import ForceResult
-from scenes.scene import load_scene
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +36,11 @@ def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult) -> None:
 
 @pytest.mark.slow
 def test_search_finds_no_better_direct_feedback(wave: ForceResult) -> None:
-    from scenes.force.compare import best_gains
+    from scenes.force.gains import best_gains
 
     scene = load_scene("force_wave")
     _, trials = best_gains(scene)
-    best = min(trial.rms for trial in trials)
+    best = min(trial.error for trial in trials)
     assert best >= 0.98 * play(scene, "direct_feedback", scene.gains).figures.rms
     assert wave.figures.rms <= 0.25 * best
 

@@ -7,11 +7,11 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
+from scenes import load_scene
 from scenes.line.calibration import calibrate_by_moving
 from scenes.line.cell import Cell, set_up
 from scenes.line.scene import LineScene
 from scenes.models import model_for
-from scenes.scene import load_scene
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye

@@ -12,10 +12,11 @@ import pytest
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
+from scenes.drawn_line import geometry
 from scenes.line.cell import prepared
-from scenes.line.play import run
+from scenes.line.kind import run
 from scenes.line.result import LineResult
-from scenes.line.scene import LineScene, geometry
+from scenes.line.scene import LineScene
 
 
 @pytest.fixture(scope="module")

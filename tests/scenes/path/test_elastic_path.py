@@ -9,20 +9,21 @@ import numpy as np
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.robots.robot import Robot
-from scenes.clamped.play import SceneModel, configurations, record, world_of
-from scenes.path.play import workshop
-from scenes.scene import load_scene
+from scenes import load_scene
+from scenes.clamped.play import configurations, record, world_of
+from scenes.clamped.scene import ClampedScene
+from scenes.path.cell import set_up
 
 
 def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
     """≤ 40 % of the same precorrection on motor angles alone, on the ISO 9283 path, measured at the arm."""
     robot = Robot.load("kr15")
-    clamped = SceneModel(name="kr15", kind="clamped", title="KR 15 clamped", robot="kr15", clamp={"hold": 0.8})
+    clamped = ClampedScene(name="kr15", kind="clamped", title="KR 15 clamped", robot="kr15", clamp={"hold": 0.8})
     rng = np.random.default_rng(5)
     recordings, _ = record(clamped, robot, world_of(robot, {}), configurations(clamped, robot, rng), rng)
     found = analyse_stiffness(recordings, robot, "wrench").by("wrench")
     stiffness = np.array([found[joint].stiffness for joint in range(1, robot.n + 1)])
-    place = workshop(load_scene("iso9283_1"), delay=False)
+    place = set_up(load_scene("iso9283_1"), delay=False)
     loop = replace(place.loop(), stiffness=stiffness)
     motors_only = place.play(IdealRobot(loop, 30, elastic=False)).errors
     with_gears = place.play(IdealRobot(loop, 30)).errors

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes.path.play import compare, run, workshop
+from scenes import load_scene
+from scenes.path.cell import set_up
+from scenes.path.kind import compare, run
 from scenes.path.player import measured_errors
 from scenes.report.page import write_json
-from scenes.scene import load_scene
 
 
 def short(name: str):
@@ -56,18 +57,18 @@ def test_the_same_seed_gives_the_same_recording():
 
 @pytest.mark.parametrize("source", ["arm", "tcp"])
 def test_what_learning_measures_is_what_happened(source):
-    place = workshop(short("iso9283_3"), delay=False)
-    played = place.play(place.feedforward("none"))
-    measured = measured_errors(place.robot, place.path, played.recording, source)
-    true = place.path.q_d - played.q_a[: len(place.path.q_d)]
+    cell = set_up(short("iso9283_3"), delay=False)
+    played = cell.play(cell.feedforward("none"))
+    measured = measured_errors(cell.robot, cell.path, played.recording, source)
+    true = cell.path.q_d - played.q_a[: len(cell.path.q_d)]
     # The device's noise, 20 µm and 20 µrad, shows as up to a tenth of a milliradian in the wrist.
     assert np.sqrt(np.mean((measured - true) ** 2)) < 1e-4
 
 
 def test_two_degrees_of_freedom_are_enough_to_learn_from():
     scene = short("iso9283_3").changed(learn_from="two_dof")
-    place = workshop(scene, delay=False)
-    errors = [place.play(place.feedforward(method)).errors.time_matched.E_car for method in ("none", "learned_3")]
+    cell = set_up(scene, delay=False)
+    errors = [cell.play(cell.feedforward(method)).errors.time_matched.E_car for method in ("none", "learned_3")]
     assert errors[1] < 0.5 * errors[0]
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from ideal_robot.errors import InputError
+from scenes import load_scene
+from scenes.path.close_loop import close_loop, undeclared_effects
 from scenes.path.scene import PathScene
-from scenes.refine.play import close_loop, undeclared_effects
-from scenes.scene import load_scene
 
 
 @pytest.mark.slow

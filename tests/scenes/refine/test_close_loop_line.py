@@ -8,17 +8,17 @@ from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from scenes.line.play import assumed_latency
+from scenes import load_scene
+from scenes.line.close_loop import close_loop, with_effects
 from scenes.line.scene import LineScene
-from scenes.refine.line import close_line, with_effects
-from scenes.scene import load_scene
+from scenes.line.task import assumed_latency
 
 
 @pytest.mark.slow
 def test_after_is_close_to_the_oracle() -> None:
     scene = load_scene("close_latency")
     assert isinstance(scene, LineScene)
-    result = close_line(scene)
+    result = close_loop(scene)
     assert [e.fitted.name for e in result.diagnosis.effects if e.fitted.channel == "line"] == ["camera_latency"]
     assert result.after.mean <= 1.25 * result.oracle.mean
     assert result.after.mean < 0.5 * result.before.mean
@@ -34,4 +34,4 @@ def test_right_time_stamps_are_refused() -> None:
     scene = load_scene("line")
     assert isinstance(scene, LineScene)
     with pytest.raises(InputError, match="nothing is there"):
-        close_line(scene)
+        close_loop(scene)

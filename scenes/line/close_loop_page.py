@@ -1,4 +1,4 @@
-"""The page of a closed loop: path error before, after and with an oracle, and the diagnosis that led there."""
+"""The page of a closed loop along a line: distance before, after and with the truth, and the diagnosis between."""
 
 from __future__ import annotations
 
@@ -9,27 +9,8 @@ from matplotlib.figure import Figure
 
 from ideal_robot.model.model import Model
 from scenes.diagnosis.page import diagnosis_page
+from scenes.line.close_loop_result import CloseLineResult
 from scenes.outputs import whole_folder
-from scenes.refine.line import CloseLineResult
-from scenes.refine.play import CloseLoopResult
-
-
-def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> CloseLoopResult:
-    """Writes recording, extended model and report; returns the result with their places."""
-    page = diagnosis_page(result.diagnosis, f"{result.scene.title or result.scene.name}: the loop closed")
-    before, after, oracle = (1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle))
-    hidden = " and ".join(f"{name.replace('_', ' ')} in joint {joint}" for name, joint in result.undeclared)
-    page.summary = (f"The world held {hidden}, of which the model was not told. With the model as it was the path "
-                    f"error is {before:.3g} mm, with what the diagnosis added {after:.3g} mm, with an oracle that was "
-                    f"told name and joint {oracle:.3g} mm. " + page.summary)
-    page.heading("Path error before and after")
-    page.table(["model", "E_car time-matched mm", "E_car aligned mm", "E_car geometric mm", "E_max aligned mm"],
-               result.table(), "[G] (14) and (21), of the true TCP.")
-    with whole_folder(folder) as new:
-        result.recording.write(new / "diagnostic_motion.parquet")
-        extended.save(new / "extended_model.json")
-        page.write(new / "report.html")
-    return dataclasses.replace(result, model_path=folder / "extended_model.json", report=folder / "report.html")
 
 
 def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) -> CloseLineResult:
@@ -39,7 +20,7 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, of which "
                     f"the line follower was not told. With the model as it was the tool is {before:.3g} mm beside the "
                     f"line in the mean, with what the diagnosis of that run added {after:.3g} mm, with an oracle that "
-                    f"was told that it is the latency {oracle:.3g} mm. " + page.summary)
+                    f"knows that it is the latency {oracle:.3g} mm. " + page.summary)
     page.heading("Distance from the line before and after")
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),
                "Of the true TCP, in the surface; the last row is told the true latency.")

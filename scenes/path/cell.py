@@ -1,4 +1,4 @@
-"""The methods of ``ideal_robot.feedforward`` for one known path on one simulated arm."""
+"""What a path scene needs before anything moves, and the feedforward of each method for its path."""
 
 from __future__ import annotations
 
@@ -9,24 +9,35 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.learning import Learned
+from ideal_robot.feedforward.method import Setting
 from ideal_robot.feedforward.practice import Practice, Rehearsed
-from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.feedforward.registry import methods
 from ideal_robot.feedforward.training_motion import REST_AFTER, REST_BEFORE, training_motion
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from scenes.methods import SceneMethod
+from scenes.models import model_for
 from scenes.path.player import Play, measured_errors, play
-from scenes.path.scene import JointPath
+from scenes.path.scene import JointPath, PathScene, joint_path
 from scenes.result import Progress, silent
 from sim.arm.world import World
 
 N_D = 30
+"""Desired positions handed to the ideal robot [cycles]."""
+DELAY = "_delay"
+"""Behind a method's key: the standard path planner's delay is in force."""
+
+
+def path_methods() -> tuple[str, ...]:
+    """Every key that ``--method`` takes."""
+    return (*methods(), *(key + DELAY for key in methods()))
 
 
 @dataclass
-class Workshop:
-    """Makes the feedforward of each method for one path in one world, and keeps what is expensive.
+class PathCell:
+    """One path in one world: makes the feedforward of each method for it, and keeps what is expensive.
 
     Attributes:
         robot, world, model, path: what it works on; ``world`` says whether the planner's delay is in force.
@@ -58,14 +69,20 @@ class Workshop:
         rng = np.random.default_rng([self.seed, self.delay, self.plays])
         return play(self.robot, self.world, path or self.path, feedforward, rng)
 
-    def feedforward(self, method: str, progress: Progress = silent) -> Feedforward:
-        """The feedforward of a method key without suffix.
+    def feedforward(self, method: str | SceneMethod, progress: Progress = silent) -> Feedforward:
+        """The feedforward of a method.
+
+        Args:
+            method: a key with or without suffix, or a method of the user's.
+            progress: called with the fraction of the learning done.
 
         Raises:
             InputError: no such method.
         """
-        return feedforward(method, self.model, self.robot, n_d=N_D, delay=self.delay, q_d=self.path.q_d,
-                           practice=self.practice, progress=progress)
+        wanted = method if isinstance(method, SceneMethod) else SceneMethod(method)
+        setting = Setting(self.robot, self.model, N_D, self.delay, self.path.q_d, practice=self.practice,
+                          progress=progress)
+        return wanted.feedforward(setting)
 
     @property
     def practice(self) -> Practice:
@@ -94,3 +111,15 @@ def about(path: JointPath, q_d: Array, t_ipo: float) -> JointPath:
     counts = np.zeros(len(q_d), dtype=bool)
     counts[round(REST_BEFORE / t_ipo) : len(q_d) - round(REST_AFTER / t_ipo)] = True
     return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, path.tool)
+
+
+def set_up(scene: PathScene, *, delay: bool) -> PathCell:
+    """Everything a path scene needs, with or without the standard path planner's delay.
+
+    Raises:
+        InputError: path out of reach, no model, a value of the world that makes no sense.
+    """
+    robot = Robot.load(scene.robot)
+    world = World.from_table(scene.robot, {**scene.world, "correction_delay": delay})
+    return PathCell(robot, world, model_for(scene, robot), joint_path(scene, robot, world.t_ipo), scene.learn_from,
+                    scene.seed)

@@ -8,76 +8,26 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import told_line
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
-from ideal_robot.signals.recording import Recording
 from scenes.line.cell import Prepared, prepared, set_up
-from scenes.line.play import assumed_latency
-from scenes.line.play import run as follow
-from scenes.line.result import ControlError, LineResult
+from scenes.line.close_loop_page import write_line_circle
+from scenes.line.close_loop_result import EFFECT, CloseLineResult
+from scenes.line.play import play
+from scenes.line.result import LineResult
 from scenes.line.scene import LineScene
+from scenes.line.task import assumed_latency
+from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
 
-EFFECT = "camera_latency"
 
-
-@dataclass(frozen=True)
-class CloseLineResult:
-    """One turn of the loop.
-
-    Attributes:
-        scene: what was played.
-        before, after, oracle, true: distance of the tool from the line with the model as it was, as extended, with the
-            oracle's latency, and with the true one.
-        latency: assumed in each of them [s].
-        diagnosis: what was found.
-        recording: what it was found from.
-    """
-
-    scene: LineScene
-    before: ControlError
-    after: ControlError
-    oracle: ControlError
-    true: ControlError
-    latency: dict[str, float]
-    diagnosis: Diagnosis = field(repr=False)
-    recording: Recording = field(repr=False)
-    model_path: Path | None = None
-    report: Path | None = None
-
-    @property
-    def errors(self) -> dict[str, ControlError]:
-        """The four runs by name."""
-        return {"before": self.before, "after": self.after, "oracle": self.oracle, "true": self.true}
-
-    def json(self) -> dict[str, Any]:
-        """The content of ``--json``."""
-        return {
-            "scene": self.scene.name, "undeclared": [{"effect": EFFECT, "joint": 0}],
-            "path_error_mm": {name: {"mean": 1e3 * e.mean, "p95": 1e3 * e.p95, "max": 1e3 * e.max}
-                              for name, e in self.errors.items()},
-            "latency_ms": {name: 1e3 * value for name, value in self.latency.items()},
-            "after_over_oracle": self.after.mean / self.oracle.mean, "diagnosis": self.diagnosis.to_dict(),
-            "model": self.model_path, "report": self.report,
-        }
-
-    columns = ("model", "latency ms", "mean", "95 %", "max")
-
-    def table(self) -> list[list[Any]]:
-        """One row a model: latency in ms and errors in mm."""
-        return [[name, 1e3 * self.latency[name], 1e3 * e.mean, 1e3 * e.p95, 1e3 * e.max]
-                for name, e in self.errors.items()]
-
-
-def close_line(scene: LineScene, *, out: Path | None = None, progress: Progress = silent) -> CloseLineResult:
+def close_loop(scene: LineScene, *, out: Path | None = None, progress: Progress = silent) -> CloseLineResult:
     """Follows a line, finds what is wrong with the camera's time, and follows it again.
 
     Raises:
@@ -90,7 +40,7 @@ def close_line(scene: LineScene, *, out: Path | None = None, progress: Progress 
     model = model_for(scene, robot)
     with prepared(scene, progress) as shared, tempfile.TemporaryDirectory() as folder:
         progress(0.1, "before")
-        before = follow(scene, method="ideal", shared=shared)
+        before = play(scene, IDEAL, shared=shared)
         progress(0.3, "diagnose")
         found = diagnose(before.recording, robot, model=model,
                          progress=lambda share, word: progress(0.3 + 0.2 * share, word))
@@ -107,8 +57,6 @@ def close_line(scene: LineScene, *, out: Path | None = None, progress: Progress 
                              again["true"].control_error, latency, found, before.recording)
     if out is None:
         return result
-    from scenes.refine.page import write_line_circle
-
     return write_line_circle(result, extended, out)
 
 
@@ -123,4 +71,4 @@ def _of_size(latency: float) -> FittedEffect:
 
 def _played(scene: LineScene, model: Model, shared: Prepared, folder: Path) -> LineResult:
     file = model.save(folder / "model.json")
-    return follow(scene.model_copy(update={"model": str(file)}), method="ideal", shared=shared)
+    return play(scene.model_copy(update={"model": str(file)}), IDEAL, shared=shared)

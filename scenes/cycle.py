@@ -1,0 +1,153 @@
+"""The interpolation cycles of a play: observe, plan, command; and a stop on the planned path when it cannot go on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import LimitError
+from ideal_robot.execution.interface import RobotInterface
+from planning.path.stopping import stopping_rows
+from planning.planning_error import PlanningError
+from scenes.result import Progress
+
+STANDSTILL = 1e-9
+"""Change of the desired angles within a horizon below which the arm rests [rad]."""
+
+
+class Task(Protocol):
+    """What a play does in each cycle.
+
+    Attributes:
+        n_d: desired positions in a horizon, the current one included.
+        q_start: joint angles at which the arm rests before the first cycle ``(n,)`` [rad].
+    """
+
+    n_d: int
+
+    @property
+    def q_start(self) -> Array: ...
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles ``q (n,)`` [rad] at ``t`` [s]; ``q_d (n_d, n)`` is the horizon of the last cycle."""
+        ...
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
+
+        Raises:
+            PlanningError, LimitError: the path cannot go on; the arm is then stopped on what was planned last.
+        """
+        ...
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint angles ``(n,)`` [rad]."""
+        ...
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        ...
+
+    def collect(self, t0: float, t1: float) -> None:
+        """Takes note of the cycle from ``t0`` to ``t1`` [s], which is over."""
+        ...
+
+    def speed(self, t: float) -> float:
+        """Path speed at ``t`` [m/s], from which the arm is braked."""
+        ...
+
+    def done(self, t: float) -> bool:
+        """Whether the cycle that began at ``t`` was the last one."""
+        ...
+
+
+@dataclass
+class CycleLog:
+    """What every play writes down.
+
+    Attributes:
+        t: begin of each cycle [s].
+        q_d: desired position of each cycle ``(n,)`` [rad].
+        q_c: command of each cycle ``(n,)`` [rad].
+        cycles: computing time of each cycle, sensors' simulation not included [s].
+        failure: why the play ended early, or None.
+    """
+
+    t: list[float] = field(default_factory=list)
+    q_d: list[Array] = field(default_factory=list)
+    q_c: list[Array] = field(default_factory=list)
+    cycles: list[float] = field(default_factory=list)
+    failure: str | None = None
+
+
+@dataclass(frozen=True)
+class CycleSettings:
+    """How a play ends.
+
+    Attributes:
+        braking: deceleration of a stop on the path [m/s²].
+        rest: time the play goes on after a stop [s].
+        longest: a play that has not ended by then is stuck [s].
+        expected: usual length, for the progress [s].
+        text: what is being done, for the progress.
+    """
+
+    braking: float
+    rest: float
+    longest: float
+    expected: float
+    text: str
+
+
+def play_cycles(robot: RobotInterface, task: Task, log: CycleLog, settings: CycleSettings, progress: Progress) -> None:
+    """Cycle by cycle until the task is done, or the arm has come to rest because it could not go on.
+
+    Args:
+        robot: the arm, at rest at the task's start.
+        task: what to do.
+        log: is written to.
+        settings: how the play ends.
+        progress: called now and then.
+    """
+    T = robot.t_ipo
+    q = task.q_start
+    q_d = np.tile(q, (task.n_d, 1))
+    stopping: Iterator[Array] | None = None
+    still = 0
+    for k in range(int(settings.longest / T)):
+        t = k * T
+        begin = time.perf_counter()
+        task.observe(t, q, q_d)
+        if stopping is None:
+            try:
+                q_d = task.plan(t, q_d)
+            except (PlanningError, LimitError) as error:
+                log.failure = str(error)
+                stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+        if stopping is not None:
+            rows = next(stopping)
+            q_d = np.concatenate([rows, rows[-1:]])
+        try:
+            q_c = task.command(t, q_d)
+            log.cycles.append(time.perf_counter() - begin)
+            log.t.append(t)
+            log.q_d.append(q_d[0].copy())
+            log.q_c.append(q_c)
+            task.request(t, t + T)
+            q = robot.cycle(q_c).q
+        except (PlanningError, LimitError) as error:
+            # A command that leaves the arm's limits, as of a gain too high: the controller refuses it.
+            log.failure = log.failure or str(error)
+            return
+        task.collect(t, t + T)
+        still = still + 1 if stopping is not None and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
+        if task.done(t) or still * T > settings.rest:
+            return
+        if k % 16 == 0:
+            progress(min(1.0, t / settings.expected), settings.text)
+    log.failure = log.failure or f"not done after {settings.longest:.0f} s"

@@ -1,0 +1,146 @@
+"""A line drawn on a plane: the tables of a scene file that say where it should be, where it really is, how it looks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+import pinocchio as pin
+import pydantic
+
+from ideal_robot.arrays import Array
+from scenes.scene import Table
+from scenes.shape import STEP, Shape
+
+
+class Surface(Table):
+    """The plane on which the line is drawn."""
+
+    origin: tuple[float, float, float]
+    """Where the line's own origin lies in the base frame [m]."""
+    heading_deg: float = 0.0
+    """Direction of the line's own x axis in the surface, from the base's x axis."""
+    tilt_deg: tuple[float, float] = (0.0, 0.0)
+    """Tilt of the surface about the base's x and y axis."""
+
+    def pose(self) -> pin.SE3:
+        """Pose of the plane: x along the heading, z out of the surface."""
+        tilt = pin.rpy.rpyToMatrix(math.radians(self.tilt_deg[0]), math.radians(self.tilt_deg[1]), 0.0)
+        return pin.SE3(tilt @ pin.rpy.rpyToMatrix(0.0, 0.0, math.radians(self.heading_deg)), np.array(self.origin))
+
+
+class Line(Shape):
+    """The drawn line: its shape, and how it looks."""
+
+    width_mm: float = pydantic.Field(default=3.0, gt=0, le=50)
+    gray: float = pydantic.Field(default=40.0, ge=0, le=255)
+    background: float = pydantic.Field(default=200.0, ge=0, le=255)
+    edge_mm: float = pydantic.Field(default=1.0, gt=0)
+
+
+class Feature(Table):
+    """Something that makes the line hard to see."""
+
+    kind: Literal["gap", "crossing", "parallel", "scratch", "glare", "shade"]
+    at_mm: float = pydantic.Field(ge=0)
+    length_mm: float = pydantic.Field(default=30.0, gt=0)
+    offset_mm: float = 0.0
+    angle_deg: float = 90.0
+    width_mm: float = pydantic.Field(default=3.0, gt=0)
+    gray: float | None = pydantic.Field(default=None, ge=0, le=255)
+
+
+class Displacement(Table):
+    """How far the drawn line is from its reference: sizes; the seed draws half to whole of each, with sign."""
+
+    lateral_mm: float = pydantic.Field(default=10.0, ge=0, le=60)
+    along_mm: float = pydantic.Field(default=5.0, ge=0, le=60)
+    turn_deg: float = pydantic.Field(default=1.0, ge=0, le=20)
+
+    def draw(self, rng: np.random.Generator) -> tuple[float, float, float]:
+        """Shift along and across [m], turn about the line's middle [rad]."""
+        size = np.array([1e-3 * self.along_mm, 1e-3 * self.lateral_mm, math.radians(self.turn_deg)])
+        along, across, turn = size * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
+        return float(along), float(across), float(turn)
+
+
+class Reference(Table):
+    """The reference path: the line's nominal shape unless another is given, longer than the line at both ends."""
+
+    shape: Shape | None = None
+    run_up: float = pydantic.Field(default=0.15, ge=0.0, le=2)
+    """Straight piece before the line, on which the arm gets up to speed and finds it [m]."""
+    run_out: float = pydantic.Field(default=0.05, ge=0.0, le=2)
+    """Straight piece behind the line [m]."""
+    acceleration: float = pydantic.Field(default=4.0, gt=0, le=50)
+    """Along the path [m/s²]."""
+
+
+class LineTables(Protocol):
+    """The tables of a scene that say where reference and drawn line are."""
+
+    @property
+    def surface(self) -> Surface: ...
+
+    @property
+    def line(self) -> Line: ...
+
+    @property
+    def reference(self) -> Reference: ...
+
+    @property
+    def displacement(self) -> Displacement: ...
+
+    @property
+    def folder(self) -> Path | None: ...
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Where everything is, in the base frame.
+
+    Attributes:
+        plane: pose of the surface.
+        reference: points of the reference path with run-up and run-out ``(N, 3)`` [m].
+        drawn: points of the drawn line, where it really is ``(N, 3)`` [m].
+        drawn_xy: the same in the plane ``(N, 2)`` [m].
+        displacement: shift along and across [m], turn [rad] that the seed drew.
+    """
+
+    plane: pin.SE3
+    reference: Array
+    drawn: Array
+    drawn_xy: Array
+    displacement: tuple[float, float, float]
+
+
+def geometry(scene: LineTables, rng: np.random.Generator) -> Geometry:
+    """Reference path and drawn line of a scene; ``rng`` draws where the line really is."""
+    plane = scene.surface.pose()
+    nominal = Shape(**{key: getattr(scene.line, key) for key in Shape.model_fields}).curve(scene.folder)
+    wanted = nominal if scene.reference.shape is None else scene.reference.shape.curve(scene.folder)
+    along, across, turn = scene.displacement.draw(rng)
+    chord = nominal[-1] - nominal[0]
+    # "Along" and "across" are the line's own directions, start to end; a closed line takes its x axis.
+    length = float(np.linalg.norm(chord))
+    u = chord / length if length > 0.1 * STEP * len(nominal) else np.array([1.0, 0.0])
+    c, s = math.cos(turn), math.sin(turn)
+    middle = nominal.mean(axis=0)
+    turned = (nominal - middle) @ np.array([[c, -s], [s, c]]).T + middle
+    drawn = turned + along * u + across * np.array([-u[1], u[0]])
+    ends = [_straight(wanted[0], wanted[0] - wanted[1], scene.reference.run_up)[::-1], wanted,
+            _straight(wanted[-1], wanted[-1] - wanted[-2], scene.reference.run_out)]
+    return Geometry(plane, _lifted(np.vstack(ends), plane), _lifted(drawn, plane), drawn, (along, across, turn))
+
+
+def _straight(start: Array, direction: Array, length: float) -> Array:
+    """Points every half millimetre straight on from ``start``, which is left out."""
+    unit = direction / np.linalg.norm(direction)
+    return np.asarray(start + STEP * np.arange(1, int(length / STEP) + 1)[:, None] * unit)
+
+
+def _lifted(xy: Array, plane: pin.SE3) -> Array:
+    return np.asarray(np.column_stack([xy, np.zeros(len(xy))]) @ plane.rotation.T + plane.translation)

@@ -1,0 +1,60 @@
+"""What scenes of kind ``force`` offer: play with one method, compare several, curves for the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from scenes.force.cell import scene_curves
+from scenes.force.compare import ForceComparison, compare_forces
+from scenes.force.gains import best_gains
+from scenes.force.page import write_comparison, write_run
+from scenes.force.play import methods as force_methods
+from scenes.force.play import play
+from scenes.force.result import ForceResult
+from scenes.force.scene import ForceScene
+from scenes.kind import SceneKind
+from scenes.methods import DIRECT, PLAIN, compared, method_of
+from scenes.result import Progress, silent
+
+
+def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
+        gains: tuple[float, float] | None = None) -> ForceResult:
+    """Presses and moves once.
+
+    Args:
+        scene: what to play.
+        method: a key of ``scenes.force.play.methods``, a ``Feedforward`` or a factory of one; the scene's own if None.
+        out: folder for recording and report; nothing is written without.
+        progress: called with the fraction done.
+        gains: K_p [m/N per cycle], K_d [m/N] of direct feedback; the scene's, or found by search, if None.
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    chosen = method_of(method or scene.method, force_methods(scene.task))
+    if chosen.key == DIRECT and gains is None:
+        gains = scene.gains or best_gains(scene, progress=lambda part, text: progress(0.8 * part, text))[0]
+    result = play(scene, chosen, gains, progress)
+    return result if out is None else write_run(result, out)
+
+
+def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
+            progress: Progress = silent) -> ForceComparison:
+    """Presses and moves with several methods, direct feedback at its best gains.
+
+    Args:
+        scene: what to play.
+        methods: keys, ``Feedforward`` objects or factories; every method that applies if None.
+        out: folder for the report; nothing is written without.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    comparison = compare_forces(scene, compared(methods, force_methods(scene.task), PLAIN), progress=progress)
+    return comparison if out is None else write_comparison(comparison, out)
+
+
+FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves)

@@ -1,0 +1,153 @@
+"""What keeping a force along a path does in each interpolation cycle: [L] Fig. 1 with a force sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import ArmObserver
+from ideal_robot.feedforward.method import Setting
+from planning.follower import ForceFollower
+from planning.force.contact import Phase
+from planning.force.direct_force import DirectForceFeedback
+from planning.force.stop_conditions import StopConditions
+from scenes.force.cell import N_D, Cell
+from scenes.force.line_camera import GlueCamera, glue_fusion
+from scenes.force.result import ForceLog
+from scenes.methods import DIRECT, SceneMethod
+from sensing.camera.camera_device import Camera
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
+from sensing.force.force_deviation import WrenchFilter
+from sensing.force.force_device import ForceSensor
+
+WINDOW = 0.0
+"""Length of the moving average over wrenches [s]; the map averages better, and without delay."""
+
+
+class ForceTask:
+    """Pressing and moving with one method; a ``scenes.cycle.Task``.
+
+    Args:
+        cell: the scene set up.
+        method: how ``q_d`` becomes ``q_c``.
+        gains: K_p [m/N per cycle], K_d [m/N] of direct feedback.
+        tool: bias and weight, from calibration.
+        elasticity: of tip and surface, from calibration.
+    """
+
+    n_d = N_D
+
+    def __init__(self, cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
+                 elasticity: ContactElasticity) -> None:
+        self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
+        self.assumed_stiffness = assumed = cell.scene.assumed.elasticity_ratio * elasticity.stiffness
+        self.vision: GlueCamera | None = None
+        self._direct: DirectForceFeedback | None = None
+        self.follower: ForceFollower
+        if cell.scene.task == "contour":
+            self.follower = cell.contour_follower(assumed)
+        else:
+            glue = cell.scene.task == "glue"
+            self.follower = self._surface = cell.follower(assumed, glue_fusion(cell) if glue else None)
+            self.vision = GlueCamera(cell, self._surface) if glue else None
+            if method.key == DIRECT and gains is not None:
+                self._direct = DirectForceFeedback(self._surface, *gains)
+        self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
+        self._filter = WrenchFilter(WINDOW)
+        model = cell.model if method.knows_model else None
+        self.feedforward = method.following(Setting(cell.robot, model, N_D, int(cell.world.correction_delay)))
+        # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
+        self._observer = None if model is None else ArmObserver(model, cell.world.t_ipo)
+        self._arm = self._observer.init(self.q_start) if self._observer is not None else None
+        self._state = self.feedforward.init(self.q_start)
+        self.log = ForceLog()
+        self._torque = np.zeros((N_D, cell.robot.n))
+        self._sensor: ForceSensor
+        self._camera: Camera | None = None
+
+    def connect(self, sensor: ForceSensor, camera: Camera | None) -> None:
+        """Connects the devices: the force sensor, and the camera of a scene that has one."""
+        self._sensor, self._camera = sensor, camera
+
+    @property
+    def q_start(self) -> Array:
+        """Where the arm rests at first ``(n,)`` [rad]."""
+        return self.follower.q_start
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at ``t``."""
+        self.follower.observe(t, self._arm_angles(q))
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """Desired joint positions over the horizon ``(n_d, n)``."""
+        self._sense(t)
+        if self.vision is not None and self._camera is not None:
+            self.vision.sense(t, self._camera.arrived(t))
+        self._check(t)
+        # Direct feedback goes its own way between touch-down and lift: no need to plan.
+        if self._direct is not None and self.follower.phase is not Phase.APPROACH:
+            self._surface.advance(t)
+            return q_d
+        q_d = self.follower.horizon(t)
+        self._stop.command(t, q_d)
+        return q_d
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint positions ``(n,)``."""
+        self._torque = self.follower.contact_torque(q_d)
+        if self._direct is not None:
+            return self._direct.command(t, q_d)
+        n_d = self.feedforward.n_d
+        q_c, self._state = self.feedforward.step(self._state, q_d[:n_d], self._torque[:n_d])
+        return q_c
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the camera for windows where the line should be."""
+        self.log.add(t0, self.follower)
+        if self.vision is not None and self._camera is not None:
+            self._camera.request(t0, t1, self.vision.windows)
+
+    def collect(self, t0: float, t1: float) -> None:
+        """Nothing is kept of a cycle that is over."""
+
+    def speed(self, t: float) -> float:
+        """Path speed [m/s]; at least a tenth, so that a stop at rest takes some time, too."""
+        return max(self.follower.speed_at(t), 0.1)
+
+    def done(self, t: float) -> bool:
+        """Whether the tip has been lifted again."""
+        lifted = self._direct is not None and self._direct.lifted >= self._surface.settings.clearance
+        return self.follower.phase is Phase.DONE or lifted
+
+    def _arm_angles(self, q: Array) -> Array:
+        """q_a from the motor angles, the contact torque included."""
+        if self._observer is None or self._arm is None:
+            return q
+        self._arm = self._observer.step(self._arm, q, self._torque[0])
+        return self._arm.q_a
+
+    def _sense(self, t: float) -> None:
+        arrived = self._sensor.arrived(t)
+        if not arrived:
+            return
+        samples = [self._filter.add(sample) for sample in arrived]
+        history = self.follower.history
+        contact = np.array([self.tool.contact(s.wrench, history.pose(max(s.t, history.first)).rotation)[:3]
+                            for s in samples])
+        fused = self.follower.update_force(np.array([s.t for s in samples]), contact)
+        nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
+        self.log.samples.append((samples[-1].t, self.follower.force, nis))
+        if self._direct is not None:
+            self._direct.update(self.follower.force)
+        self._stop.force(t, float(np.median(np.linalg.norm(contact, axis=1))))
+
+    def _check(self, t: float) -> None:
+        follower = self.follower
+        if follower.phase is Phase.TRAVEL:
+            # Samples are late: contact is judged at the time of the newest one.
+            newest = self.log.samples[-1][0] if self.log.samples else t
+            self._stop.contact(newest, follower.last_touch)
+            if self.vision is not None:
+                self.vision.sight.check(t)
+        elif follower.phase is Phase.APPROACH:
+            self._stop.approach(t, follower.descended, follower.settings.reach)

@@ -1,0 +1,68 @@
+"""The seam of scene kinds: what a kind of scene offers to runner, command line and viewer.
+
+A package outside adds one by ``KINDS.register("mine", SceneKind(…))`` or by an entry point of the group
+``ideal_robot.scene_kinds``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ideal_robot.arrays import Array
+from ideal_robot.registry import Registry
+from scenes.result import CompareResult, LoopResult, RunResult
+from scenes.scene import Scene
+
+
+class Play(Protocol):
+    """Plays a scene once; a kind may take further keywords, such as the sensors of a line scene."""
+
+    def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> RunResult: ...
+
+
+class Compare(Protocol):
+    """Plays a scene with several methods."""
+
+    def __call__(self, scene: Any, *, methods: Any = None, out: Any = None, progress: Any = ...) -> CompareResult: ...
+
+
+class CloseLoop(Protocol):
+    """Plays a scene, diagnoses what its model misses, and plays it again with what was found."""
+
+    def __call__(self, scene: Any, *, out: Any = None, progress: Any = ...) -> LoopResult: ...
+
+
+@dataclass(frozen=True)
+class SceneKind:
+    """One kind of scene.
+
+    Attributes:
+        scene: the scene's class: which keys its file has.
+        methods: the keys that ``run`` takes as its method.
+        run: plays a scene with one method.
+        compare: plays a scene with several.
+        curves: curves of a scene by name ``(N, 3)`` [m] for the viewer; None where there is nothing to draw.
+        close_loop: run, diagnose, extend the model and run again; None where the kind holds nothing to be found.
+    """
+
+    scene: type[Scene]
+    methods: Callable[[], tuple[str, ...]]
+    run: Play
+    compare: Compare
+    curves: Callable[[Any], dict[str, Array]] | None = None
+    close_loop: CloseLoop | None = None
+
+
+KINDS: Registry[SceneKind] = Registry("kind of scene", "ideal_robot.scene_kinds", {
+    "line": "scenes.line.kind:LINE",
+    "path": "scenes.path.kind:PATH",
+    "force": "scenes.force.kind:FORCE",
+    "clamped": "scenes.clamped.kind:CLAMPED",
+})
+
+
+def kind_of(scene: Scene) -> SceneKind:
+    """The kind that a scene is of."""
+    return KINDS.get(scene.kind)

@@ -1,0 +1,78 @@
+"""What scenes of kind ``line`` offer: play with one method, compare several, curves for the viewer, close the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ideal_robot.arrays import Array
+from planning.line.deviation_sensor import DeviationSensor
+from scenes.drawn_line import geometry
+from scenes.kind import SceneKind
+from scenes.line.cell import Prepared, prepared, streams
+from scenes.line.close_loop import close_loop
+from scenes.line.compare import LineComparison, compare_lines
+from scenes.line.gains import best_gains
+from scenes.line.page import write_comparison, write_run
+from scenes.line.play import methods as play_methods
+from scenes.line.play import play
+from scenes.line.result import LineResult
+from scenes.line.scene import LineScene
+from scenes.methods import DIRECT, PLAIN, compared, method_of
+from scenes.result import Progress, silent
+
+
+def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
+        gains: tuple[float, float] | None = None, shared: Prepared | None = None,
+        sensors: Sequence[DeviationSensor] = ()) -> LineResult:
+    """Follows the line once.
+
+    Args:
+        scene: what to play.
+        method: a key of ``scenes.line.play.methods``, a ``Feedforward`` or a factory of one; the scene's own if None.
+        out: folder for recording and report; nothing is written without.
+        progress: called with the fraction done.
+        gains: K_p, K_d of direct sensor feedback [1 per cycle]; found by search if None.
+        shared: from ``prepared`` of the same scene, to save its time.
+        sensors: besides the camera, fused with it ([L] 4.3).
+
+    Raises:
+        InputError: the scene cannot be played: unknown method, line out of reach, unreachable speed.
+    """
+    chosen = method_of(method or scene.method, play_methods())
+    if shared is None:
+        with prepared(scene, progress) as own:
+            return run(scene, method=chosen, out=out, progress=progress, gains=gains, shared=own, sensors=sensors)
+    if chosen.key == DIRECT and gains is None:
+        gains, _ = best_gains(scene, shared, progress=lambda fraction, text: progress(0.8 * fraction, text))
+    result = play(scene, chosen, shared=shared, gains=gains, sensors=sensors, progress=progress,
+                  pictures=out is not None)
+    return result if out is None else write_run(result, out)
+
+
+def compare(scene: LineScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
+            progress: Progress = silent, sensors: Sequence[DeviationSensor] = ()) -> LineComparison:
+    """Follows the line with several methods, direct sensor feedback at its best gains.
+
+    Args:
+        scene: what to play.
+        methods: keys, ``Feedforward`` objects or factories; every method that applies if None.
+        out: folder for recordings and report; nothing is written without.
+        progress: called with the fraction done.
+        sensors: besides the camera, with every method.
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    comparison = compare_lines(scene, compared(methods, play_methods(), PLAIN), sensors=sensors, progress=progress)
+    return comparison if out is None else write_comparison(comparison, out)
+
+
+def curves(scene: LineScene) -> dict[str, Array]:
+    """Drawn line and reference path ``(N, 3)`` [m], for the viewer."""
+    where = geometry(scene, streams(scene)[0])
+    return {"line": where.drawn, "reference": where.reference}
+
+
+LINE = SceneKind(LineScene, play_methods, run, compare, curves, close_loop)

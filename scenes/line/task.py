@@ -1,0 +1,193 @@
+"""What following a line does in each interpolation cycle: the two loops of [L] Fig. 1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.feedforward.method import Setting
+from ideal_robot.model.model import Model
+from planning.line.deviation_sensor import DeviationSensor, fuse_reading
+from planning.line.direct_feedback import DirectFeedback
+from scenes.cycle import CycleLog
+from scenes.line.cell import START, Cell, detection
+from scenes.line.result import FieldShown
+from scenes.methods import DIRECT, SceneMethod
+from sensing.camera.camera_device import Camera
+from sensing.camera.field import Field, Window
+from sensing.camera.line_detection import LineField, detect_line, search_windows
+from sensing.camera.line_polynomial import fit_line_polynomial
+
+REST = 0.2
+"""Time the recording goes on after the path has come to rest [s]."""
+SHOWN = 4
+"""Camera fields kept as pictures."""
+
+
+def assumed_latency(model: Model) -> float:
+    """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
+    return sum(effect.coefficients[0] for effect in model.effects if effect.name == "camera_latency")
+
+
+@dataclass
+class LineLog(CycleLog):
+    """What is written down while a line is followed.
+
+    Attributes:
+        fields: camera fields that arrived; used: how many of them gave a measurement.
+        shown: fields for the report, with their true time stamps [s].
+        with_field: whether a field was worked on in each cycle.
+        s: arc length of the reference at each cycle [m].
+        believed: desired deviation there [m].
+        first_used: when a field was used first [s]; NaN if never.
+        sensor_values, sensor_used: how many values each further sensor gave, and how many went into the fusion.
+    """
+
+    fields: list[LineField] = field(default_factory=list)
+    used: int = 0
+    shown: list[tuple[float, FieldShown]] = field(default_factory=list)
+    with_field: list[bool] = field(default_factory=list)
+    s: list[float] = field(default_factory=list)
+    believed: list[float] = field(default_factory=list)
+    first_used: float = np.nan
+    sensor_values: dict[str, int] = field(default_factory=dict)
+    sensor_used: dict[str, int] = field(default_factory=dict)
+
+
+class LineTask:
+    """Following a line with one method; a ``scenes.cycle.Task``.
+
+    Args:
+        cell: the scene set up.
+        method: how ``q_d`` becomes ``q_c``.
+        camera: what sees the line.
+        model: of the arm; None for a method that knows of none.
+        gains: K_p, K_d of direct sensor feedback [1 per cycle].
+        log: is written to.
+        sensors: besides the camera.
+    """
+
+    def __init__(self, cell: Cell, method: SceneMethod, camera: Camera, model: Model | None,
+                 gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = ()) -> None:
+        self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
+        self.follower = follower = cell.follower
+        self.n_d = follower.n_d
+        self._T = cell.world.t_ipo
+        self._count = int(np.ceil((START + follower.duration + REST) / self._T))
+        self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
+        self._new: list[Field] = []
+        self._detection = detection(cell)
+        self.feedforward = method.following(Setting(cell.robot, model, self.n_d, int(cell.world.correction_delay)))
+        self._deflection = GearDeflection(model, self._T) if model is not None else None
+        self._latency = assumed_latency(model) if model is not None else 0.0
+        self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
+        self._state = self.feedforward.init(follower.q_start)
+        # Once for nothing, so that compiling does not fall into the first cycles.
+        self.feedforward.step(self._state, np.tile(follower.q_start, (self.feedforward.n_d, 1)))
+        follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
+        for sensor in self.sensors:
+            log.sensor_values[sensor.name] = log.sensor_used[sensor.name] = 0
+
+    @property
+    def q_start(self) -> Array:
+        """Where the arm rests at first ``(n,)`` [rad]."""
+        return self.follower.q_start
+
+    @property
+    def rest(self) -> float:
+        """Time the recording goes on after a stop [s]."""
+        return REST
+
+    @property
+    def longest(self) -> float:
+        """Length of the play [s]."""
+        return (self._count + 0.5) * self._T
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at ``t``; the arm's are those less the gears' deflection, where a model knows it."""
+        self._new = self.camera.arrived(t)
+        self.follower.observe(t, q if self._deflection is None else q - self._deflection.at(q_d))
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""
+        for arrived in self._new:
+            seen = self._sense(arrived)
+            self.log.fields.append(seen)
+            self.log.used += int(seen.seen)
+            if seen.seen and not np.isfinite(self.log.first_used):
+                self.log.first_used = t
+        for sensor in self.sensors:
+            for reading in sensor.arrived(t):
+                self.log.sensor_values[sensor.name] += 1
+                self.log.sensor_used[sensor.name] += fuse_reading(self.follower, reading, sensor.name).dof
+        if self.method.senses:
+            return self.follower.horizon(t)
+        self.follower.fusion.travel(float(self.follower.profile.s(t - START)))
+        k = min(max(round((t - START) / self._T), 0), len(self.follower.q_reference) - self.n_d)
+        return self.follower.q_reference[k : k + self.n_d]
+
+    def _sense(self, arrived: Field) -> LineField:
+        """Line points of a field and what follows from them for the path."""
+        follower = self.follower
+        arrived = replace(arrived, t_stamp=arrived.t_stamp + self._latency)
+        pose = follower.history.pose(arrived.t_stamp)
+        ahead = follower.predict(arrived.t_stamp).seen_from(pose)
+        seen = detect_line(arrived, self.cell.camera, ahead, self._detection)
+        if self._direct is not None:
+            self._direct.update(seen, pose)
+        follower.update(seen, pose)
+        return seen
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint positions ``(n,)``."""
+        if self._direct is not None:
+            return self._direct.command(t)
+        q_c, self._state = self.feedforward.step(self._state, q_d[: self.feedforward.n_d])
+        return q_c
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the camera for windows where the line should be."""
+        self.log.with_field.append(bool(self._new))
+        self.log.s.append(float(self.follower.profile.s(t0 - START)))
+        self.log.believed.append(self.follower.planned(t0)[0] if self.method.senses else 0.0)
+        self.camera.request(t0, t1, self._windows)
+
+    def _windows(self, exposure: float) -> Sequence[Window]:
+        ahead = self.follower.predict(exposure).seen_from(self.follower.history.pose(exposure))
+        return search_windows(self.cell.camera, ahead, self._detection)
+
+    def collect(self, t0: float, t1: float) -> None:
+        """Keeps a field now and then for the report."""
+        k, fields = round(t0 / self._T), self.log.fields
+        if k not in self._picture_at:
+            return
+        self._picture_at.discard(k)
+        if self._new and fields and fields[-1].seen:
+            self.log.shown.append((fields[-1].t, self._picture(fields[-1], self._new[-1])))
+        else:
+            self._picture_at.add(k + 1)
+
+    def speed(self, t: float) -> float:
+        """Path speed [m/s]."""
+        return float(self.follower.profile.speed(t - START))
+
+    def done(self, t: float) -> bool:
+        """Whether the path is done and the arm at rest."""
+        return round(t / self._T) + 1 >= self._count
+
+    def _picture(self, seen: LineField, raw: Field) -> FieldShown:
+        """The points found in a field and the polynomial through them ([L] 5); the image itself is rendered later."""
+        follower, reference = self.follower, self.cell.reference
+        pose = follower.history.pose(seen.t)
+        points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
+        s, deviation, _ = reference.project(points, float(follower.profile.s(seen.t - START)) + 0.06)
+        polynomial = fit_line_polynomial(s, deviation, seen.sigma[seen.used])
+        at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
+        frames = reference.frames(at)
+        curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal
+        return FieldShown(seen.t, np.empty((0, 0), dtype=np.uint8), raw.windows, seen.pixels, seen.used,
+                          self.cell.camera.project_tool((curve - pose.translation) @ pose.rotation))

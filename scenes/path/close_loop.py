@@ -1,0 +1,106 @@
+"""The whole circle on a simulated arm: run, diagnose, extend the model, run again; path error before and after.
+
+The scene's world holds an effect that the model was not told of. The oracle is told its name and joint, and estimates
+its size from the same recording.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.validation.adoption import adopted
+from ideal_robot.diagnosis.validation.oracle import told
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.model.model import Model
+from scenes.methods import IDEAL
+from scenes.metrics import PathErrors
+from scenes.path.cell import PathCell, set_up, training_path
+from scenes.path.close_loop_page import write_circle
+from scenes.path.close_loop_result import CloseLoopResult
+from scenes.path.scene import JointPath, PathScene
+from scenes.result import Progress, silent
+from sim.arm.world import World
+
+_EFFECT_OF_KEY = {"stribeck": "stribeck", "presliding": "presliding_hysteresis", "stiffness": "joint_elasticity",
+                  "viscous": "viscous", "coulomb": "coulomb", "friction_asymmetry": "asymmetric_friction",
+                  "backlash": "backlash", "degressive": "degressive", "load_friction": "load_dependent_friction"}
+"""What a key of the scene's world is called in the effect library."""
+
+
+def close_loop(scene: PathScene, *, out: Path | None = None, progress: Progress = silent) -> CloseLoopResult:
+    """Plays a path, finds what its model misses from a diagnostic motion, extends the model and plays it again.
+
+    Args:
+        scene: what to play.
+        out: folder for recording, model and report; nothing is written without.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: a scene whose world holds nothing undeclared.
+    """
+    cell = set_up(scene, delay=False)
+    undeclared = undeclared_effects(scene, cell.robot.n)
+    progress(0.0, "before")
+    before = cell.play(cell.feedforward(IDEAL))
+    progress(0.15, "diagnostic motion")
+    recording = cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording
+    progress(0.3, "diagnose")
+    # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
+    found = diagnose(recording, cell.robot, model=cell.model,
+                     progress=lambda share, word: progress(0.3 + 0.4 * share, word))
+    extended = adopted(cell.model, found, before.recording, cell.robot)
+    progress(0.7, "after")
+    after = _played(cell, extended)
+    progress(0.85, "oracle")
+    oracle_model = told(recording, cell.robot, cell.model, undeclared)
+    oracle = _played(cell, oracle_model)
+    result = CloseLoopResult(scene, undeclared, before.errors, after, oracle, found, recording)
+    if out is None:
+        return result
+    return write_circle(result, extended, out)
+
+
+def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
+    """Effects by which the scene's world differs from the default one, with the joints they sit in."""
+    default = World.default(scene.robot)
+    result = []
+    for key, value in scene.world.items():
+        if key not in _EFFECT_OF_KEY:
+            continue
+        usual = default.per_joint(key, n)
+        own = np.broadcast_to(np.asarray(value, dtype=float), (n,))
+        result += [(_EFFECT_OF_KEY[key], int(j) + 1) for j in np.flatnonzero(own != usual)]
+    if not result:
+        raise InputError("the scene's world holds nothing that the model was not told of; set one of "
+                         f"{', '.join(_EFFECT_OF_KEY)}", file=f"scene {scene.name}", field="world")
+    return tuple(result)
+
+
+def diagnostic_motion(cell: PathCell) -> JointPath:
+    """All joints about the path's postures, at full, half and a fifth of the path's speed, one after another."""
+    fast = training_path(cell.path, cell.world.t_ipo)
+    parts = [fast.q_d]
+    for slowness in (2, 5):
+        at = np.arange(0.0, len(fast.q_d) - 1, 1.0 / slowness)
+        parts.append(np.column_stack([np.interp(at, np.arange(len(fast.q_d)), q) for q in fast.q_d.T]))
+    q_d = np.concatenate([parts[0], *[_joined(a[-1], b) for a, b in pairwise(parts)]])
+    t = cell.world.t_ipo * np.arange(float(len(q_d)))
+    counts = np.ones(len(q_d), dtype=bool)
+    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t), counts, cell.path.tool)
+
+
+def _joined(end: np.ndarray, part: np.ndarray, steps: int = 80) -> np.ndarray:
+    """A part with a smooth approach to its start in front."""
+    s = np.linspace(0.0, 1.0, steps)[:, None]
+    return np.concatenate([end + (part[0] - end) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), part])
+
+
+def _played(cell: PathCell, model: Model) -> PathErrors:
+    again = dataclasses.replace(cell, model=model)
+    return again.play(again.feedforward(IDEAL)).errors

@@ -1,0 +1,55 @@
+"""One turn of run, diagnose, extend, run again on a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar
+
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.signals.recording import Recording
+from scenes.metrics import PathErrors
+from scenes.path.scene import PathScene
+
+
+@dataclass(frozen=True)
+class CloseLoopResult:
+    """One turn of the loop.
+
+    Attributes:
+        scene: what was played.
+        undeclared: effects that the world holds and the model was not told of: name, joint.
+        before, after, oracle: path errors with the model as it was, as extended, and with the oracle's.
+        diagnosis: what was found.
+        recording: what it was found from.
+    """
+
+    scene: PathScene
+    undeclared: tuple[tuple[str, int], ...]
+    before: PathErrors
+    after: PathErrors
+    oracle: PathErrors
+    diagnosis: Diagnosis = field(repr=False)
+    recording: Recording = field(repr=False)
+    model_path: Path | None = None
+    report: Path | None = None
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        before, after, oracle = (e.aligned.E_car for e in (self.before, self.after, self.oracle))
+        return {
+            "scene": self.scene.name, "undeclared": [{"effect": n, "joint": j} for n, j in self.undeclared],
+            "path_error_mm": {"before": self.before.json_mm(), "after": self.after.json_mm(),
+                              "oracle": self.oracle.json_mm()},
+            "E_car_aligned_mm": {"before": 1e3 * before, "after": 1e3 * after, "oracle": 1e3 * oracle},
+            "after_over_oracle": after / oracle, "diagnosis": self.diagnosis.to_dict(), "model": self.model_path,
+            "report": self.report,
+        }
+
+    columns: ClassVar[tuple[str, ...]] = ("model", "E_car timed", "aligned", "geometric", "E_max aligned")
+
+    def table(self) -> list[list[Any]]:
+        """One row a model: errors in mm."""
+        return [[name, *[1e3 * value for value in (e.time_matched.E_car, e.aligned.E_car, e.geometric.E_car,
+                                                   e.aligned.E_max)]]
+                for name, e in (("before", self.before), ("after", self.after), ("oracle", self.oracle))]

@@ -1,0 +1,120 @@
+"""One path, several methods, with and without the standard path planner's delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from scenes.methods import NONE, SceneMethod
+from scenes.metrics import reduction_percent
+from scenes.path.cell import DELAY, set_up
+from scenes.path.play import play_method
+from scenes.path.result import PathResult
+from scenes.path.scene import PathScene
+from scenes.result import Progress, part_of, silent
+
+
+@dataclass(frozen=True)
+class PathComparison:
+    """Several methods on the same path.
+
+    Attributes:
+        scene: what was played.
+        runs: method → result.
+        learning_criterion: root mean square of the errors that learning on the arm saw at each play [rad].
+    """
+
+    scene: PathScene
+    runs: dict[str, PathResult]
+    learning_criterion: tuple[float, ...]
+    report: Path | None = None
+
+    @property
+    def reference(self) -> PathResult:
+        """What reductions are relative to: no correction, or the first method where that is not among them."""
+        return self.runs.get(NONE) or next(iter(self.runs.values()))
+
+    def reduction(self, method: str) -> dict[str, dict[str, float]]:
+        """Reduction of E_car and E_max against no correction [%]: time-matched, aligned, and the weaker of the two."""
+        before, after = self.reference.errors, self.runs[method].errors
+        found = {}
+        for name in ("E_car", "E_max"):
+            both = {kind: reduction_percent(getattr(getattr(before, kind), name), getattr(getattr(after, kind), name))
+                    for kind in ("time_matched", "aligned")}
+            found[name] = {**both, "weaker": min(both.values())}
+        return found
+
+    def motor_reduction(self, method: str) -> dict[str, float]:
+        """Reduction of the aligned error that motor angles show [%]: what [G] could measure, gears unseen."""
+        before, after = (run.played.motor_errors.aligned for run in (self.reference, self.runs[method]))
+        return {name: reduction_percent(getattr(before, name), getattr(after, name)) for name in ("E_car", "E_max")}
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``: the runs stand under ``methods``."""
+        return {
+            "scene": self.scene.name,
+            "speed_m_s": self.scene.speed,
+            "seed": self.scene.seed,
+            "methods": {method: {**run.json(), "reduction_percent": self.reduction(method),
+                                 "motor_aligned_reduction_percent": self.motor_reduction(method)}
+                        for method, run in self.runs.items()},
+            "learning_criterion_mrad": [1e3 * value for value in self.learning_criterion],
+            "paper": self.scene.paper.model_dump(),
+            "recording": {method: run.recording_path for method, run in self.runs.items()},
+            "urdf": next(iter(self.runs.values())).urdf,
+            "report": self.report,
+        }
+
+    def table(self) -> tuple[list[str], list[list[Any]]]:
+        """One row a method, what fits a terminal: E_car [mm], its reduction and the paper's [%]."""
+        paper = self.scene.paper.E_car_reduction_percent
+        columns = ["method", "timed mm", "aligned", "E_car −%", "E_max −%", "paper −%"]
+        rows: list[list[Any]] = []
+        for method, run in self.runs.items():
+            less = self.reduction(method)
+            rows.append([method, 1e3 * run.errors.time_matched.E_car, 1e3 * run.errors.aligned.E_car,
+                         less["E_car"]["weaker"], less["E_max"]["weaker"], paper.get(method)])
+        return columns, rows
+
+    def full_table(self) -> tuple[list[str], list[list[Any]]]:
+        """One row a method: errors in mm, reductions in per cent, the paper's beside them."""
+        columns = ["method", "E_car t.-m. mm", "aligned", "geometric", "E_max t.-m. mm", "aligned", "delay ms",
+                   "E_car less %", "E_max less %", "by motors %", "paper E_car %", "paper E_max %"]
+        paper = self.scene.paper
+        rows = []
+        for method, run in self.runs.items():
+            e, less = run.errors, self.reduction(method)
+            rows.append([
+                method, 1e3 * e.time_matched.E_car, 1e3 * e.aligned.E_car, 1e3 * e.geometric.E_car,
+                1e3 * e.time_matched.E_max, 1e3 * e.aligned.E_max, 1e3 * e.delay, less["E_car"]["weaker"],
+                less["E_max"]["weaker"], self.motor_reduction(method)["E_car"],
+                paper.E_car_reduction_percent.get(method), paper.E_max_reduction_percent.get(method)])
+        return columns, rows
+
+
+def compare_paths(scene: PathScene, methods: Sequence[SceneMethod], *, progress: Progress = silent) -> PathComparison:
+    """Plays the scene's path with each method; reductions are relative to no correction without the planner's delay.
+
+    That is the smaller error of the two uncorrected plays, so the stricter measure.
+
+    Args:
+        scene: what to play.
+        methods: in the order of the table; a key with ``_delay`` keeps the planner's delay in force.
+        progress: called with the fraction done.
+    """
+    runs: dict[str, PathResult] = {}
+    criterion: tuple[float, ...] = ()
+    for delay in (False, True):
+        wanted = [method for method in methods if method.key.endswith(DELAY) is delay]
+        if not wanted:
+            continue
+        cell = set_up(scene, delay=delay)
+        for method in wanted:
+            share = len(runs) / len(methods)
+            progress(share, method.key)
+            runs[method.key] = play_method(scene, cell, method, part_of(progress, share, 1 / len(methods), method.key))
+        if not delay and any(method.key.startswith("learned_") for method in wanted):
+            criterion = cell.learned().criterion
+    return PathComparison(scene, runs, criterion)

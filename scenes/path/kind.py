@@ -1,0 +1,56 @@
+"""What scenes of kind ``path`` offer: play with one method, compare several, close the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from scenes.kind import SceneKind
+from scenes.methods import compared, method_of
+from scenes.path.cell import DELAY, path_methods, set_up
+from scenes.path.close_loop import close_loop
+from scenes.path.compare import PathComparison, compare_paths
+from scenes.path.page import write_comparison, write_run
+from scenes.path.play import play_method
+from scenes.path.result import PathResult
+from scenes.path.scene import PathScene
+from scenes.result import Progress, silent
+
+
+def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent) -> PathResult:
+    """Plays the scene's path with one method.
+
+    Args:
+        scene: what to play.
+        method: a key of ``scenes.path.cell.path_methods``, a
+            ``Feedforward`` or a factory of one; the scene's own if None.
+        out: folder for recording and report; nothing is written without.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: no such method, or a scene that cannot be played.
+    """
+    chosen = method_of(method or scene.method, path_methods())
+    result = play_method(scene, set_up(scene, delay=chosen.key.endswith(DELAY)), chosen, progress)
+    return result if out is None else write_run(result, out)
+
+
+def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
+            progress: Progress = silent) -> PathComparison:
+    """Plays the scene's path with several methods, with and without the standard path planner's delay.
+
+    Args:
+        scene: what to play.
+        methods: keys, ``Feedforward`` objects or factories; all if None.
+        out: folder for recordings and report; nothing is written without.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: no such method, or a scene that cannot be played.
+    """
+    comparison = compare_paths(scene, compared(methods, path_methods()), progress=progress)
+    return comparison if out is None else write_comparison(comparison, out)
+
+
+PATH = SceneKind(PathScene, path_methods, run, compare, None, close_loop)

@@ -1,0 +1,71 @@
+"""Plays scenes of any kind from Python: with one method, with several, or run, diagnose and run again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from ideal_robot.errors import InputError
+from scenes.kind import KINDS, kind_of
+from scenes.result import CompareResult, LoopResult, Progress, RunResult, silent
+from scenes.scene import Scene
+
+
+def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
+              **changes: Any) -> Any:
+    """Plays a scene and returns its typed result (``scenes.line.result.LineResult`` for a line).
+
+    Args:
+        scene: what to play.
+        method: method key, or a ``Feedforward`` or a factory of one; the scene's own if None.
+        out: folder for recording and report; nothing is written without.
+        progress: called with the fraction done.
+        changes: keys of the scene to change, tables given as dictionaries and merged; or what the kind's ``run`` takes
+            besides (``sensors`` of a line).
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    own = {key: value for key, value in changes.items() if key not in type(scene).model_fields}
+    changed = scene.changed(**{key: value for key, value in changes.items() if key not in own})
+    result: RunResult = kind_of(changed).run(changed, method=method, out=out, progress=progress, **own)
+    return result
+
+
+def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
+                  progress: Progress = silent, **changes: Any) -> Any:
+    """Plays a scene with several methods.
+
+    Args:
+        scene: what to play.
+        methods: method keys, ``Feedforward`` objects or factories; every method that applies if None.
+        out: folder for recordings and report; nothing is written without.
+        progress: called with the fraction done.
+        changes: as for ``run_scene``.
+
+    Raises:
+        InputError: the scene cannot be played.
+    """
+    changed = scene.changed(**changes) if changes else scene
+    result: CompareResult = kind_of(changed).compare(changed, methods=methods, out=out, progress=progress)
+    return result
+
+
+def close_scene(scene: Scene, *, out: Path | None = None, progress: Progress = silent) -> LoopResult:
+    """Plays a scene, finds what its model misses, extends the model and plays it again.
+
+    Args:
+        scene: what to play; its kind has to offer it.
+        out: folder for recording, model and report; nothing is written without.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: a scene of another kind, or one whose world holds nothing undeclared.
+    """
+    close_loop = kind_of(scene).close_loop
+    if close_loop is None:
+        able = ", ".join(name for name, kind in KINDS if kind.close_loop is not None)
+        raise InputError(f"only scenes of kind {able} can be closed; they hold the undeclared effect", field="kind",
+                         value=scene.kind)
+    return close_loop(scene, out=out, progress=progress)

@@ -1,0 +1,34 @@
+"""The seam of cameras: what a camera that looks ahead of the tool is asked for, and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from sensing.camera.field import Field, Window
+
+WindowsAt = Callable[[float], Sequence[Window] | None]
+"""Rectangles to read out of the field exposed at a controller time [s]; None where the field is not wanted."""
+
+
+class Camera(Protocol):
+    """A camera as a device.
+
+    It exposes on its own clock, not the controller's, and its fields come late and not always in order. Each field is
+    stamped with the *controller's* time of mid-exposure as well as the device knows it; what is wrong with the stamps
+    is estimated on the way (``FollowerSettings.stamp``) and found by diagnosis (effect ``camera_latency``).
+    """
+
+    def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
+        """Asks for the fields of a cycle before it begins.
+
+        Args:
+            t0: begin of the cycle in controller time [s].
+            t1: its end [s].
+            windows: called with the instant of each exposure that ends in the cycle.
+        """
+        ...
+
+    def arrived(self, t: float) -> list[Field]:
+        """The fields that have arrived by the controller time ``t`` [s], in order of arrival, each once."""
+        ...

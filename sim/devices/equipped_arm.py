@@ -1,0 +1,89 @@
+"""A simulated arm with the sensors that it carries, each behind its device's seam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from ideal_robot.arrays import Array
+from ideal_robot.execution.interface import RobotState
+from sensing.camera.camera_device import WindowsAt
+from sensing.camera.field import Field, Window
+from sensing.force.wrench import WrenchSample
+from sim.arm.arm import SimulatedArm
+from sim.camera.camera import RenderedCamera
+from sim.contact.contact import TipContact
+from sim.contact.force_sensor import ForceSensor
+from sim.devices.arrivals import Arrivals
+
+
+class Carried(Protocol):
+    """A simulated sensor on the arm: it measures while the arm moves."""
+
+    def carry(self, t0: float, t1: float) -> None:
+        """The arm has moved from ``t0`` to ``t1`` [s]."""
+        ...
+
+
+class CarriedCamera:
+    """The simulated camera on the arm, as a ``sensing.camera.camera_device.Camera``."""
+
+    def __init__(self, camera: RenderedCamera, arm: SimulatedArm) -> None:
+        self._camera, self._arm = camera, arm
+        self._wanted: list[tuple[float, Sequence[Window]]] = []
+        self._late: Arrivals[Field] = Arrivals()
+
+    def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
+        """See ``Camera.request``."""
+        asked = ((t, windows(t)) for t in self._camera.due(t0, t1))
+        self._wanted += [(t, wanted) for t, wanted in asked if wanted is not None]
+
+    def arrived(self, t: float) -> list[Field]:
+        """See ``Camera.arrived``."""
+        return self._late.arrived(t)
+
+    def carry(self, t0: float, t1: float) -> None:
+        """Exposes what was asked for."""
+        self._late.send([self._camera.windows(t, self._arm.tcp_at, windows) for t, windows in self._wanted])
+        self._wanted = []
+
+
+class CarriedForceSensor:
+    """The simulated force sensor on the arm, as a ``sensing.force.force_device.ForceSensor``.
+
+    Attributes:
+        samples: all that was measured.
+    """
+
+    def __init__(self, sensor: ForceSensor, arm: SimulatedArm, contact: TipContact) -> None:
+        self._sensor, self._arm, self._contact = sensor, arm, contact
+        self._late: Arrivals[WrenchSample] = Arrivals()
+        self.samples: list[WrenchSample] = []
+
+    def arrived(self, t: float) -> list[WrenchSample]:
+        """See ``ForceSensor.arrived``."""
+        return self._late.arrived(t)
+
+    def carry(self, t0: float, t1: float) -> None:
+        """Measures between ``t0`` and ``t1`` [s]."""
+        measured = self._sensor.due(t0, t1, self._arm.tcp_at, self._contact.force_at)
+        self.samples += measured
+        self._late.send(measured)
+
+
+class EquippedArm:
+    """A ``RobotInterface`` that moves the arm and lets its sensors measure on the way."""
+
+    def __init__(self, arm: SimulatedArm, carried: Sequence[Carried]) -> None:
+        self._arm, self._carried = arm, tuple(carried)
+        self.t_ipo = arm.t_ipo
+        self._cycles = 0
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """See ``RobotInterface.cycle``."""
+        state = self._arm.cycle(q_c)
+        t0 = self._cycles * self.t_ipo
+        for one in self._carried:
+            one.carry(t0, t0 + self.t_ipo)
+        self._cycles += 1
+        return state
