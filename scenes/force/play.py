@@ -18,7 +18,7 @@ from scenes.methods import DIRECT, following_methods, method_of
 from scenes.result import Progress, silent
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from sim.devices.equipped_arm import CarriedCamera, CarriedForceSensor, EquippedArm
+from sim.equipment.equipped_arm import CarriedCamera, CarriedForceSensor, EquippedArm
 
 BRAKING = 2.0
 """Deceleration of a stop on the path [m/s²]."""

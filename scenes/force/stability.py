@@ -22,8 +22,9 @@ from matplotlib.figure import Figure
 
 from ideal_robot.whole_file import whole_file
 from scenes import load_scene
+from scenes.commands.common import progress_bar
 from scenes.force.play import play
-from scenes.report.page import Report
+from scenes.report.page import Report, write_json
 from scenes.result import Progress, silent
 
 ELASTICITY = (0.25, 0.4, 0.6, 0.8, 0.9, 1.0, 1.1, 1.25, 1.6, 2.5, 4.0)
@@ -144,9 +145,6 @@ def stability_figure(found: StabilityMap) -> Figure:
 
 def main(out: str = "out/stability") -> None:
     """``python -m scenes.force.stability``: measures the map and writes its page and JSON."""
-    from scenes.commands.common import progress_bar
-    from scenes.report.page import write_json
-
     with progress_bar("stability") as progress:
         found = stability_map(progress=progress)
     write_json(Path(out) / "stability.json", found.json())

@@ -18,6 +18,8 @@ from ideal_robot.identification.program import Program, finite_limits, plan_two_
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,6 @@ def slow_reversals(q0: Array, t_ipo: float, v_max: Array, duration: float = 8.0)
 def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float], None] = lambda share: None,
               ) -> Recording:
     """Plays a plan on the simulated arm in its default world and returns what the controller logged."""
-    from sim.arm.arm import SimulatedArm
-    from sim.arm.world import World
 
     with SimulatedArm(robot, World.default(robot.name), np.random.default_rng(seed), robot.home) as arm:
         for k, q_c in enumerate(planned.commands):

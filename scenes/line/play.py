@@ -23,7 +23,7 @@ from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from sim.arm.arm import SimulatedArm
-from sim.devices.equipped_arm import CarriedCamera, EquippedArm
+from sim.equipment.equipped_arm import CarriedCamera, EquippedArm
 
 
 def methods() -> tuple[str, ...]:

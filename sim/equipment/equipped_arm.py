@@ -14,7 +14,7 @@ from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 from sim.contact.contact import TipContact
 from sim.contact.force_sensor import ForceSensor
-from sim.devices.arrivals import Arrivals
+from sim.equipment.arrivals import Arrivals
 
 
 class Carried(Protocol):

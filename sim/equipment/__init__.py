@@ -1,0 +1,1 @@
+"""The simulated arm with its sensors, each behind its device's seam."""
