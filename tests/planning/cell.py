@@ -120,7 +120,7 @@ def follow(
     shuffle: bool = False,
     stamp: float = 0.0,
 ) -> Run:
-    """Runs the follower around an arm that does exactly what it is told.
+    """Runs the follower around an arm that follows its commands exactly.
 
     Args:
         follower: what is tested.

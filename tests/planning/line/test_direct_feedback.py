@@ -14,7 +14,7 @@ LINE = displaced(sine_points(), turn=0.0, along=0.0)
 
 
 def ride(k_p: float, k_d: float = 0.0, latency: float = 0.04) -> tuple[np.ndarray, np.ndarray]:
-    """TCP distances from the line [m] and lateral corrections [m] of an arm that does what it is told."""
+    """TCP distances from the line [m] and lateral corrections [m] of an arm that follows its commands exactly."""
     follower = LineFollower(kr6(), reference(), profile(), joint_path=joint_path())
     feedback = DirectFeedback(follower, k_p, k_d)
     camera, fk = Camera(LINE, np.random.default_rng(1)), kr6().fk()

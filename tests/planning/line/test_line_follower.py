@@ -1,4 +1,4 @@
-"""Line following with an arm that does what it is told: what is left is planning's own error."""
+"""Line following with an arm that follows its commands exactly: what is left is planning's own error."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def test_corner_is_rounded_and_curvature_stays_finite() -> None:
 
 
 @pytest.mark.parametrize(
-    ("points", "told"),
+    ("points", "message"),
     [
         (np.zeros((5, 3)), "10 mm"),
         (np.array([[0.0, 0, 0], [0.001, 0, 0]]), "10 mm"),
@@ -160,6 +160,6 @@ def test_corner_is_rounded_and_curvature_stays_finite() -> None:
         (np.array([[0.0, 0, 0], [np.nan, 0, 0]]), "finite"),
     ],
 )
-def test_unusable_points_are_refused(points: np.ndarray, told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_unusable_points_are_refused(points: np.ndarray, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         ReferencePath(points)
