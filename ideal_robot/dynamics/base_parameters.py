@@ -89,7 +89,14 @@ class BaseParameters:
 
 
 def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
-    """Regressor ``(N, n, 12 n)`` of links, rotor inertias and offsets, in the order of ``BaseParameters``."""
+    """Regressor ``(N, n, 12 n)`` of links, rotor inertias and offsets, in the order of ``BaseParameters``.
+
+    Args:
+        model: kinematics; its inertias do not matter.
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
+    """
     n = model.nv
     count = len(q)
     result = np.zeros((count, n, 12 * n))

@@ -85,7 +85,7 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
 
 
 def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int, margin: float) -> Array:
-    """min ‖A x - b‖² subject to positive pseudo-inertias and rotor inertias."""
+    """Minimum of ‖A x - b‖² subject to positive pseudo-inertias and rotor inertias."""
     P = sparse.csc_matrix(np.triu(2.0 * A.T @ A))
     q = -2.0 * A.T @ b
     rows, rhs, cones = [], [], []

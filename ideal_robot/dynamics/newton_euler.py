@@ -84,7 +84,14 @@ def _turned_back(R: Array, v: Array, out: Array) -> None:
 
 @numba.njit(cache=True)
 def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
-    """Rotation and position of each joint's frame in the one before it, at ``q (n,)``; written to ``R``, ``p``."""
+    """Rotation and position of each joint's frame in the one before it, at ``q (n,)``; written to ``R``, ``p``.
+
+    Args:
+        chain: the arm's rigid bodies.
+        q: joint positions ``(n,)`` [rad].
+        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``, written to.
+        p: position of each joint's frame in the one before it ``(n, 3)`` [m], written to.
+    """
     turn = np.empty((3, 3))
     for i in range(len(q)):
         x, y, z = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
@@ -114,6 +121,15 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
     """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau (n,)`` [N m].
 
     ``gravity`` scales the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
+
+    Args:
+        chain: the arm's rigid bodies.
+        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``.
+        p: position of each joint's frame in the one before it ``(n, 3)`` [m].
+        qd: joint velocities ``(n,)`` [rad/s].
+        qdd: joint accelerations ``(n,)`` [rad/s²].
+        gravity: factor on the chain's gravity.
+        tau: result ``(n,)`` [N m], written to.
     """
     n = len(qd)
     force, moment = np.zeros((n, 3)), np.zeros((n, 3))
@@ -168,7 +184,14 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
 
 @numba.njit(cache=True)
 def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
-    """[G] (5): joint torques ``(N, n)`` [N m] of positions, velocities and accelerations ``(N, n)``."""
+    """[G] (5): joint torques ``(N, n)`` [N m] of positions, velocities and accelerations ``(N, n)``.
+
+    Args:
+        chain: the arm's rigid bodies.
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
+    """
     N, n = q.shape
     tau = np.empty((N, n))
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
@@ -180,7 +203,14 @@ def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
 
 @numba.njit(cache=True)
 def mass_matrix(chain: Chain, R: Array, p: Array, M: Array) -> None:
-    """Mass matrix at the posture whose frames are ``R``, ``p``, written to ``M (n, n)`` [kg m²], column by column."""
+    """Mass matrix at the posture whose frames are ``R``, ``p``, written to ``M (n, n)`` [kg m²], column by column.
+
+    Args:
+        chain: the arm's rigid bodies.
+        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``.
+        p: position of each joint's frame in the one before it ``(n, 3)`` [m].
+        M: result ``(n, n)`` [kg m²], written to.
+    """
     n = len(chain.mass)
     rest, unit = np.zeros(n), np.zeros(n)
     for j in range(n):

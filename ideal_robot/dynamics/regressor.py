@@ -20,7 +20,9 @@ def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
 
     Args:
         model: the kinematics; its inertias do not matter.
-        q, qd, qdd: joint positions, velocities and accelerations ``(N, n)`` [rad, rad/s, rad/s²; m for prismatic].
+        q: joint positions ``(N, n)`` [rad; m for prismatic].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
 
     Returns:
         ``A`` of shape ``(N, n, 10 n)`` so that ``A @ link_parameters(model)`` are the torques ``(N, n)`` [N m].
@@ -36,7 +38,14 @@ def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
 
 
 def split_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
-    """The three parts of [G] (6): of ``M(q) qdd``, of ``c(q, qd)`` and of ``g(q)``, each ``(N, n, 10 n)``."""
+    """The three parts of [G] (6): of ``M(q) qdd``, of ``c(q, qd)`` and of ``g(q)``, each ``(N, n, 10 n)``.
+
+    Args:
+        model: kinematics; its inertias do not matter.
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
+    """
     still = np.zeros_like(q)
     gravity = regressor(model, q, still, still)
     inertia = regressor(model, q, still, qdd) - gravity
@@ -74,7 +83,14 @@ def with_link_parameters(model: pin.Model, parameters: Array) -> pin.Model:
 
 
 def torques(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
-    """Inverse dynamics of the model's own inertias for many samples, ``(N, n)`` each."""
+    """Inverse dynamics of the model's own inertias for many samples, ``(N, n)`` each.
+
+    Args:
+        model: kinematics and inertias.
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
+    """
     data = model.createData()
     rnea = pin.rnea
     q, qd, qdd = (np.ascontiguousarray(values, dtype=float) for values in (q, qd, qdd))

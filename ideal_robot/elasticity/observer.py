@@ -70,7 +70,13 @@ class ArmObserver:
         return ObserverState(q_a, np.zeros(self._n), q, q, np.zeros(self._n))
 
     def step(self, state: ObserverState, q: Array, tau_ext: Array | None = None) -> ObserverState:
-        """One cycle on: motor angles ``q (n,)`` [rad] at its end, external joint torque ``(n,)`` [N m] during it."""
+        """One cycle on: motor angles ``q (n,)`` [rad] at its end, external joint torque ``(n,)`` [N m] during it.
+
+        Args:
+            state: before the cycle.
+            q: motor angles at its end ``(n,)`` [rad].
+            tau_ext: joint torque of external forces during it ``(n,)`` [N m]; None for none.
+        """
         if not np.any(self._elastic):
             return ObserverState(q, (q - state.q) / self._T, q, state.q, (q - state.q) / self._T)
         # Velocity at the end of the cycle from the parabola through the last three motor angles.

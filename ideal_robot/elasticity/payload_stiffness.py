@@ -34,6 +34,11 @@ def identify_from_payloads(recordings: Sequence[Recording], robot: Robot,
     The recordings have the columns ``q_i``, ``payload`` [kg] and the flange pose. The masses' centre in the tool frame
     stands in the metadata (``payload_lever`` [m]); without it, it is the flange.
 
+    Args:
+        recordings: of postures with payloads.
+        robot: the arm.
+        tolerances: relative errors of what is taken as known; the defaults if None.
+
     Raises:
         InputError: a column is missing, a posture has one payload only, or no joint is loaded.
     """

@@ -44,6 +44,7 @@ class Tolerances:
     model: float = 0.03
 
     def of(self, method: Method) -> float:
+        """Relative standard deviation of a stiffness by one of the methods [1]."""
         return float(np.hypot(self.drive_gain if method == "motor" else self.wrench, self.model))
 
 
@@ -101,6 +102,11 @@ def joint_torque(signals: ClampedSignals, robot: Robot, method: Method) -> tuple
 
     ``motor``: τ_m = g I, [J] (9). ``wrench``: τ_l = J(q_0)ᵀ F_e, [J] (12).
 
+    Args:
+        signals: of a clamped recording with ``N`` samples.
+        robot: the arm.
+        method: ``motor`` or ``wrench``.
+
     Raises:
         InputError: the recording lacks what the method needs.
     """
@@ -115,7 +121,14 @@ def joint_torque(signals: ClampedSignals, robot: Robot, method: Method) -> tuple
 
 
 def joint_loads(signals: Sequence[ClampedSignals], robot: Robot, method: Method, joint: int) -> list[JointLoad]:
-    """The recordings in which a joint (from 1) is loaded, with its torque over its motor angle."""
+    """The recordings in which a joint (from 1) is loaded, with its torque over its motor angle.
+
+    Args:
+        signals: of the clamped recordings.
+        robot: the arm.
+        method: ``motor`` or ``wrench``.
+        joint: from 1.
+    """
     loads = []
     for one in signals:
         tau, use = joint_torque(one, robot, method)
@@ -137,6 +150,12 @@ def identify_joint(loads: Sequence[JointLoad], joint: int, method: Method,
     """[J] (8) or (11) by least squares, one offset per recording.
 
         τ_j = [q_mj 1] [k_j Off_j]ᵀ
+
+    Args:
+        loads: torque over motor angle, one for each recording.
+        joint: from 1.
+        method: ``motor`` or ``wrench``.
+        tolerances: relative errors of what is taken as known; the defaults if None.
 
     Raises:
         InputError: no recording loads the joint.
@@ -166,7 +185,14 @@ def _rows(load: JointLoad, loads: Sequence[JointLoad]) -> Array:
 
 def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: Method,
                        tolerances: Tolerances | None = None) -> tuple[JointStiffness, ...]:
-    """All joints that the recordings load, each by [J] (8) or (11)."""
+    """All joints that the recordings load, each by [J] (8) or (11).
+
+    Args:
+        signals: of the clamped recordings.
+        robot: the arm.
+        method: ``motor`` or ``wrench``.
+        tolerances: relative errors of what is taken as known; the defaults if None.
+    """
     results = []
     for joint in range(1, robot.n + 1):
         loads = joint_loads(signals, robot, method, joint)

@@ -1,0 +1,1 @@
+"""What an arm has to offer to be commanded."""

@@ -170,6 +170,7 @@ class AdaptedIdeal(Feedforward):
         return replace(state, factors=self.adaptation.update(state.factors, measured))
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
+        """See ``Feedforward.step``."""
         drives = self.ideal.drives._replace(**adapted(self.ideal.loop, state.factors.theta))
         q_c, inner = self.ideal.step_with(drives, state.ideal, q_d, tau_ext_d)
         return q_c, replace(state, ideal=inner)

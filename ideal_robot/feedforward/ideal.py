@@ -97,10 +97,19 @@ class IdealRobot(Feedforward):
 
     @classmethod
     def of(cls, model: Model, robot: Robot, n_d: int = 30, *, delay: int | None = None, **options: Any) -> IdealRobot:
-        """From an identified model: see ``loop_model`` for ``delay`` and the class for the other options."""
+        """From an identified model: see ``loop_model`` for ``delay`` and the class for the other options.
+
+        Args:
+            model: identified.
+            robot: the arm.
+            n_d: rows of the horizons.
+            delay: cycles of the planner; see ``loop_model``.
+            options: further arguments of the class.
+        """
         return cls(loop_model(model, robot, delay=delay), n_d, **options)
 
     def init(self, q0: Array) -> IdealState:
+        """See ``Feedforward.init``."""
         q0 = np.array(q0, dtype=float)
         still = np.zeros((1, self.loop.n))
         gravity = inverse_dynamics(self.loop.chain, q0[None], still, still)[0]
@@ -109,11 +118,19 @@ class IdealRobot(Feedforward):
             tau=gravity + self.loop.offset, preslide=np.zeros(self.loop.n), sag=gravity * self._compliance, cycle=0)
 
     def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
+        """See ``Feedforward.step``."""
         return self.step_with(self.drives, state, q_d, tau_ext_d)
 
     def step_with(self, drives: Drives, state: IdealState, q_d: Array, tau_ext_d: Array | None = None
                   ) -> tuple[Array, IdealState]:
-        """``step`` with other drives than the identified ones, for adaptation."""
+        """``step`` with other drives than the identified ones, for adaptation.
+
+        Args:
+            drives: parameters of the drives.
+            state: before the cycle.
+            q_d: horizon ``(n_d, n)`` [rad].
+            tau_ext_d: expected joint torque of contact ``(n_d, n)`` [N m].
+        """
         loop = self.loop
         q_d = np.asarray(q_d, dtype=float)
         if q_d.ndim != 2 or q_d.shape[1] != loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():

@@ -185,7 +185,9 @@ class Playback(Feedforward):
         self._q_c.setflags(write=False)
 
     def init(self, q0: Array) -> int:
+        """See ``Feedforward.init``."""
         return 0
 
     def step(self, state: int, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, int]:
+        """See ``Feedforward.step``."""
         return self._q_c[min(state, len(self._q_c) - 1)], state + 1

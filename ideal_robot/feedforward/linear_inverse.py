@@ -38,9 +38,11 @@ class LinearInverse(Feedforward):
             _preview_weights(loop.g[:, i], past, n_d, bandwidth * loop.t_ipo, regularisation) for i in range(loop.n)])
 
     def init(self, q0: Array) -> Array:
+        """See ``Feedforward.init``."""
         return np.tile(np.asarray(q0, dtype=float), (self.past, 1))
 
     def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
+        """See ``Feedforward.step``."""
         rows = np.concatenate([state, q_d[: self.n_d]])
         if len(q_d) < self.n_d:
             rows = held(rows, after=self.n_d - len(q_d))

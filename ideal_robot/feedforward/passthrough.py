@@ -15,7 +15,9 @@ class PassThrough(Feedforward):
         self.t_ipo = t_ipo
 
     def init(self, q0: Array) -> None:
+        """See ``Feedforward.init``."""
         return None
 
     def step(self, state: None, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, None]:
+        """See ``Feedforward.step``."""
         return q_d[0], None

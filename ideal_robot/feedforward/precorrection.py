@@ -96,8 +96,13 @@ class Precorrection(Feedforward):
 
     @classmethod
     def complete(cls, model: Model, robot: Robot, *, delay: int) -> Precorrection:
-        """With the delay of the planner (``delay`` cycles), the interpolation and the low-pass undone by the horizon,
-        and with elastic gears where their stiffness is known."""
+        """Undoes planner's delay, interpolation and low-pass by the horizon, and the elasticity of gears if known.
+
+        Args:
+            model: identified.
+            robot: the arm.
+            delay: of the planner [cycles].
+        """
         controller = model.controller
         lag = 0.0
         if controller is not None:
@@ -107,6 +112,7 @@ class Precorrection(Feedforward):
         return cls(model, robot, lead=(delay + 1) * robot.t_ipo + lag, elastic=model.stiffness is not None)
 
     def init(self, q0: Array) -> PrecorrectionState:
+        """See ``Feedforward.init``."""
         q0 = np.array(q0, dtype=float)
         still = np.zeros((1, len(q0)))
         tau = inverse_dynamics(self._loop.chain, q0[None], still, still)[0] + self._loop.offset
@@ -115,6 +121,7 @@ class Precorrection(Feedforward):
 
     def step(self, state: PrecorrectionState, q_d: Array, tau_ext_d: Array | None = None
              ) -> tuple[Array, PrecorrectionState]:
+        """See ``Feedforward.step``."""
         T, gains = self.t_ipo, self._controller
         rows = np.concatenate([state.q_d, q_d[: self.n_d]])
         missing = len(self._at[0][0]) - len(rows)

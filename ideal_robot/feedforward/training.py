@@ -82,10 +82,12 @@ class Trained(Feedforward):
         self._limits = limits
 
     def init(self, q0: Array) -> tuple[Array, Any]:
+        """See ``Feedforward.init``."""
         return np.tile(np.asarray(q0, dtype=float), (self.lags.before, 1)), self.base.init(q0)
 
     def step(self, state: tuple[Array, Any], q_d: Array, tau_ext_d: Array | None = None
              ) -> tuple[Array, tuple[Array, Any]]:
+        """See ``Feedforward.step``."""
         past, inner = state
         q_c, inner = self.base.step(inner, q_d, tau_ext_d)
         rows = np.concatenate([past, q_d[: self.lags.n_d]])

@@ -61,11 +61,24 @@ class FrictionModel(ABC):
     @classmethod
     @abstractmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
-        """One array like ``qd (…, n)`` per coefficient of the law proper; ``direction`` stands for ``sign(qd)``."""
+        """One array like ``qd (…, n)`` per coefficient of the law proper; ``direction`` stands for ``sign(qd)``.
+
+        Args:
+            qd: velocities ``(…, n)`` [rad/s].
+            direction: of sliding ``(…, n)``, -1 … 1.
+            shape: shape parameters of the law proper ``(s, n)``.
+        """
 
     def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
                   direction: Array | None = None) -> Array:
-        """Regressor ``(…, n, m)`` with respect to the ``m`` coefficients of each joint; arguments as in ``torque``."""
+        """Regressor ``(…, n, m)`` with respect to the ``m`` coefficients of each joint; arguments as in ``torque``.
+
+        Args:
+            qd: velocities ``(…, n)`` [rad/s].
+            load: torque that the gears transmit ``(…, n)`` [N m].
+            q: positions ``(…, n)`` [rad].
+            direction: of sliding ``(…, n)``, -1 … 1.
+        """
         return np.stack(self._columns(qd, load, q, direction), axis=-1)
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,

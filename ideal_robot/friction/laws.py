@@ -19,6 +19,7 @@ class ViscousCoulomb(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """See ``FrictionModel.columns``."""
         return [qd, direction]
 
 
@@ -31,6 +32,7 @@ class CubeRoot(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """See ``FrictionModel.columns``."""
         return [qd, direction, np.cbrt(qd)]
 
 
@@ -46,6 +48,7 @@ class Arctan(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """See ``FrictionModel.columns``."""
         return [qd, direction, np.arctan(shape[0] * qd)]
 
 
@@ -64,6 +67,7 @@ class Stribeck(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """See ``FrictionModel.columns``."""
         return [qd, direction, np.exp(-shape[0] * np.abs(qd)) * direction]
 
 
@@ -76,5 +80,6 @@ class Asymmetric(FrictionModel):
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """See ``FrictionModel.columns``."""
         forward = qd > 0
         return [qd * forward, np.maximum(direction, 0.0), qd * ~forward, np.minimum(direction, 0.0)]

@@ -38,7 +38,14 @@ class PerJointFriction:
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
                direction: Array | None = None) -> Array:
-        """Friction torque ``(…, n)`` [N m]; arguments as in ``FrictionModel.torque``."""
+        """Friction torque ``(…, n)`` [N m]; arguments as in ``FrictionModel.torque``.
+
+        Args:
+            qd: velocities ``(…, n)`` [rad/s].
+            load: torque that the gears transmit ``(…, n)`` [N m].
+            q: positions ``(…, n)`` [rad].
+            direction: of sliding ``(…, n)``, -1 … 1.
+        """
         qd = np.asarray(qd, dtype=float)
         others = (load, q, direction)
         parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in others))
@@ -49,7 +56,8 @@ class PerJointFriction:
         """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.
 
         Args:
-            q, qd: position and velocity ``(N, n)``, consecutive in time.
+            q: positions ``(N, n)`` [rad], consecutive in time.
+            qd: velocities ``(N, n)`` [rad/s].
         """
         result = np.full(np.shape(q), np.nan)
         for j, law in enumerate(self.laws):

@@ -54,7 +54,8 @@ def fit_warm_up(law: type[FrictionModel], qd: Array, tau: Array, *, temperature:
 
     Args:
         law: a law without shape parameters, e.g. ``CubeRoot``.
-        qd, tau: velocities and friction torques ``(N,)``.
+        qd: velocities ``(N,)`` [rad/s].
+        tau: friction torques ``(N,)`` [N m].
         temperature: gear temperatures ``(N,)`` [°C]; preferred where given.
         time: times since the start of motion ``(N,)`` [s], otherwise.
 

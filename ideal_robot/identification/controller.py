@@ -114,8 +114,14 @@ def _simulated(series: _Series, gains: Array, k_i: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Series:
-    """Signals of one recording as means over the cycles: ``columns`` of (16) ``(N, n, 4)``, what the integrator has
-    made of them ``integrals`` (their integrals over the time in cycles), and torque ``(N, n)``."""
+    """Signals of one recording as means over the cycles.
+
+    Attributes:
+        t: times ``(N,)`` [s].
+        columns: of (16) ``(N, n, 4)``.
+        integrals: of the columns over the time in cycles ``(N, n, 4)``.
+        tau: torque ``(N, n)`` [N m].
+    """
 
     t: Array
     columns: Array
@@ -130,6 +136,8 @@ def _series(recording: Recording, t_cycle: float, delay: float, offsets: bool = 
     columns belong to the same instant; sampled, they would lie half a cycle apart.
 
     Args:
+        recording: with commands, positions and torques.
+        t_cycle: length of a cycle [s].
         delay: by which the controller sees the command later than it was logged [s]: that of its low-pass.
         offsets: whether to use all samples; only the first series otherwise.
     """

@@ -72,8 +72,11 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         harmonics: number of sines and cosines per joint, at least 3.
         workspace: keeps the arm off floor and column; the default suits arms of one to two metres. None of it is
             checked against cells or fixtures: look at the motion first.
-        trials, refinements: effort of the search.
-        speed, acceleration, travel: share of the velocity, acceleration and position limits that may be used.
+        trials: random motions that the search begins with.
+        refinements: changes that are tried of the best one.
+        speed: share of the velocity limits that may be used.
+        acceleration: the same of the acceleration limits.
+        travel: the same of the position limits.
 
     Raises:
         InputError: too few harmonics, or no motion within the limits was found.
@@ -169,7 +172,13 @@ class _Search:
 
 
 def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
-    """Whether the arm keeps off floor and base column in all postures ``(N, n)``."""
+    """Whether the arm keeps off floor and base column in all postures ``(N, n)``.
+
+    Args:
+        robot: the arm.
+        q: postures ``(N, n)`` [rad].
+        workspace: floor and base column.
+    """
     model, data, tool, w = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id, workspace
     for q_k in q:
         pin.framesForwardKinematics(model, data, q_k)
@@ -181,7 +190,15 @@ def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
 
 
 def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:
-    """Commands ``(N, n)`` from rest at ``start`` to rest at ``goal``, all joints by one quintic; ``start`` left out."""
+    """Commands ``(N, n)`` from rest at ``start`` to rest at ``goal``, all joints by one quintic; ``start`` left out.
+
+    Args:
+        start: ``(n,)`` [rad].
+        goal: ``(n,)`` [rad].
+        t_ipo: interpolation cycle [s].
+        v_max: velocity limits ``(n,)`` [rad/s].
+        a_max: acceleration limits ``(n,)`` [rad/s²].
+    """
     way = np.abs(goal - start)
     # Largest velocity and acceleration of 10 s³ - 15 s⁴ + 6 s⁵ are 1.875 and 5.77.
     duration = max(np.max(1.875 * way / (0.5 * v_max)), np.max(np.sqrt(5.78 * way / (0.5 * a_max))), t_ipo)

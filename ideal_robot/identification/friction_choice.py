@@ -85,7 +85,13 @@ class FrictionChoice:
         self._gram = [self._gram_of(self._folds == fold) for fold in range(_FOLDS)]
 
     def columns(self, joint: int, candidate: Candidate, shape: tuple[float, ...]) -> Array:
-        """Decimated, weighted regressor ``(M, m)`` of a law at a joint."""
+        """Decimated, weighted regressor ``(M, m)`` of a law at a joint.
+
+        Args:
+            joint: from 0.
+            candidate: law with its refinements.
+            shape: its shape parameters.
+        """
         key = (joint, candidate, shape)
         if key not in self._cache:
             law = candidate.make(shape)

@@ -60,7 +60,13 @@ def fit_law(law: type[FrictionModel], qd: Array, tau: Array) -> FrictionFit:
 
 
 def choose_law(qd: Array, tau: Array, laws: Sequence[type[FrictionModel]] = (CubeRoot, Arctan)) -> FrictionFit:
-    """The law with the smallest mean square error on held-back speeds; [G] chooses between (2) and (3)."""
+    """The law with the smallest mean square error on held-back speeds; [G] chooses between (2) and (3).
+
+    Args:
+        qd: constant velocities ``(N,)`` [rad/s].
+        tau: friction torques ``(N,)`` [N m].
+        laws: to choose from.
+    """
     return min((fit_law(law, qd, tau) for law in laws), key=lambda fit: fit.held_out_rms)
 
 

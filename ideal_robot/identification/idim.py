@@ -72,7 +72,8 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
         validation: recordings the model is compared with and never fitted to.
         friction: key of a friction law for all joints, taken as it is; ``auto`` chooses law and refinements per joint
             by the error on held-back stretches of the estimation recordings.
-        cutoff, cutoff_decimation: filters [Hz]; chosen from the data where None.
+        cutoff: of the position filter [Hz]; chosen from the data if None.
+        cutoff_decimation: of the decimation filter [Hz]; chosen from the data if None.
 
     Raises:
         InputError: recordings that cannot be used, and why.

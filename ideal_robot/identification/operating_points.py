@@ -39,7 +39,14 @@ class Measurement:
 
 
 def constant_stretches(s: FilteredSignals, joint: int, start: int, stop: int) -> list[tuple[int, int]]:
-    """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off."""
+    """Stretches within ``start … stop`` in which the joint moves at constant velocity, the ends cut off.
+
+    Args:
+        s: filtered signals of a recording.
+        joint: from 0.
+        start: first sample.
+        stop: sample behind the last one.
+    """
     qd, qdd = s.qd[start:stop, joint], s.qdd[start:stop, joint]
     margin = int(np.ceil(0.5 / s.cutoff / s.dt))
     found = []
@@ -53,13 +60,27 @@ def constant_stretches(s: FilteredSignals, joint: int, start: int, stop: int) ->
 
 def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.ndarray,
             with_acceleration: bool) -> Array:
-    """Regressor ``(k, n, b)`` of the base parameters at some samples, with or without the measured acceleration."""
+    """Regressor ``(k, n, b)`` of the base parameters at some samples, with or without the measured acceleration.
+
+    Args:
+        s: filtered signals of a recording.
+        robot: the arm.
+        base: base parameters of the rigid body.
+        index: the ``k`` samples.
+        with_acceleration: otherwise it counts as zero.
+    """
     qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
     return full_regressor(robot.pinocchio, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
 
 
 def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:
-    """Mean of the averaged torques of forward and backward motion, for each pair of stretches of the same speed."""
+    """Mean of the averaged torques of forward and backward motion, for each pair of stretches of the same speed.
+
+    Args:
+        s: filtered signals of a recording.
+        robot: the arm.
+        base: base parameters of the rigid body.
+    """
     found = []
     for j in range(robot.n):
         for start, stop in alone(s, j):
@@ -98,7 +119,14 @@ def _both_directions(s: FilteredSignals, robot: Robot, base: BaseParameters, joi
 
 
 def inertia_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters, p_g: Array) -> list[Measurement]:
-    """Moment of inertia of one axis from its motion with high acceleration, gravity compensated."""
+    """Moment of inertia of one axis from its motion with high acceleration, gravity compensated.
+
+    Args:
+        s: filtered signals of a recording.
+        robot: the arm.
+        base: base parameters of the rigid body.
+        p_g: values of the base parameters from the gravity measurements ``(b,)``.
+    """
     found = []
     smooth = lowpass(s.tau, s.dt, s.cutoff)
     for j in range(robot.n):

@@ -69,7 +69,13 @@ class Program:
         return "\n".join(lines) + "\n"
 
     def commands(self, start: Array, t_ipo: float, robot: Robot) -> Array:
-        """Commands ``(N, n)`` [rad] every ``t_ipo``, from rest at ``start``."""
+        """Commands ``(N, n)`` [rad] every ``t_ipo``, from rest at ``start``.
+
+        Args:
+            start: where the arm rests before ``(n,)`` [rad].
+            t_ipo: interpolation cycle [s].
+            robot: whose limits count.
+        """
         v_max, a_max = finite_limits(robot)
         here, parts = np.asarray(start, dtype=float), []
         pause = round(0.25 / t_ipo)
@@ -93,7 +99,14 @@ class Program:
 
 
 def trapezoid(way: float, velocity: float, acceleration: float, t_ipo: float) -> Array:
-    """Positions ``(N,)`` of a move from 0 to ``way`` with trapezoidal velocity, start left out."""
+    """Positions ``(N,)`` of a move from 0 to ``way`` with trapezoidal velocity, start left out.
+
+    Args:
+        way: [rad].
+        velocity: largest one [rad/s].
+        acceleration: [rad/s²].
+        t_ipo: interpolation cycle [s].
+    """
     v = min(velocity, float(np.sqrt(way * acceleration)))
     t_up = v / acceleration
     total = way / v + t_up
@@ -116,6 +129,13 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     The points are picked one by one out of random postures so that the gravitational torques g(q) and the moments of
     inertia M_ii(q) at all of them, taken as measurements of the base parameters, determine these best (determinant of
     the information matrix).
+
+    Args:
+        robot: the arm.
+        rng: draws the postures.
+        points: operating points.
+        candidates: random postures to choose from.
+        workspace: keeps the arm off floor and column; the default if None.
 
     Raises:
         InputError: no postures within limits and workspace.
@@ -151,7 +171,13 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
 
 
 def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:
-    """Rows ``(2 n, b)`` of g_i(q) and M_ii(q) as linear forms of the base parameters, [G] (6)."""
+    """Rows ``(2 n, b)`` of g_i(q) and M_ii(q) as linear forms of the base parameters, [G] (6).
+
+    Args:
+        robot: the arm.
+        base: base parameters of the rigid body.
+        q: posture ``(n,)`` [rad].
+    """
     n = robot.n
     independent = list(base.independent)
     still = np.zeros((n + 1, n))

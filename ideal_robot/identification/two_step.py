@@ -61,7 +61,8 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     Args:
         recordings: of single-axis trapezoidal motions at several operating points; the segments are found from the
             motion itself.
-        robot, validation: as for ``identify``.
+        robot: kinematics, nominal inertias, limits, drive gains.
+        validation: recordings the model is compared with and never fitted to.
         friction: key of a law, or ``auto``: (2) or (3), whichever is better at held-back speeds.
 
     Raises:

@@ -1,0 +1,1 @@
+"""The closed loop of controller and arm as it was identified."""

@@ -37,6 +37,11 @@ def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
     """The command as the position loop gets it before its low-pass: delayed, linearly interpolated ``(N s, n)`` [rad].
 
     ``q_c (N, n)`` are the commands of the cycles 0 … N-1; row ``j`` belongs to the time ``j t_position``.
+
+    Args:
+        q_c: commands ``(N, n)`` [rad].
+        q0: where the arm rests before ``(n,)`` [rad].
+        loop: the identified loop.
     """
     s, N = loop.steps_ipo, len(q_c)
     knots = np.vstack([np.tile(q0, (loop.delay + 1, 1)), q_c])[: N + 1]
@@ -45,7 +50,13 @@ def interpolated(q_c: Array, q0: Array, loop: LoopModel) -> Array:
 
 
 def low_passed(command: Array, q0: Array, taps: Array) -> Array:
-    """Convolves the interpolated command ``(M, n)`` with the low-pass ``taps (L, n)``, at rest at ``q0`` before."""
+    """Convolves the interpolated command ``(M, n)`` with the low-pass ``taps (L, n)``, at rest at ``q0`` before.
+
+    Args:
+        command: interpolated, every ``t_position`` ``(M, n)`` [rad].
+        q0: where the arm rests before ``(n,)`` [rad].
+        taps: impulse response of the low-pass ``(L, n)``.
+    """
     out = np.empty_like(command)
     for i in range(command.shape[1]):
         out[:, i] = np.convolve(command[:, i] - q0[i], taps[:, i])[: len(command)] + q0[i]
@@ -57,6 +68,11 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
 
     At rest at the start means: arm and motor in equilibrium with gravity, integrators carrying it, the motor where
     ``q_c[0]`` says. ``tau_ext (N, n)`` [N m] acts on the arm during the cycles.
+
+    Args:
+        loop: the identified loop.
+        q_c: commands ``(N, n)`` [rad].
+        tau_ext: on the arm ``(N, n)`` [N m]; None for none.
 
     Raises:
         InputError: wrong shape or non-finite commands.

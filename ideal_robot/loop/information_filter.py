@@ -23,7 +23,13 @@ class InformationFilter:
         self.vector = np.zeros(size)
 
     def update(self, H: Array, z: Array, sigma: float) -> None:
-        """Takes ``z (r,) = H (r, size) x + noise`` with standard deviation ``sigma``."""
+        """Takes ``z (r,) = H (r, size) x + noise`` with standard deviation ``sigma``.
+
+        Args:
+            H: ``(r, size)``.
+            z: measurements ``(r,)``.
+            sigma: standard deviation of each of them, in the unit of ``z``.
+        """
         self.matrix += H.T @ H / sigma**2
         self.vector += H.T @ z / sigma**2
 

@@ -141,7 +141,13 @@ class LoopModel:
 
 @numba.njit(cache=True)
 def ripple_torque(ripple: Array, i: int, q: float) -> float:
-    """Ripple of joint ``i`` (from 0) at motor angle ``q`` [N m]."""
+    """Ripple of joint ``i`` (from 0) at motor angle ``q`` [N m].
+
+    Args:
+        ripple: order, cosine and sine amplitude of each component ``(m, 3, n)`` [1, N m, N m].
+        i: joint, from 0.
+        q: motor angle [rad].
+    """
     torque = 0.0
     for m in range(ripple.shape[0]):
         phase = ripple[m, 0, i] * q

@@ -1,0 +1,1 @@
+"""What was identified of an arm, and its file."""

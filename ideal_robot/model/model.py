@@ -130,7 +130,13 @@ class Model:
         return model
 
     def rigid_body(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Torque ``(N, n)`` [N m] of the links alone: what the gears transmit. No rotors, friction, offsets."""
+        """Torque ``(N, n)`` [N m] of the links alone: what the gears transmit. No rotors, friction, offsets.
+
+        Args:
+            q: joint positions ``(N, n)`` [rad].
+            qd: joint velocities ``(N, n)`` [rad/s].
+            qdd: joint accelerations ``(N, n)`` [rad/s²].
+        """
         return torques(self._exact_model, q, qd, qdd)
 
     def inverse_dynamics(self, q: Array, qd: Array, qdd: Array, *, t: Array | None = None,
@@ -138,7 +144,9 @@ class Model:
         """Motor torque ``(N, n)`` [N m] for a motion, [G] (8), with the effects that act on the torque.
 
         Args:
-            q, qd, qdd: ``(N, n)`` [rad, rad/s, rad/s²], consecutive in time: friction may have memory.
+            q: positions ``(N, n)`` [rad], consecutive in time: friction may have memory.
+            qd: velocities ``(N, n)`` [rad/s].
+            qdd: accelerations ``(N, n)`` [rad/s²].
             t: times ``(N,)`` [s]; only effects with memory or warm-up look at them. One interpolation cycle apart if
                 not given.
             temperature: gear temperatures ``(N, n)`` [°C], where known.

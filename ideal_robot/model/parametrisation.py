@@ -50,7 +50,15 @@ def parameter_vector(base_values: Array, friction: PerJointFriction) -> Array:
 
 def described(base: BaseParameters, base_values: Array, friction: PerJointFriction, covariance: Array,
               model: pin.Model) -> tuple[Parameter, ...]:
-    """Names, joints, units and standard deviations of the parameter vector."""
+    """Names, joints, units and standard deviations of the parameter vector.
+
+    Args:
+        base: base parameters of the rigid body.
+        base_values: their values ``(b,)``.
+        friction: laws of all joints.
+        covariance: of the parameter vector ``(P, P)``.
+        model: kinematics.
+    """
     rows: list[tuple[str, int, str, str]] = list(zip(base.names, base.joints, base.units, base.words(), strict=True))
     prismatic = prismatic_joints(model)
     for names_of in (lambda law: law.names, lambda law: law.names_of_shape):
@@ -70,6 +78,15 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
 
     In the linear parameters this is the regressor. The load, where a friction law looks at it, counts as given. The
     samples are consecutive in time, for the laws with memory.
+
+    Args:
+        model: kinematics.
+        base: base parameters of the rigid body.
+        friction: laws of all joints.
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
+        load: torque that the gears transmit ``(N, n)`` [N m].
     """
     n = model.nv
     blocks = [full_regressor(model, q, qd, qdd)[:, :, list(base.independent)]]
@@ -83,12 +100,26 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
 
 
 def coefficient_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
-    """Regressor ``(N, m)`` of a one-joint law at velocities ``(N, 1)``."""
+    """Regressor ``(N, m)`` of a one-joint law at velocities ``(N, 1)``.
+
+    Args:
+        law: of one joint.
+        qd: velocities ``(N, 1)`` [rad/s].
+        load: torque that the gear transmits ``(N, 1)`` [N m].
+        q: positions ``(N, 1)`` [rad].
+    """
     return law.regressor(qd, load, q)[:, 0]
 
 
 def shape_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | None) -> Array:
-    """Derivative ``(N, s)`` of a one-joint law's torque with respect to its shape, by central differences."""
+    """Derivative ``(N, s)`` of a one-joint law's torque with respect to its shape, by central differences.
+
+    Args:
+        law: of one joint.
+        qd: velocities ``(N, 1)`` [rad/s].
+        load: torque that the gear transmits ``(N, 1)`` [N m].
+        q: positions ``(N, 1)`` [rad].
+    """
     result = np.empty((len(qd), len(law.shape)))
     for i in range(len(law.shape)):
         step = np.zeros_like(law.shape)

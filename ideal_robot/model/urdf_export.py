@@ -16,6 +16,11 @@ def urdf_with_inertials(urdf: str, kinematics: pin.Model, parameters: Array) -> 
 
     A link that is fixed to a moving one is merged into it, so its own inertial is taken out. What does not move at all
     stays as it is.
+
+    Args:
+        urdf: text of the URDF.
+        kinematics: Pinocchio model of the same URDF.
+        parameters: ``(10 n,)``, see ``LINK_PARAMETERS``.
     """
     root = ET.fromstring(urdf)
     links = {link.get("name"): link for link in root.findall("link")}

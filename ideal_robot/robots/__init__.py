@@ -1,0 +1,1 @@
+"""What the makers of arms say: kinematics, nominal inertias, drive data."""

@@ -12,6 +12,12 @@ from ideal_robot.robots.robot import Robot
 def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Array:
     """A command that the controller accepts, as a new array ``(n,)``.
 
+    Args:
+        robot: whose limits count.
+        q_c: command ``(n,)`` [rad].
+        before: command of the cycle before ``(n,)`` [rad].
+        t_ipo: interpolation cycle [s].
+
     Raises:
         InputError: wrong size or not finite.
         LimitError: outside the joint limits, or more than twice the velocity limit away from the command before.

@@ -142,7 +142,14 @@ def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
 
 
 def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Array:
-    """Values ``(N, m)`` at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly."""
+    """Values ``(N, m)`` at the grid's times ``(M, m)``; smooth ones by cubic splines, noisy ones linearly.
+
+    Args:
+        t: times of the values ``(N,)`` [s].
+        values: ``(N, m)``.
+        grid: times asked for ``(M,)`` [s].
+        smooth: whether the values are free of noise.
+    """
     if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
         return np.array(values, dtype=float)
     if smooth:
@@ -151,7 +158,13 @@ def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Arr
 
 
 def lowpass(values: Array, dt: float, cutoff: float) -> Array:
-    """Zero-phase Butterworth low-pass along the first axis."""
+    """Zero-phase Butterworth low-pass along the first axis.
+
+    Args:
+        values: ``(N, …)``, evenly spaced in time.
+        dt: time step [s].
+        cutoff: [Hz].
+    """
     sos = signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
     # Padding as long as the filter remembers; the default is too short for low cut-offs.
     pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))

@@ -30,7 +30,13 @@ class Segment:
 
 
 def moving(s: FilteredSignals, share: float = 0.01, least: float = 2e-3) -> np.ndarray:
-    """Mask ``(N, n)`` of joints in motion: faster than a share of the joint's own largest speed, and than ``least``."""
+    """Mask ``(N, n)`` of joints in motion: faster than a share of the joint's own largest speed, and than ``least``.
+
+    Args:
+        s: filtered signals of ``N`` samples.
+        share: of the joint's largest speed, 0 … 1.
+        least: speed [rad/s].
+    """
     fastest = np.max(np.abs(s.qd), axis=0)
     return np.asarray(np.abs(s.qd) > np.maximum(share * fastest, least))
 
