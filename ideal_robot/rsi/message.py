@@ -99,7 +99,13 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
 
 
 def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
-    """The answer with axis corrections ``(n,)`` [deg] to the cycle ``ipoc``."""
+    """The answer with axis corrections ``(n,)`` [deg] to the cycle ``ipoc``.
+
+    Args:
+        correction: of the axes ``(n,)`` [°].
+        ipoc: number of the cycle that is answered.
+        form: tags and format that the controller expects.
+    """
     axes = " ".join(f'A{i + 1}="{value:.{form.decimals}f}"' for i, value in enumerate(correction.tolist()))
     tag = form.correction
     return f'<Sen Type="{form.sender}"><{tag} {axes}/><IPOC>{ipoc}</IPOC></Sen>'.encode("ascii")
