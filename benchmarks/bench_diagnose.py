@@ -12,7 +12,7 @@ from ideal_robot.diagnosis import diagnose
 from ideal_robot.robots.robot import Robot
 from trials.arms import draw_arm, draw_motion
 from trials.torque import measured
-from trials.torque_truth import scene, stribeck
+from trials.torque_truth import INSIDE, scene
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     t = np.arange(0.0, 240.0, 0.004)
     s = scene(arm, t, *draw_motion(rng, arm, t))
     noise = 0.01 * np.std(s.torque, axis=0)
-    recording = measured(rng, arm, t, s.q, s.torque + stribeck(rng, s, 2), noise, None)
+    recording = measured(rng, arm, t, s.q, s.torque + INSIDE["stribeck"](rng, s, 2), noise, None)
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "arm.urdf"
         urdf.write_text(arm.urdf, encoding="utf-8")

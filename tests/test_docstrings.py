@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("dynamics", "elasticity", "execution", "feedforward", "friction", "identification", "loop", "model", "robots",
          "rsi", "signals")
-DONE = ("planning", "sensing", "sim", *(f"ideal_robot/{room}" for room in ROOMS))
+DONE = ("planning", "sensing", "sim", "trials", *(f"ideal_robot/{room}" for room in ROOMS))
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 

@@ -104,7 +104,13 @@ def _random_urdf(rng: np.random.Generator, n: int) -> str:
 
 
 def draw_motion(rng: np.random.Generator, arm: Arm, t: Array) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations ``(N, n)``: a Fourier series, or smooth strokes between points."""
+    """Positions, velocities and accelerations ``(N, n)``: a Fourier series, or smooth strokes between points.
+
+    Args:
+        rng: draws the motion.
+        arm: whose limits count.
+        t: times ``(N,)`` [s].
+    """
     if rng.random() < 0.6:
         return _fourier(rng, arm, t)
     return _strokes(rng, arm, t)

@@ -43,7 +43,13 @@ def gantry() -> str:
 
 
 def draw_line_trial(seed: int, kind: str | None = None, share: float = 1.0) -> tuple[str, float, Recording]:
-    """Kind, size (times ``share``) and recording of a trial; the recording bears no trace of either."""
+    """Kind, size (times ``share``) and recording of a trial; the recording bears no trace of either.
+
+    Args:
+        seed: of everything that is drawn.
+        kind: name of the effect; drawn if None.
+        share: factor on the size of the effect, 1.
+    """
     rng = np.random.default_rng(seed)
     kind = kind or str(rng.choice(KINDS))
     size = 0.0 if kind == "none" else float(share * rng.uniform(*SIZES[kind]) * rng.choice([-1.0, 1.0]))

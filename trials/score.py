@@ -20,11 +20,11 @@ class Score:
 
     Attributes:
         seed, kind, truth: as drawn.
-        verdict: as said.
-        found: effects said: name, joint, and what they cannot be told from; learned terms as ``unknown``.
+        verdict: of the diagnosis.
+        found: effects reported: name, joint, and what they are not separated from; learned terms as ``unknown``.
         right: whether the trial counts as solved.
         joint: whether the first joint named is the right one.
-        ratio: held-out error of the affected channel over that of an oracle told the effect's form; None if not asked.
+        ratio: held-out error of the affected channel over that of a fit with the true form; None where not computed.
         seconds: CPU time.
     """
 
@@ -42,8 +42,20 @@ class Score:
 
 def score(seed: int, kind: str, truth: tuple[tuple[str, int], ...], outside: bool, diagnosis: Any, seconds: float,
           ratio: float | None = None) -> Score:
-    """Compares. An effect counts as found where its name and joint are said, or where it stands in the group of those
-    that the data cannot tell from one said of the same joint."""
+    """Compares a diagnosis with the truth.
+
+    An effect counts as found where its name and joint are reported, or where it stands in the group of those that the
+    data do not separate from one reported of the same joint.
+
+    Args:
+        seed: of the trial.
+        kind: of the trial.
+        truth: hidden effects, name and joint (from 1).
+        outside: whether they are outside the library.
+        diagnosis: result of ``diagnose``.
+        seconds: time that it took [s].
+        ratio: error of the diagnosed model over that of a fit that is given the true form, 1; None where not computed.
+    """
     found = tuple([(e.fitted.name, e.fitted.joint, tuple(e.indistinguishable_from)) for e in diagnosis.effects]
                   + [("unknown", u.fitted.joint, ()) for u in diagnosis.unknown])
 

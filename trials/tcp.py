@@ -113,7 +113,13 @@ def chain(arm: Arm) -> tuple[pin.Model, int]:
 
 
 def positions(model: pin.Model, tool: int, q: Array) -> Array:
-    """TCP ``(N, 3)`` [m]."""
+    """TCP ``(N, 3)`` [m].
+
+    Args:
+        model: kinematics.
+        tool: index of the tool frame.
+        q: joint angles ``(N, n)`` [rad].
+    """
     data = model.createData()
     result = np.empty((len(q), 3))
     for k, row in enumerate(q):

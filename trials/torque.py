@@ -239,7 +239,17 @@ def _parameter_effect(rng: np.random.Generator, s: Scene, name: str, joint: int)
 
 def measured(rng: np.random.Generator, arm: Arm, t: Array, q: Array, tau: Array, noise: Array,
               qa: Array | None) -> Recording:
-    """Noise, white and coloured, quantisation, at times a jittering clock or CSV-like rounding."""
+    """Noise, white and coloured, quantisation, at times a jittering clock or CSV-like rounding.
+
+    Args:
+        rng: draws noise, quantisation and clock.
+        arm: that moved.
+        t: times ``(N,)`` [s].
+        q: joint angles ``(N, n)`` [rad].
+        tau: torques ``(N, n)`` [N m].
+        noise: standard deviation of the torque ``(n,)`` [N m].
+        qa: arm angles ``(N, n)`` [rad]; None if they are not measured.
+    """
     colour = signal.lfilter([0.1], [1.0, -0.9], rng.normal(size=tau.shape), axis=0)
     tau = tau + noise * rng.normal(size=tau.shape) + 0.4 * noise * colour
     if rng.random() < 0.4:

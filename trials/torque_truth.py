@@ -38,7 +38,15 @@ TorqueEffect = Callable[[np.random.Generator, Scene, int], Array]
 
 
 def scene(arm: Arm, t: Array, q: Array, qd: Array, qdd: Array) -> Scene:
-    """Computes the torques of a motion."""
+    """Computes the torques of a motion.
+
+    Args:
+        arm: that moves.
+        t: times ``(N,)`` [s].
+        q: joint angles ``(N, n)`` [rad].
+        qd: velocities ``(N, n)`` [rad/s].
+        qdd: accelerations ``(N, n)`` [rad/s²].
+    """
     data = arm.model.createData()
     load = np.array([pin.rnea(arm.model, data, *row) for row in zip(q, qd, qdd, strict=True)]).reshape(q.shape)
     friction = arm.viscous * qd + arm.coulomb * np.tanh(qd / (2e-3 * arm.fast))
@@ -51,40 +59,40 @@ def _on(s: Scene, j: int, column: Array) -> Array:
     return result
 
 
-def degressive(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _degressive(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Saturating rise ``v / (v0 + |v|)``."""
     v = s.qd[:, j]
     v0 = s.arm.fast[j] * rng.uniform(0.05, 0.2)
     return _on(s, j, s.arm.coulomb[j] * v / (v0 + np.abs(v)))
 
 
-def stribeck(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _stribeck(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Excess at standstill falling like a bell curve."""
     v = s.qd[:, j]
     v0 = s.arm.fast[j] * rng.uniform(0.05, 0.2)
     return _on(s, j, s.arm.coulomb[j] * np.tanh(v / (2e-3 * s.arm.fast[j])) * np.exp(-((v / v0) ** 2)))
 
 
-def asymmetric_friction(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _asymmetric_friction(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """More viscous friction in one direction."""
     v = s.qd[:, j]
     return _on(s, j, float(rng.choice([-1.0, 1.0])) * s.arm.viscous[j] * np.maximum(v, 0.0))
 
 
-def load_dependent_friction(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _load_dependent_friction(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Teeth pressed together by the load, softly rounded at zero load."""
     load = np.sqrt(s.load[:, j] ** 2 + (0.02 * np.std(s.load[:, j])) ** 2)
     return _on(s, j, 0.1 * load * np.tanh(s.qd[:, j] / (2e-3 * s.arm.fast[j])))
 
 
-def thermal_drift(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _thermal_drift(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Friction falls while the gear warms up, like ``1/(1 + t/T)``."""
     T = (s.t[-1] - s.t[0]) * rng.uniform(0.3, 1.0)
     warm = 1.0 - 1.0 / (1.0 + s.t / T)
     return _on(s, j, -warm * (0.7 * s.arm.viscous[j] * s.qd[:, j] + 0.7 * s.arm.coulomb[j] * np.sign(s.qd[:, j])))
 
 
-def presliding_hysteresis(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _presliding_hysteresis(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Dry friction made of four elasto-plastic elements (Maxwell slip) instead of a sign."""
     span = float(np.ptp(s.q[:, j])) * rng.uniform(0.004, 0.03)
     forces = np.zeros(len(s.t))
@@ -96,7 +104,7 @@ def presliding_hysteresis(rng: np.random.Generator, s: Scene, j: int) -> Array:
     return _on(s, j, s.arm.coulomb[j] * (forces - np.tanh(s.qd[:, j] / (2e-3 * s.arm.fast[j]))))
 
 
-def torque_ripple(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _torque_ripple(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """A tooth frequency and half as much of its double."""
     periods = rng.uniform(6.0, 60.0)
     k = 2.0 * np.pi * periods / float(np.ptp(s.q[:, j]))
@@ -104,7 +112,7 @@ def torque_ripple(rng: np.random.Generator, s: Scene, j: int) -> Array:
     return _on(s, j, np.cos(k * s.q[:, j] + phase) + 0.15 * np.cos(2 * k * s.q[:, j]))
 
 
-def gravity_spring(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _gravity_spring(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """A preloaded spring between two points."""
     a, b, rest = 1.0, rng.uniform(0.3, 0.7), rng.uniform(0.3, 0.8)
     angle = s.q[:, j] - rng.uniform(-np.pi, np.pi)
@@ -112,13 +120,13 @@ def gravity_spring(rng: np.random.Generator, s: Scene, j: int) -> Array:
     return _on(s, j, 20.0 * (length - rest) / length * a * b * np.sin(angle))
 
 
-def cable_spring(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _cable_spring(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """A hose pack, slightly hardening."""
     x = s.q[:, j] - np.mean(s.q[:, j])
     return _on(s, j, x * (1.0 + 0.1 * (x / (np.max(np.abs(x)) + 1e-9)) ** 2))
 
 
-def axis_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _axis_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """The motor of joint ``j`` turns with its neighbour as well, and both feel it."""
     i = j - 1
     v = s.qd[:, j] + s.qd[:, i]
@@ -128,27 +136,27 @@ def axis_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
     return result
 
 
-def bump(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _bump(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Outside the library: a torque at one place of the range, of odd shape."""
     x = (s.q[:, j] - np.quantile(s.q[:, j], rng.uniform(0.3, 0.7))) / float(np.ptp(s.q[:, j]))
     width = rng.uniform(0.06, 0.15)
     return _on(s, j, np.exp(-((x / width) ** 2)) * (1.0 + 1.5 * np.tanh(x / width)))
 
 
-def product_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _product_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Outside the library: a torque by the product of two axes' speeds."""
     i = int(rng.choice([k for k in range(s.arm.n) if k != j]))
     return _on(s, j, s.qd[:, i] * s.qd[:, j] + 0.5 * s.qd[:, i] * np.abs(s.qd[:, i]))
 
 
-def position_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _position_coupling(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Outside the library: a torque by another axis' position."""
     i = int(rng.choice([k for k in range(s.arm.n) if k != j]))
     x = (s.q[:, i] - np.mean(s.q[:, i])) / float(np.std(s.q[:, i]))
     return _on(s, j, np.tanh(1.5 * x) + 0.3 * x**2)
 
 
-def disturbance(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _disturbance(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Outside the library: a disturbance that changes with time."""
     span = s.t[-1] - s.t[0]
     f = rng.uniform(1.5, 6.0) / span
@@ -156,14 +164,14 @@ def disturbance(rng: np.random.Generator, s: Scene, j: int) -> Array:
     return _on(s, j, np.sin(2 * np.pi * f * s.t + rng.uniform(0, 6)) + jump)
 
 
-def directed_place(rng: np.random.Generator, s: Scene, j: int) -> Array:
+def _directed_place(rng: np.random.Generator, s: Scene, j: int) -> Array:
     """Outside the library: dry friction that differs from place to place."""
     x = (s.q[:, j] - np.min(s.q[:, j])) / float(np.ptp(s.q[:, j]))
     return _on(s, j, np.sign(s.qd[:, j]) * (np.tanh(6 * (x - rng.uniform(0.3, 0.7))) + 0.5 * x))
 
 
-INSIDE: dict[str, TorqueEffect] = {f.__name__: f for f in (
-    degressive, stribeck, asymmetric_friction, load_dependent_friction, thermal_drift, presliding_hysteresis,
-    torque_ripple, gravity_spring, cable_spring, axis_coupling)}
-OUTSIDE: dict[str, TorqueEffect] = {f.__name__: f for f in (
-    bump, product_coupling, position_coupling, disturbance, directed_place)}
+INSIDE: dict[str, TorqueEffect] = {f.__name__[1:]: f for f in (
+    _degressive, _stribeck, _asymmetric_friction, _load_dependent_friction, _thermal_drift, _presliding_hysteresis,
+    _torque_ripple, _gravity_spring, _cable_spring, _axis_coupling)}
+OUTSIDE: dict[str, TorqueEffect] = {f.__name__[1:]: f for f in (
+    _bump, _product_coupling, _position_coupling, _disturbance, _directed_place)}
