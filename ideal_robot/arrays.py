@@ -10,5 +10,11 @@ Array = NDArray[np.float64]
 
 
 def held(rows: Array, *, before: int = 0, after: int = 0) -> Array:
-    """``rows (N, …)`` with the first one repeated ``before`` times ahead and the last one ``after`` times behind."""
+    """Rows with the first one repeated ahead and the last one behind.
+
+    Args:
+        rows: ``(N, …)``, at least one.
+        before: how often the first one is repeated.
+        after: how often the last one is repeated.
+    """
     return np.concatenate([np.repeat(rows[:1], before, axis=0), rows, np.repeat(rows[-1:], after, axis=0)])

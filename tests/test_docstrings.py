@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("dynamics", "elasticity", "execution", "feedforward", "friction", "identification", "loop", "model", "robots",
-         "rsi", "signals")
-DONE = ("planning", "sensing", "sim", "trials", *(f"ideal_robot/{room}" for room in ROOMS))
+FOLDERS = ("ideal_robot", "planning", "scenes", "sensing", "sim", "trials")
+OPEN = ("ideal_robot/diagnosis", "ideal_robot/effects", "scenes", "trials/strangers")
+"""Where the rule does not hold yet."""
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
@@ -56,6 +56,8 @@ def undocumented(folder: str) -> list[str]:
     found = []
     known = methods("ideal_robot") | methods(folder)
     for path in sorted((ROOT / folder).rglob("*.py")):
+        if path.relative_to(ROOT).as_posix().startswith(OPEN):
+            continue
         for name, function, docstring in public(ast.parse(path.read_text(encoding="utf-8"))):
             names = parameters(function)
             interface = re.match(r"See ``([\w.]+)``", docstring)
@@ -67,6 +69,6 @@ def undocumented(folder: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("folder", DONE)
+@pytest.mark.parametrize("folder", FOLDERS)
 def test_parameters_are_described(folder: str) -> None:
     assert undocumented(folder) == []
