@@ -36,12 +36,14 @@ class FollowingWatch:
     Attributes:
         adds_up: whether the controller turned out to add up absolute corrections.
         missing: readings that could not be and were not used.
+        tolerance: how far the arm may be outside its commands [rad].
         rest: measured minus commanded at rest, before anything moved ``(n,)`` [rad].
     """
 
     def __init__(self, n: int, window: int, jump: Array, relative: bool) -> None:
         rows = max(2 * window, 8)
         self.adds_up, self.missing, self.rest = False, 0, np.zeros(n)
+        self.tolerance = TOLERANCE
         self._window, self._jump, self._relative = window, jump, relative
         self._commanded, self._measured, self._sum = np.zeros((rows, n)), np.zeros((rows, n)), np.zeros((rows, n))
         self._count = self._outside = self._jumped = 0
@@ -70,7 +72,7 @@ class FollowingWatch:
         recent = self._commanded[(row - np.arange(self._window)) % len(self._commanded)]
         low, high = recent.min(axis=0), recent.max(axis=0)
         at = measured - self.rest
-        beyond = np.maximum(low - at, at - high) - TOLERANCE - _SHARE * (high - low)
+        beyond = np.maximum(low - at, at - high) - self.tolerance - _SHARE * (high - low)
         self._outside = self._outside + 1 if (beyond > 0).any() else 0
         return self._cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
 

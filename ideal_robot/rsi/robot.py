@@ -40,6 +40,8 @@ _RESTED = 1e-6
 """Change of the command in a cycle below which the arm counts as commanded to rest [rad]."""
 _REST_TIME = 0.3
 """Rest after which the measured position tells where relative corrections have led [s]."""
+_UNTOLD = 3.0
+"""Times the usual tolerance of following where the controller does not tell which increments came too late."""
 _RESYNC = 1e-3
 """Difference of measured and commanded position at rest that is made good [rad]; less is the controller's own."""
 
@@ -137,6 +139,9 @@ class RsiRobot:
         self._begin = held.copy()
         self.commanded = self._wanted = self.axes.joints(held)
         self._began = self._link.arrived
+        if self.relative and first.late is None:
+            # Increments may get lost without a word: they add up until the next rest.
+            self._watch.tolerance *= _UNTOLD
         self._watch.begin(self.commanded, self.axes.joints(first.actual))
         return self._state(first)
 
@@ -263,7 +268,7 @@ class RsiRobot:
         late = 0 if newest.late is None else max(newest.late - self._late, 0)
         self._late = self._late if newest.late is None else newest.late
         self.counts.late += late
-        self._in_doubt = self._in_doubt or (self.relative and late + lost > 0)
+        self._in_doubt = self._in_doubt or (self.relative and (late + lost > 0 or newest.late is None))
         if self._in_force.advance(used=late <= lost, missed=lost):
             self._missed = True
             self.commanded = self.axes.joints(self._begin + self._in_force.position)

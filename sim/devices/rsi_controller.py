@@ -11,9 +11,10 @@ from __future__ import annotations
 import argparse
 import re
 import socket
+import sys
 import threading
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,23 +135,28 @@ class RsiController:
         return None
 
 
-def main() -> None:
-    """Plays a controller on this computer in real time, until the server stops answering."""
+def main(words: Sequence[str] | None = None) -> int:
+    """Plays a controller on this computer in real time, until the server stops answering.
+
+    Returns the exit code: 1 where not one cycle was answered.
+    """
     parser = argparse.ArgumentParser(description="KUKA RSI controller around a simulated arm, on 127.0.0.1.")
     parser.add_argument("path", help="the path the server has: the arm starts at its first point")
     parser.add_argument("--robot", default="kr6")
     parser.add_argument("--port", type=int, default=49152)
     parser.add_argument("--relative", action="store_true")
-    given = parser.parse_args()
+    parser.add_argument("--patience", type=int, default=100, help="cycles without an answer after which it ends")
+    given = parser.parse_args(words)
     robot = Robot.load(given.robot)
     columns = Recording.read(given.path).columns
     prefix = "q_d" if "q_d_1" in columns else "q"
     start = np.array([columns[f"{prefix}_{i + 1}"][0] for i in range(robot.n)])
     with SimulatedArm(robot, World.default(robot.name), np.random.default_rng(0), q0=start) as arm:
         run = RsiController(arm, ("127.0.0.1", given.port), relative=given.relative, real_time=True,
-                            patience=100).run()
+                            patience=given.patience).run()
     print(f"{run.ended}; {int(np.sum(run.answered))} of {len(run.answered)} cycles answered")
+    return 0 if run.answered.any() else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import gc
+import os
 import re
+import signal
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.format import RsiFormat
+from scenes.rsi.interrupts import stopping_on_signals
 from scenes.rsi.run import RsiRun
 from scenes.rsi.setup import rsi_server
 from tests.scenes.rsi.test_rsi import motion, written
@@ -131,3 +136,99 @@ def test_what_is_missed_is_made_good_within_the_limits(tmp_path: Path, loss: str
         own = np.abs(speed[1:]) > 1e-12
         assert np.all((np.abs(bend) * own).max(axis=0) <= ROBOT.a_max), (np.abs(bend) * own).max(axis=0) / ROBOT.a_max
     assert np.all(np.abs(speed) <= 1.6 * np.abs(np.diff(motion(), axis=0)).max(axis=0) / ROBOT.t_ipo + 0.1)
+
+
+def test_absolute_corrections_that_the_controller_gives_up_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(IdealRobotError, match="return to the start"):
+        played(tmp_path, LaggingController(HOME), form=RsiFormat(hold_on=False))
+
+
+def test_increments_whose_loss_no_one_tells_are_found_at_rest(tmp_path: Path) -> None:
+    """Without ``Delay`` a late increment is lost unnoticed; the measured arm at rest tells where it led."""
+    controller = LaggingController(HOME, adds_up=True, tells_delay=False, late=lambda k: k in (75, 90),
+                                   lost=lambda k: k == 80)
+    run = played(tmp_path, controller, relative=True)
+    assert run.failure is None
+    assert run.counts["resynchronised"] == 1
+    np.testing.assert_allclose(np.radians(controller.commanded[-1]) * SIGN, ROBOT.home, atol=1e-3)
+    assert np.all(largest_acceleration(controller)[:3] < 20.0)
+
+
+def test_the_port_that_fails_ends_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
+    class Failing:
+        def __init__(self, wrapped: socket.socket) -> None:
+            self.wrapped, self.reads = wrapped, 0
+
+        def __getattr__(self, name: str):
+            return getattr(self.wrapped, name)
+
+        def recvfrom(self, size: int):
+            self.reads += 1
+            if self.reads > 150:
+                raise OSError(100, "Network is down")
+            return self.wrapped.recvfrom(size)
+
+        def sendto(self, data: bytes, to: tuple[str, int]) -> None:
+            self.wrapped.sendto(data, to)
+            if self.reads % 10 == 0:
+                raise OSError(105, "No buffer space available")
+
+    controller = LaggingController(HOME)
+    with rsi_server(written(tmp_path, motion()), robot="kr6", method="none", port=0, rest=0.4) as server:
+        server.link.timeout = PATIENCE
+        server.link._link._socket = Failing(server.link._link._socket)  # type: ignore[assignment]
+        with playing(controller, server.link.address):
+            run = server.play(patience=PATIENCE)
+    assert run.failure is not None
+    assert "Network is down" in run.failure
+    assert run.counts["unsent"] > 0
+    assert len(run.recording.t) > 30
+
+
+def test_sigterm_brakes_like_ctrl_c(tmp_path: Path) -> None:
+    def terminate(k: int, at: Array) -> Array:
+        if k == 75:
+            os.kill(os.getpid(), signal.SIGTERM)
+        return at
+
+    controller = LaggingController(HOME, measured=terminate)
+    with rsi_server(written(tmp_path, motion()), robot="kr6", method="none", port=0, rest=0.4) as server:
+        server.link.timeout = PATIENCE
+        with playing(controller, server.link.address), stopping_on_signals(server):
+            run = server.play(patience=PATIENCE)
+    assert run.failure == "stopped by the system (SIGTERM)"
+    assert 70 < len(run.recording.t) < run.rows
+    assert np.all(largest_acceleration(controller) <= 1.0)
+    assert np.max(np.abs(np.diff(controller.commanded[-5:], axis=0))) < 1e-6
+
+
+def test_nothing_is_collected_while_an_arm_waits_and_nothing_is_left_to_collect(tmp_path: Path) -> None:
+    before = gc.isenabled()
+    seen = []
+    with rsi_server(written(tmp_path, motion()), robot="kr6", method="ideal", port=0, rest=0.4) as server:
+        server.link.timeout = PATIENCE
+        receive = server.link.receive
+
+        def counted():
+            if server.link.counts.cycles in (60, 120):
+                seen.append((gc.isenabled(), gc.collect()))
+            return receive()
+
+        server.link.receive = counted  # type: ignore[method-assign]
+        with playing(LaggingController(HOME), server.link.address):
+            assert server.play(patience=PATIENCE).failure is None
+    assert [enabled for enabled, _ in seen] == [False, False]
+    # Sixty cycles leave no more circles than one could: garbage by the cycle would need the collection.
+    assert seen[1][1] < 20
+    assert gc.isenabled() == before
+
+
+def test_a_controller_that_no_one_answers_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from sim.devices import rsi_controller
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
+        silent.bind(("127.0.0.1", 0))
+        path = written(tmp_path, motion())
+        port = str(silent.getsockname()[1])
+        assert rsi_controller.main([str(path), "--port", port, "--patience", "2"]) == 1
+    assert "0 of" in capsys.readouterr().out
