@@ -3,7 +3,8 @@
     python benchmarks/rsi_simulators.py FOLDER
 
 FOLDER holds the simulators as its README says: kuka_experimental.py, adamleon.py, kroshu.py, fzi/ and stubs/ for the
-ROS modules they import; the fifth, RSIPI, is a package (pip install RSIPI). Prints a table; ends with 1 if one of them did not complete.
+ROS modules they import; the fifth, RSIPI, is a package (pip install RSIPI). Prints a table; ends with 1 if one of them
+did not complete.
 """
 
 from __future__ import annotations
@@ -98,7 +99,7 @@ def played(folder: Path, name: str, *, method: str = "ideal", size: float = 5.0,
         path = Path(room) / "path.csv"
         pd.DataFrame({"t": t, **{f"q_d_{i + 1}": q[:, i] for i in range(robot.n)}}).to_csv(path, index=False)
         with (rsi_server(path, robot=str(urdf), model=_model(), method=method, cycle=simulator.cycle, port=0, form=form)
-              as server, _running(home, simulator, server.link.address[1], Path(room))):
+              as server, Running(home, simulator, server.link.address[1], Path(room))):
             return server.play(patience=20.0)
 
 
@@ -113,7 +114,7 @@ def _model() -> Path:
     return shipped_model("kr6")
 
 
-class _running:
+class Running:
     """The simulator as a process of its own while the block runs."""
 
     def __init__(self, home: Path, simulator: Simulator, port: int, room: Path) -> None:

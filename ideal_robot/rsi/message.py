@@ -23,14 +23,15 @@ MAX_PACKET = 4096
 _DEPTH = 8
 """Deepest nesting that is followed; a controller's message has two levels."""
 
+_BLANKS = " \t\r\n"
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?", re.ASCII)
 _WHOLE = re.compile(r"\d{1,18}", re.ASCII)
 _LATE = re.compile(r"(\d{1,9})(?:\.0*)?", re.ASCII)
 # Possessive quantifiers: no input makes the scan go back, so its time grows with the packet's length and not faster.
 _TAG = re.compile(r"""<(?:!--.*?--|\?.*?\?|(?P<end>/)?+(?P<name>[^\s<>/="'!?]++)
                       (?P<attributes>(?:\s++[^\s<>/="']++\s*+=\s*+(?:"[^"<]*+"|'[^'<]*+'))*+)\s*+(?P<empty>/)?+)>""",
-                  re.VERBOSE | re.DOTALL)
-_ATTRIBUTE = re.compile(r"""([^\s<>/="']++)\s*+=\s*+(?:"([^"]*+)"|'([^']*+)')""")
+                  re.VERBOSE | re.DOTALL | re.ASCII)
+_ATTRIBUTE = re.compile(r"""([^\s<>/="']++)\s*+=\s*+(?:"([^"]*+)"|'([^']*+)')""", re.ASCII)
 
 _Element = tuple[str, str]
 """Attributes and text of one element, as they stand there."""
@@ -85,17 +86,17 @@ def parse_rob(packet: bytes, n: int) -> RobMessage:
     ipoc = _only(found, "IPOC")
     if ipoc is None:
         raise PacketError("IPOC is missing")
-    if _WHOLE.fullmatch(ipoc[1].strip()) is None:
+    if _WHOLE.fullmatch(ipoc[1].strip(_BLANKS)) is None:
         raise PacketError(f"IPOC is no whole number ({ipoc[1][:40]!a})")
     setpoint, current = optional("ASPos"), optional("MACur")
     late = None
     if "Delay" in found:
-        counted = _LATE.fullmatch(_attributes(found["Delay"][0][0]).get("D", "").strip())
+        counted = _LATE.fullmatch(_attributes(found["Delay"][0][0]).get("D", "").strip(_BLANKS))
         if counted is None or len(found["Delay"]) > 1:
             ignored.append("Delay")
         else:
             late = int(counted[1])
-    return RobMessage(int(ipoc[1]), actual, setpoint, current, late, tuple(ignored))
+    return RobMessage(int(ipoc[1].strip(_BLANKS)), actual, setpoint, current, late, tuple(ignored))
 
 
 def format_sen(correction: Array, ipoc: int, form: RsiFormat) -> bytes:
@@ -121,7 +122,7 @@ def _elements(text: str) -> dict[str, list[_Element]]:
     open_tags: list[str] = []
     at, attributes, inside, closed = 0, "", 0, False
     while (start := text.find("<", at)) >= 0:
-        if (tag := _TAG.match(text, start)) is None or (not open_tags and text[at:start].strip()):
+        if (tag := _TAG.match(text, start)) is None or (not open_tags and text[at:start].strip(_BLANKS)):
             raise PacketError(f"packet is not XML (character {start})")
         at, name = tag.end(), tag["name"]
         if name is None:
@@ -145,7 +146,7 @@ def _elements(text: str) -> dict[str, list[_Element]]:
                 attributes, inside = tag["attributes"], at
             if len(open_tags) > _DEPTH:
                 raise PacketError(f"packet is nested more than {_DEPTH} levels deep")
-    if open_tags or not closed or text[at:].strip():
+    if open_tags or not closed or text[at:].strip(_BLANKS):
         raise PacketError("packet is not XML (it ends before </Rob>, or goes on after it)")
     return found
 
@@ -175,6 +176,7 @@ def _axes(found: dict[str, list[_Element]], tag: str, n: int) -> Array | None:
 
 
 def _number(tag: str, name: str, text: str) -> float:
-    if _NUMBER.fullmatch(text.strip()) is None or not math.isfinite(value := float(text)):
+    # Not strip() without an argument: what Python takes for blanks, the pattern above or float() may not.
+    if _NUMBER.fullmatch(text := text.strip(_BLANKS)) is None or not math.isfinite(value := float(text)):
         raise PacketError(f"{tag} {name} is no finite number ({text[:40]!a})")
     return value

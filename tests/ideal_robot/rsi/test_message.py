@@ -64,6 +64,7 @@ def test_the_answer_is_what_a_controller_expects() -> None:
     (b'A1="0.5"', b'A1="1e999"', "AIPos A1"),
     (b'A1="0.5"', b'A1="1_0"', "AIPos A1"),
     (b'A1="0.5"', b'A1=""', "AIPos A1"),
+    (b'A1="0.5"', b'A1="\x1e0.5"', "AIPos A1"),
     (b'A1="0.5" ', b"", "expected A1 to A6"),
     (b'A1="0.5"', b'A1="0.5" A7="0"', "expected A1 to A6"),
     (b"<Tech", b" " * MAX_PACKET + b"<Tech", "more than"),

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks import rsi_hour
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.robot import Robot
@@ -232,3 +233,8 @@ def test_a_controller_that_no_one_answers_says_so(tmp_path: Path, capsys: pytest
         port = str(silent.getsockname()[1])
         assert rsi_controller.main([str(path), "--port", port, "--patience", "2"]) == 1
     assert "0 of" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_an_hour_at_four_milliseconds_has_no_end_of_our_own_making() -> None:
+    assert rsi_hour.main(60.0) == 0

@@ -23,6 +23,10 @@ def never(_: int) -> bool:
     return False
 
 
+def nothing(_: int, __: bytes) -> list[bytes]:
+    return []
+
+
 def unchanged(_: int, measured: Array) -> Array:
     return measured
 
@@ -44,6 +48,7 @@ class LaggingController:
         lost: whether the packet of a cycle gets lost.
         late: whether the answer of a cycle comes too late.
         held_back: whether the packet of a cycle waits, to arrive together with the next that does not.
+        beside: what else comes from its address before the packet of a cycle.
         measured: what it says of its measured axes in a cycle.
     """
 
@@ -59,6 +64,7 @@ class LaggingController:
     lost: Callable[[int], bool] = never
     late: Callable[[int], bool] = never
     held_back: Callable[[int], bool] = never
+    beside: Callable[[int, bytes], list[bytes]] = nothing
     measured: Callable[[int, Array], Array] = unchanged
     first_stamp: int = 4208163634
     commanded: list[Array] = field(default_factory=list)
@@ -79,7 +85,7 @@ class LaggingController:
                 if self.held_back(k):
                     waiting.append(packet)
                 elif not self.lost(k):
-                    for piece in (*waiting, packet):
+                    for piece in (*waiting, *self.beside(k, packet), packet):
                         link.sendto(piece, address)
                     waiting = []
                     answer = self._answer(link, stamp)
