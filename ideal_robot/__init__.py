@@ -1,1 +1,96 @@
-"""The inner loop: models, feedforward, identification and diagnosis of a position-controlled arm."""
+"""Makes a position-controlled arm ideal: models, feedforward, identification and diagnosis behind one door.
+
+    import ideal_robot as ir
+
+    robot = ir.Robot.load("kr15")
+    recording = ir.Recording.from_frame(frame)
+    model = ir.identify(recording, robot).model
+    corrected = ir.precorrect(t, q_d, model, robot)
+
+What stands here is imported when it is used for the first time, so that ``import ideal_robot`` is cheap.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from ideal_robot.diagnosis.diagnose import diagnose
+    from ideal_robot.diagnosis.validation.result import Diagnosis
+    from ideal_robot.effects.base import Effect
+    from ideal_robot.effects.registry import register as register_effect
+    from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
+    from ideal_robot.errors import IdealRobotError, InputError, LimitError
+    from ideal_robot.execution.interface import RobotInterface, RobotState
+    from ideal_robot.execution.play import PlayResult, play
+    from ideal_robot.execution.precorrect import PrecorrectedPath, precorrect
+    from ideal_robot.feedforward.base import Feedforward
+    from ideal_robot.feedforward.method import Method, Needs, Setting
+    from ideal_robot.feedforward.practice import Practice
+    from ideal_robot.feedforward.registry import feedforward, methods
+    from ideal_robot.feedforward.registry import register as register_feedforward
+    from ideal_robot.identification.whole_model import IdentificationResult
+    from ideal_robot.identification.whole_model import identify_model as identify
+    from ideal_robot.model.model import Model
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
+
+    __version__: str
+
+_PLACES = {
+    "Diagnosis": "diagnosis.validation.result:Diagnosis",
+    "Effect": "effects.base:Effect",
+    "Feedforward": "feedforward.base:Feedforward",
+    "IdealRobotError": "errors:IdealRobotError",
+    "IdentificationResult": "identification.whole_model:IdentificationResult",
+    "InputError": "errors:InputError",
+    "LimitError": "errors:LimitError",
+    "Method": "feedforward.method:Method",
+    "Model": "model.model:Model",
+    "Needs": "feedforward.method:Needs",
+    "PlayResult": "execution.play:PlayResult",
+    "Practice": "feedforward.practice:Practice",
+    "PrecorrectedPath": "execution.precorrect:PrecorrectedPath",
+    "Recording": "signals.recording:Recording",
+    "Robot": "robots.robot:Robot",
+    "RobotInterface": "execution.interface:RobotInterface",
+    "RobotState": "execution.interface:RobotState",
+    "Setting": "feedforward.method:Setting",
+    "analyse_stiffness": "elasticity.stiffness_analysis:analyse_stiffness",
+    "diagnose": "diagnosis.diagnose:diagnose",
+    "feedforward": "feedforward",
+    "identify": "identification.whole_model:identify_model",
+    "methods": "feedforward.registry:methods",
+    "play": "execution.play:play",
+    "precorrect": "execution.precorrect:precorrect",
+    "register_effect": "effects.registry:register",
+    "register_feedforward": "feedforward.registry:register",
+}
+"""Name at the door → module and name behind it."""
+
+__all__ = [
+    "Diagnosis", "Effect", "Feedforward", "IdealRobotError", "IdentificationResult", "InputError", "LimitError",
+    "Method", "Model", "Needs", "PlayResult", "Practice", "PrecorrectedPath", "Recording", "Robot", "RobotInterface",
+    "RobotState", "Setting", "__version__", "analyse_stiffness", "diagnose", "feedforward", "identify", "methods",
+    "play", "precorrect", "register_effect", "register_feedforward",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("ideal-robot")
+    if name not in _PLACES:
+        raise AttributeError(f"module 'ideal_robot' has no attribute {name!r}")
+    module, _, attribute = _PLACES[name].partition(":")
+    found: Any = import_module(f"ideal_robot.{module}")
+    if attribute:
+        found = getattr(found, attribute)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -12,7 +12,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import LimitError
 from ideal_robot.execution.interface import RobotInterface
-from planning.path.stopping import stopping_rows
+from ideal_robot.execution.stopping import stopping_rows
 from planning.planning_error import PlanningError
 from scenes.result import Progress
 

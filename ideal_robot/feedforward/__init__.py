@@ -1,1 +1,23 @@
-"""From desired positions over a horizon to the command: every way of correcting a path."""
+"""Feedforwards: how desired positions become commands. The package itself can be called to make one by its key:
+
+    ideal_robot.feedforward("ideal", model, robot)
+
+which is ``ideal_robot.feedforward.registry.feedforward``; package and function have to share the name.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+
+class _CallablePackage(ModuleType):
+    """This package; see the registry for the arguments of the call."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        return import_module(f"{__name__}.registry").feedforward(*arguments, **options)
+
+
+sys.modules[__name__].__class__ = _CallablePackage

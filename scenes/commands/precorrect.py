@@ -29,7 +29,7 @@ def command(
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import progress_bar, show_table
     from scenes.outputs import check_outputs
-    from scenes.path.precorrect import precorrected_path, write_page
+    from scenes.path.precorrect import precorrected_path, table, write_page
     from scenes.report.page import write_json
 
     folder = out or Path("out") / "precorrect"
@@ -43,7 +43,7 @@ def command(
             result.recording.write(path_file)
             write_page(result, page_file)
             if json_file is not None:
-                write_json(json_file, {**result.json(), "output": output, "report": report})
-    show_table("Correction per joint", *result.table())
+                write_json(json_file, {**result.to_dict(), "output": output, "report": report})
+    show_table("Correction per joint", *table(result))
     typer.echo(f"corrected path: {output}")
     typer.echo(f"report: {report}")

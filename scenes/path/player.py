@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from ideal_robot.arrays import Array, held
+from ideal_robot.arrays import Array
+from ideal_robot.execution.play import play as play_path
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.tcp_errors import AXES, joint_errors, pose_errors
 from ideal_robot.robots.robot import Robot
@@ -62,21 +63,14 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
         feedforward: what corrects it.
         rng: of the arm's noise.
     """
-    q_d, n_d = path.q_d, feedforward.n_d
-    ahead = held(q_d, after=n_d)
-    q_c, times = np.empty_like(q_d), np.empty(len(q_d))
+    q_d = path.q_d
     with SimulatedArm(robot, world, rng, q_d[0]) as arm:
-        current = feedforward.init(q_d[0])
         begun = time.perf_counter()
-        for k in range(len(q_d)):
-            started = time.perf_counter()
-            q_c[k], current = feedforward.step(current, ahead[k : k + n_d])
-            times[k] = time.perf_counter() - started
-            measured = arm.cycle(q_c[k])
-            started = time.perf_counter()
-            current = feedforward.observe(current, measured)
-            times[k] += time.perf_counter() - started
+        # The simulated controller keeps the limits itself.
+        played = play_path(arm, feedforward, q_d)
         wall = time.perf_counter() - begun
+        if played.error is not None:
+            raise played.error
         history = arm.history()
         recording = arm.recording(external=True)
         tcp, of_motors = (np.array([arm.tcp_of(q).translation for q in history[name]]) for name in ("q_a", "q_m"))
@@ -87,8 +81,9 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
     return Play(
         errors=path_errors(wanted_t, wanted_x, history["t"], tcp),
         motor_errors=path_errors(wanted_t, wanted_x, history["t"], of_motors),
-        t=history["t"], tcp=tcp, q_c=q_c, q_a=history["q_a"][::every], q_m=history["q_m"][::every],
-        recording=Recording(columns, recording.meta, recording.source), cycle_times=times, wall=wall, state=current)
+        t=history["t"], tcp=tcp, q_c=played.q_c, q_a=history["q_a"][::every], q_m=history["q_m"][::every],
+        recording=Recording(columns, recording.meta, recording.source), cycle_times=played.compute_times, wall=wall,
+        state=played.state)
 
 
 def measured_errors(robot: Robot, path: JointPath, recording: Recording, source: str) -> Array:

@@ -11,11 +11,11 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, LimitError
+from ideal_robot.execution.path_limits import check_limits, nearest_allowed
+from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
-from planning.path.stopping import stopping_rows
-from scenes.path.precorrect import check_limits
 from scenes.result import Progress, silent
 from scenes.rsi.cycle_log import CycleLog
 from scenes.rsi.run import RsiRun
@@ -139,17 +139,9 @@ class RsiServer:
         cycles = int(np.ceil((min(1.5 * braking, _BRAKING_MAX) + _STANDING) / T))
         for planned in islice(stopping_rows(ahead[k : k + cycles + law.n_d], T, braking, 1.0), cycles):
             q_c, state = law.step(state, planned[: law.n_d])
-            q_c = self._held(q_c, last)
+            q_c = nearest_allowed(q_c, last, robot, T)
             last = np.vstack([last[1], q_c])
             yield planned[0], q_c
-
-    def _held(self, q_c: Array, last: Array) -> Array:
-        """The command nearest to ``q_c`` within the limits, from the two before ``(2, n)``."""
-        robot, T = self.link.robot, self.link.t_ipo
-        step = last[1] - last[0]
-        bend = 2.0 * robot.a_max * T**2
-        moved = np.clip(np.clip(q_c - last[1], step - bend, step + bend), -robot.v_max * T, robot.v_max * T)
-        return np.asarray(np.clip(last[1] + moved, robot.q_min, robot.q_max))
 
     def _run(self, log: CycleLog, granted: list[str]) -> RsiRun:
         robot, counts = self.link.robot, asdict(self.link.counts)

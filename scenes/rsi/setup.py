@@ -13,6 +13,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.execution.path_limits import require_within_limits
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.passthrough import PassThrough
@@ -26,7 +27,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
 from scenes.models import shipped_model
-from scenes.path.precorrect import check_limits, desired_path, robot_of
+from scenes.path.precorrect import desired_path, robot_of
 from scenes.rsi.server import RsiServer
 
 METHODS = ("ideal", "precorrected", "none")
@@ -59,7 +60,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
         raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
     arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
     _, q_d = desired_path(Recording.read(path), arm, path, rest)
-    check_limits(q_d, arm, arm.t_ipo, file=path, start=-rest)
+    require_within_limits(q_d, arm, start=-rest, file=path)
     if loop is not None:
         link_options.setdefault("answers_within", answers_within(loop, arm))
         if cycle is not None:

@@ -9,9 +9,10 @@ import pandas as pd
 import pytest
 
 from ideal_robot.errors import InputError, LimitError
+from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.signals.recording import Recording
 from scenes.models import shipped_model
-from scenes.path.precorrect import check_limits, precorrected_path
+from scenes.path.precorrect import precorrected_path
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
 
 MODEL = shipped_model("kr15")

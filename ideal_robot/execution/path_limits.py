@@ -1,0 +1,86 @@
+"""The limits of an arm along a path of commands: position, velocity, acceleration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.robots.robot import Robot
+
+
+def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> None:
+    """Positions, speeds and accelerations of a path against the arm's limits.
+
+    Args:
+        q: joint positions at the cycles ``(N, n)`` [rad].
+        arm: the limits.
+        t_ipo: the cycle [s].
+        start: time of the first row, for the message [s].
+
+    Raises:
+        LimitError: outside.
+    """
+    speed = np.diff(q, axis=0) / t_ipo
+    # A linear interpolator's acceleration is what speed changes over a cycle; twice the limit is what a
+    # controller's own monitoring lets pass before it trips.
+    bend = np.diff(speed, axis=0) / t_ipo
+    checks = (("position [rad]", q, arm.q_min, arm.q_max, "move the path"),
+              ("velocity [rad/s]", speed, -arm.v_max, arm.v_max, "move slower"),
+              ("acceleration [rad/s²]", bend, -2 * arm.a_max, 2 * arm.a_max, "move slower or round corners"))
+    for quantity, values, low, high, remedy in checks:
+        if len(values) == 0:
+            continue
+        outside = np.argwhere((values < low) | (values > high))
+        if len(outside):
+            row, joint = (int(index) for index in outside[0])
+            value = float(values[row, joint])
+            limit = float(high[joint] if value > high[joint] else low[joint])
+            raise LimitError(joint + 1, f"{quantity} at {start + row * t_ipo:.3f} s", value, limit, remedy)
+
+
+def require_within_limits(q_d: Array, arm: Robot, *, start: float = 0.0, file: str | Path | None = None,
+                          column: str = "q_d") -> None:
+    """Refuses a user's path that leaves the arm's limits.
+
+    Args:
+        q_d: joint positions at the cycles ``(N, n)`` [rad].
+        arm: limits and cycle.
+        start: time of the first row, for the message [s].
+        file: where the path comes from.
+        column: what its positions are called there.
+
+    Raises:
+        InputError: outside.
+    """
+    try:
+        check_limits(q_d, arm, arm.t_ipo, start=start)
+    except LimitError as error:
+        raise InputError(str(error), file=file, field=f"{column}_{error.joint}") from error
+
+
+def nearest_allowed(q_c: Array, last: Array, arm: Robot, t_ipo: float) -> Array:
+    """A command ``(n,)`` [rad] within the limits, near ``q_c``.
+
+    All joints go the same share of their way where that can be, so that the arm stays on its path; else each joint
+    goes as far as its own limits let it.
+
+    Args:
+        q_c: the wanted command ``(n,)`` [rad].
+        last: the two commands before ``(2, n)`` [rad], older first.
+        arm: the limits.
+        t_ipo: the cycle [s].
+    """
+    step, way = last[1] - last[0], q_c - last[1]
+    bend, fastest = 2.0 * arm.a_max * t_ipo**2, arm.v_max * t_ipo
+    low = np.maximum(np.maximum(step - bend, -fastest), arm.q_min - last[1])
+    high = np.minimum(np.minimum(step + bend, fastest), arm.q_max - last[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(way > 0, high / way, np.where(way < 0, low / way, 1.0))
+    share = min(1.0, float(np.min(shares)))
+    if share >= 0.0 and np.all(share * way >= low) and np.all(share * way <= high):
+        return np.asarray(last[1] + share * way)
+    moved = np.clip(np.clip(way, step - bend, step + bend), -fastest, fastest)
+    return np.asarray(np.clip(last[1] + moved, arm.q_min, arm.q_max))

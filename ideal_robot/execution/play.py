@@ -1,0 +1,186 @@
+"""Plays a joint path on any arm behind the positional interface: corrected, recorded, within the limits."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array, held
+from ideal_robot.errors import IdealRobotError, InputError, LimitError
+from ideal_robot.execution.interface import RobotInterface, RobotState
+from ideal_robot.execution.path_limits import check_limits, nearest_allowed
+from ideal_robot.execution.stopping import stopping_rows
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.plain import plain
+from ideal_robot.progress import Progress, silent
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.given import expect
+from ideal_robot.signals.recording import Recording
+
+_BRAKING_MIN = 0.15
+"""Speed over deceleration that braking counts with at least [s]."""
+_STANDING = 0.3
+"""How long the arm is held after braking [s]."""
+
+
+@dataclass(frozen=True)
+class PlayResult:
+    """A path that was played, whole or up to where it had to be stopped.
+
+    Attributes:
+        recording: ``t`` [s], ``q_d_i``, ``q_c_i`` handed over at ``t``, ``q_i`` and ``tau_i`` measured at ``t``; from
+            the end of the first cycle on, since before nothing was measured.
+        q_c: every command handed over ``(M, n)`` [rad].
+        compute_times: what the feedforward took in each cycle of the path ``(M,)`` [s].
+        state: the feedforward's last state.
+        failure: why the path was not played to its end, or None.
+        error: what the driver raised, or None.
+    """
+
+    recording: Recording
+    q_c: Array = field(repr=False)
+    compute_times: Array = field(repr=False)
+    state: Any = field(repr=False)
+    failure: str | None = None
+    error: IdealRobotError | None = field(default=None, repr=False)
+
+    @property
+    def rms_error(self) -> Array:
+        """Root mean square of desired position minus motor angle per joint ``(n,)`` [rad]."""
+        off = self.recording.joints("q_d") - self.recording.joints("q")
+        return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Key figures as plain values."""
+        values: dict[str, Any] = plain({
+            "cycles": len(self.q_c), "failure": self.failure, "motor_rms_error_mrad": 1e3 * self.rms_error,
+            "compute_time_ms": {"median": 1e3 * float(np.median(self.compute_times)),
+                                "max": 1e3 * float(np.max(self.compute_times))},
+            "recording_hash": self.recording.hash})
+        return values
+
+
+def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot: Robot | None = None,
+         meta: dict[str, Any] | None = None, progress: Progress = silent) -> PlayResult:
+    """Plays a path, from rest at its start, where the arm has to stand.
+
+    Where a command would leave a limit the arm is brought to rest on the path and the rest of it is given up. An error
+    of the driver ends the play; what was recorded until then is kept.
+
+    Args:
+        driver: the arm.
+        feedforward: what corrects the path, see ``ideal_robot.feedforward``.
+        q_d: desired joint positions at the cycles ``(N, n)`` [rad, or m where a joint slides], rest before and behind
+            included.
+        robot: limits to keep; None where the driver keeps its own.
+        meta: what the recording's metadata shall hold besides.
+        progress: told how far it is.
+
+    Raises:
+        InputError: a path that cannot be played, a feedforward made for another cycle.
+    """
+    expect(feedforward, Feedforward, "feedforward", "make one by ideal_robot.feedforward(key, model, robot)")
+    path = _checked(q_d, driver, feedforward, robot)
+    player = _Player(driver, feedforward, path, robot)
+    error, failure = None, None
+    # Compiled code is loaded before the first cycle.
+    feedforward.step(feedforward.init(path[0]), player.ahead[: feedforward.n_d])
+    try:
+        for k in range(len(path)):
+            player.cycle(path[k], player.ahead[k : k + feedforward.n_d])
+            if k % 50 == 0:
+                progress(k / len(path), "playing")
+    except LimitError as limit:
+        failure = f"stopped on the path at {k * driver.t_ipo:.3f} s: {limit}"
+        error = player.brake(k) if robot is not None and len(player.q_c) == k else limit
+    except IdealRobotError as raised:
+        failure, error = str(raised), raised
+    return player.result(meta or {}, failure, error)
+
+
+class _Player:
+    """What is known while a path is played."""
+
+    def __init__(self, driver: RobotInterface, feedforward: Feedforward, path: Array, robot: Robot | None) -> None:
+        self.driver, self.feedforward, self.robot = driver, feedforward, robot
+        self.ahead = held(path, after=feedforward.n_d + 2)
+        self.state = feedforward.init(path[0])
+        self.last = np.tile(path[0], (2, 1))
+        self.q_d: list[Array] = []
+        self.q_c: list[Array] = []
+        self.measured: list[RobotState] = []
+        self.times: list[float] = []
+
+    def cycle(self, q_d: Array, horizon: Array, *, braking: bool = False) -> None:
+        """One cycle; raises LimitError before anything is handed over, except while braking."""
+        T, begun = self.driver.t_ipo, time.perf_counter()
+        q_c, after = self.feedforward.step(self.state, horizon)
+        if self.robot is not None:
+            if braking:
+                q_c = nearest_allowed(q_c, self.last, self.robot, T)
+            else:
+                check_limits(np.vstack([self.last, q_c]), self.robot, T, start=(len(self.q_c) - 2) * T)
+        taken = time.perf_counter() - begun
+        measured = self.driver.cycle(q_c)
+        begun = time.perf_counter()
+        self.state = self.feedforward.observe(after, measured)
+        self.times.append(taken + time.perf_counter() - begun)
+        self.last = np.vstack([self.last[1], q_c])
+        self.q_d.append(q_d)
+        self.q_c.append(q_c)
+        self.measured.append(measured)
+
+    def brake(self, k: int) -> IdealRobotError | None:
+        """Comes to rest on the path from row ``k`` on; returns what the driver raised meanwhile."""
+        if self.robot is None:
+            return None
+        T, n_d = self.driver.t_ipo, self.feedforward.n_d
+        # How fast the path is, as a share of what the joints may brake with.
+        speed = float(np.max(np.abs(self.ahead[k + 1] - self.ahead[k]) / T / self.robot.a_max))
+        braking = max(speed, _BRAKING_MIN)
+        cycles = int(np.ceil((1.5 * braking + _STANDING) / T))
+        planned = held(self.ahead[k:], after=max(0, cycles + n_d - len(self.ahead) + k))[: cycles + n_d]
+        try:
+            for rows in islice(stopping_rows(planned, T, braking, 1.0), cycles):
+                self.cycle(rows[0], rows[:n_d], braking=True)
+        except IdealRobotError as error:
+            return error
+        return None
+
+    def result(self, meta: dict[str, Any], failure: str | None, error: IdealRobotError | None) -> PlayResult:
+        """What was played; the state at the end of a cycle is the one at which the next command is handed over."""
+        if not self.measured:
+            raise InputError(f"nothing was played: {failure}", field="q_d") from error
+        n, T = len(self.q_c[0]), self.driver.t_ipo
+        rows = slice(1, None) if len(self.q_c) > 1 else slice(0, None)
+        count = len(self.q_c[rows])
+        states = self.measured[:count]
+        columns = {"q_d": np.array(self.q_d[rows]), "q_c": np.array(self.q_c[rows]),
+                   "q": np.array([state.q for state in states]).reshape(-1, n)}
+        tau = np.array([state.tau for state in states]).reshape(-1, n)
+        if np.isfinite(tau).all():
+            columns["tau"] = tau
+        named = {} if self.robot is None else {"robot": self.robot.name}
+        recording = Recording.from_arrays(
+            np.array([state.t for state in states]), source="play",
+            meta={**named, "cycle_time": T, "source": "play",
+                  "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m"}, **meta}, **columns)
+        return PlayResult(recording, np.array(self.q_c), np.array(self.times), self.state, failure, error)
+
+
+def _checked(q_d: Array, driver: RobotInterface, feedforward: Feedforward, robot: Robot | None) -> Array:
+    path = np.array(q_d, dtype=float)
+    if path.ndim != 2 or len(path) < 2 or (robot is not None and path.shape[1] != robot.n):
+        raise InputError(f"expected desired positions (N, {'n' if robot is None else robot.n}) with N of 2 at least",
+                         field="q_d", value=path.shape)
+    if not np.isfinite(path).all():
+        raise InputError("holds values that are not finite", field="q_d")
+    if abs(feedforward.t_ipo - driver.t_ipo) > 1e-9:
+        raise InputError(f"the feedforward is made for a cycle of {feedforward.t_ipo:g} s, the driver has "
+                         f"{driver.t_ipo:g} s; make it for a robot of that cycle (t_ipo)", field="feedforward",
+                         value=feedforward.t_ipo)
+    return path
