@@ -18,7 +18,6 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 import numpy as np  # noqa: E402
 
 from ideal_robot.arrays import Array  # noqa: E402
-from ideal_robot.execution.interface import RobotState  # noqa: E402
 from ideal_robot.feedforward.base import Feedforward  # noqa: E402
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal  # noqa: E402
 from ideal_robot.feedforward.ideal import IdealRobot  # noqa: E402
@@ -27,6 +26,7 @@ from ideal_robot.feedforward.precorrection import Precorrection  # noqa: E402
 from ideal_robot.loop.from_model import loop_model  # noqa: E402
 from ideal_robot.loop.impulse_response import LinearLoop  # noqa: E402
 from ideal_robot.model.model import Model  # noqa: E402
+from ideal_robot.robots.interface import RobotState  # noqa: E402
 from ideal_robot.robots.robot import Robot  # noqa: E402
 from scenes.models import shipped_model  # noqa: E402
 

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from ideal_robot.effects.registry import register as register_effect
     from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
     from ideal_robot.errors import IdealRobotError, InputError, LimitError
-    from ideal_robot.execution.interface import RobotInterface, RobotState
     from ideal_robot.execution.play import PlayResult, play
     from ideal_robot.execution.precorrect import PrecorrectedPath, precorrect
     from ideal_robot.feedforward.base import Feedforward
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from ideal_robot.identification.whole_model import IdentificationResult
     from ideal_robot.identification.whole_model import identify_model as identify
     from ideal_robot.model.model import Model
+    from ideal_robot.robots.interface import RobotInterface, RobotState
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
 
@@ -54,8 +54,8 @@ _PLACES = {
     "PrecorrectedPath": "execution.precorrect:PrecorrectedPath",
     "Recording": "signals.recording:Recording",
     "Robot": "robots.robot:Robot",
-    "RobotInterface": "execution.interface:RobotInterface",
-    "RobotState": "execution.interface:RobotState",
+    "RobotInterface": "robots.interface:RobotInterface",
+    "RobotState": "robots.interface:RobotState",
     "Setting": "feedforward.method:Setting",
     "analyse_stiffness": "elasticity.stiffness_analysis:analyse_stiffness",
     "diagnose": "diagnosis.diagnose:diagnose",

@@ -11,8 +11,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.interface import RobotInterface
 from ideal_robot.execution.stopping import stopping_rows
+from ideal_robot.robots.interface import RobotInterface
 from planning.planning_error import PlanningError
 from scenes.result import Progress
 

@@ -11,12 +11,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
-from ideal_robot.execution.interface import RobotInterface, RobotState
 from ideal_robot.execution.path_limits import check_limits, nearest_allowed
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.plain import plain
 from ideal_robot.progress import Progress, silent
+from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import expect
 from ideal_robot.signals.recording import Recording

@@ -1,4 +1,6 @@
-"""Feedforwards: how desired positions become commands. The package itself can be called to make one by its key:
+"""From desired positions over a horizon to the command: every way of correcting a path.
+
+The package itself can be called to make a feedforward by its key:
 
     ideal_robot.feedforward("ideal", model, robot)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array, held
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 
 
 class Feedforward(ABC):

@@ -19,10 +19,10 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
-from ideal_robot.execution.interface import RobotState
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.interface import RobotState
 
 _WINDOW = 9
 """Measured positions whose polynomial gives velocity and acceleration at its middle."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.limits import checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.axes import Axes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 
 
 class CycleLog:

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.limits import checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from ideal_robot.arrays import Array
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 from sensing.camera.camera_device import WindowsAt
 from sensing.camera.field import Field, Window
 from sensing.force.wrench import WrenchSample

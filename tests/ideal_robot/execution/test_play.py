@@ -10,7 +10,7 @@ import pytest
 import ideal_robot as ir
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.execution.interface import RobotState
+from ideal_robot.robots.interface import RobotState
 
 ROBOT = ir.Robot.load("kr6")
 MODEL = ir.Model.load(Path(__file__).parents[3] / "scenes" / "models" / "kr6.json")

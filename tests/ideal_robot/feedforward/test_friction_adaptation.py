@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ideal_robot.execution.interface import RobotState
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation, adapted
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.robots.interface import RobotState
 from tests.ideal_robot.feedforward.plant import T, commands, motion, plant, rms
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, LimitError
-from ideal_robot.execution.interface import RobotInterface
+from ideal_robot.robots.interface import RobotInterface
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from sim.arm.arm import SimulatedArm
