@@ -14,14 +14,20 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from planning.line.deviation_sensor import Reading
     from scenes.play import compare_scene, run_scene
     from scenes.scene_file import load_scene
     from scenes.sweep import sweep_scene
 
-__all__ = ["compare_scene", "load_scene", "run_scene", "sweep_scene"]
+__all__ = ["Reading", "compare_scene", "load_scene", "run_scene", "sweep_scene"]
 
-_WHERE = {"compare_scene": "scenes.play", "load_scene": "scenes.scene_file", "run_scene": "scenes.play",
-          "sweep_scene": "scenes.sweep"}
+_WHERE = {
+    "Reading": "planning.line.deviation_sensor",
+    "compare_scene": "scenes.play",
+    "load_scene": "scenes.scene_file",
+    "run_scene": "scenes.play",
+    "sweep_scene": "scenes.sweep",
+}
 
 
 def __getattr__(name: str) -> Any:

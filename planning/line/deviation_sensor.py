@@ -21,7 +21,7 @@ class Reading:
     Attributes:
         t: controller time of the measurement, not of its arrival [s].
         at: where the sensor looks, in the tool frame ``(3,)`` [m].
-        value: how far the line is from there along ``direction`` [m].
+        value: how far the line is from there along ``direction`` [m]; NaN where the sensor sees none.
         variance: of ``value`` [m²].
         direction: in which the sensor measures, in the tool frame, a unit vector ``(3,)``; None for across the path.
     """

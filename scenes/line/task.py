@@ -121,7 +121,7 @@ class LineTask:
             if seen.seen and not np.isfinite(self.log.first_used):
                 self.log.first_used = t
         for sensor in self.sensors:
-            for reading in sensor.arrived(t):
+            for reading in (one for one in sensor.arrived(t) if np.isfinite(one.value)):
                 self.log.sensor_values[sensor.name] += 1
                 self.log.sensor_used[sensor.name] += fuse_reading(self.follower, reading, sensor.name).dof
         if self.method.senses:

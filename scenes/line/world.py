@@ -24,12 +24,19 @@ class LineWorld:
         return self._arm.tcp_at(max(t, 0.0))
 
     def distance(self, t: float, at: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> float:
-        """How far the line is to the left of a point ``at (3,)`` [m] of the tool frame at ``t`` [s], in metres."""
+        """How far the line is to the left of a point, in the surface [m]; NaN before its begin and behind its end.
+
+        Args:
+            t: when [s].
+            at: the point in the tool frame ``(3,)`` [m].
+        """
         pose = self.tool(t)
         place = pose.rotation @ np.asarray(at, dtype=float) + pose.translation
         plane = self._line.plane
         up = plane.rotation[:, 2]
-        return -float(self._line.nearest((place - up * (up @ (place - plane.translation)))[None]).lateral[0])
+        nearest = self._line.nearest((place - up * (up @ (place - plane.translation)))[None])
+        beside = 1e-6 < nearest.s[0] < self._line.length - 1e-6
+        return -float(nearest.lateral[0]) if beside else float("nan")
 
 
 def mounted(sensors: Sequence[DeviationSensor], world: LineWorld) -> None:

@@ -1,0 +1,119 @@
+"""What users bring along: feedforwards, sensors and kinds of scenes of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward import registry
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.method import Setting
+from scenes import Reading, compare_scene, load_scene, run_scene
+from scenes.kind import KINDS, SceneKind, kind_of
+from scenes.line.kind import LINE
+from scenes.methods import compared, method_of
+from scenes.scene import Scene
+
+CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg": 0.02, "height_mm": 0.2,
+              "lateral_mm": 0.02, "focal_percent": 0.1, "principal_px": 0.05, "k1": 0.001}
+
+
+class Ahead(Feedforward):
+    """Commands where the arm shall be some cycles later."""
+
+    t_ipo = 0.012
+
+    def __init__(self, cycles: int = 1) -> None:
+        self.n_d = cycles + 1
+
+    def init(self, q0: Array) -> Any:
+        return None
+
+    def step(self, state: Any, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Any]:
+        assert q_d.shape[0] == self.n_d
+        return q_d[-1], state
+
+
+def factory(setting: Setting) -> Feedforward:
+    """Two cycles ahead."""
+    return Ahead(2)
+
+
+@pytest.fixture
+def own_key() -> Iterator[str]:
+    registry.register("mine", factory)
+    yield "mine"
+    registry.unregister("mine")
+
+
+def short() -> Scene:
+    return load_scene("straight").changed(line={"points": [(0.4, 0.0), (0.8, 0.0)]}, calibration=CALIBRATED)
+
+
+def test_feedforward_objects_and_factories_are_rows_of_the_table() -> None:
+    comparison = compare_scene(short(), methods=["sensor_path", Ahead(), factory])
+    assert [row[0] for row in comparison.table()[1]] == ["sensor_path", "Ahead", "factory"]
+    errors = {key: run.path_errors.time_matched.E_car for key, run in comparison.runs.items()}
+    # Each cycle of looking ahead takes away some of the arm's delay.
+    assert errors["factory"] < errors["Ahead"] < errors["sensor_path"]
+
+
+def test_a_registered_feedforward_is_a_key_everywhere(own_key: str) -> None:
+    for name in ("line", "iso9283_1", "force_wave"):
+        keys = kind_of(load_scene(name)).methods()
+        assert own_key in keys
+        assert own_key in [method.key for method in compared(None, keys)]
+    assert run_scene(short(), method=own_key).method == own_key
+
+
+def test_what_a_method_cannot_be_is_named() -> None:
+    with pytest.raises(InputError, match="expected one of none, ideal, or a Feedforward"):
+        method_of("idael", ("none", "ideal"))
+    with pytest.raises(InputError, match="two methods have that name"):
+        compared([Ahead(), Ahead(2)], ("none",))
+    with pytest.raises(InputError, match="desired positions ahead, Ahead wants more"):
+        run_scene(short(), method=Ahead(500))
+
+
+class Profile:
+    """Sees the line 30 mm ahead, 20 ms late, at an angle to the path's normal; wrong by ``error`` [m]."""
+
+    name = "profile"
+
+    def __init__(self, error: float = 0.0, std: float = 1e-5) -> None:
+        self.error, self.std = error, std
+
+    def mount(self, world: Any) -> None:
+        self.world = world
+
+    def arrived(self, t: float) -> list[Reading]:
+        seen, at = max(t - 0.02, 0.0), (0.03, 0.0, 0.0)
+        return [Reading(seen, at, self.world.distance(seen, at) + self.error, self.std**2)]
+
+
+def test_an_own_sensor_is_fused_with_the_camera() -> None:
+    """Where nine of ten fields are lost, a further sensor helps; one that is wrong leads the tool astray."""
+    scene = short().changed(camera={"loss": 0.9}, max_gap=0.5)
+    without = run_scene(scene)
+    helped, led = (run_scene(scene, sensors=[Profile(error)]) for error in (0.0, 5e-4))
+    values, used = helped.sensors["profile"]
+    assert values > 40
+    assert used > 0.9 * values
+    assert helped.control_error.mean < without.control_error.mean
+    assert led.control_error.mean > 2 * helped.control_error.mean
+
+
+def test_a_kind_of_scene_can_be_added() -> None:
+    class Mine(Scene):
+        """A scene of another package."""
+
+    mine = SceneKind(Mine, LINE.methods, LINE.run, LINE.compare)
+    KINDS.register("mine", mine)
+    try:
+        assert kind_of(Mine(name="a", kind="mine", title="b")) is mine
+    finally:
+        KINDS.unregister("mine")
