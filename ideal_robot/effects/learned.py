@@ -38,6 +38,7 @@ class Unknown(Effect):
 
     name = "unknown"
     learned = True
+    depends_on_joint = False
     source = "learned from the residual"
 
     @classmethod

@@ -11,7 +11,7 @@ import tempfile
 from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.channels.line import told_line
+from ideal_robot.diagnosis.validation.oracle import named_camera_effect
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -46,7 +46,8 @@ def close_loop(scene: LineScene, *, out: Path | None = None, progress: Progress 
                          progress=lambda share, word: progress(0.3 + 0.2 * share, word))
         added = [f.fitted for f in found.effects if f.fitted.channel == "line"]
         extended = with_effects(model, added)
-        runs = {"after": extended, "oracle": with_effects(model, [told_line(before.recording, robot, model, EFFECT)]),
+        fitted = named_camera_effect(before.recording, robot, model, EFFECT)
+        runs = {"after": extended, "oracle": with_effects(model, [fitted]),
                 "true": with_effects(model, [_of_size(-scene.camera.stamp_offset)])}
         again: dict[str, LineResult] = {}
         for i, (name, known) in enumerate(runs.items()):

@@ -14,7 +14,7 @@ import numpy as np
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.validation.adoption import adopted
-from ideal_robot.diagnosis.validation.oracle import told
+from ideal_robot.diagnosis.validation.oracle import with_named_effects
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.model.model import Model
@@ -58,7 +58,7 @@ def close_loop(scene: PathScene, *, out: Path | None = None, progress: Progress 
     progress(0.7, "after")
     after = _played(cell, extended)
     progress(0.85, "oracle")
-    oracle_model = told(recording, cell.robot, cell.model, undeclared)
+    oracle_model = with_named_effects(recording, cell.robot, cell.model, undeclared)
     oracle = _played(cell, oracle_model)
     result = CloseLoopResult(scene, undeclared, before.errors, after, oracle, found, recording)
     if out is None:

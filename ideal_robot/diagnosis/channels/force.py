@@ -15,9 +15,10 @@ import pinocchio as pin
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.arm import frames_along, noise_in_band
-from ideal_robot.diagnosis.channels.motor_torque import Experiment
-from ideal_robot.diagnosis.statistics.cross_products import Blocks, time_blocks
+from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
+from ideal_robot.diagnosis.channels.frames import frames_along
+from ideal_robot.diagnosis.channels.noise import noise_in_band
+from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.learned import spline_basis
 from ideal_robot.effects.sensor.force_bias import MOMENTS
@@ -69,9 +70,9 @@ class Wrench:
         return bool(np.linalg.norm(np.std(pull, axis=0)) > TURNS) if len(pull) else False
 
 
-def force_experiments(recording: Recording, validate: Recording | None, robot: Robot, torque: Experiment,
-                      seen: Experiment | None,
-                      stiffness: Array | None) -> Iterator[tuple[Experiment, Experiment | None]]:
+def force_regressions(recording: Recording, validate: Recording | None, robot: Robot, torque: Regression,
+                      seen: Regression | None,
+                      stiffness: Array | None) -> Iterator[tuple[Regression, Regression | None]]:
     """The regressions that a recording's wrench allows, each with that of the validation recording if it has one.
 
     Args:
@@ -84,16 +85,16 @@ def force_experiments(recording: Recording, validate: Recording | None, robot: R
     if wrench is None:
         return
     other = None if validate is None or seen is None else wrench_of(validate, robot, seen)
-    free = wrench_experiment(wrench, torque, wrench.turns)
+    free = wrench_regression(wrench, torque, wrench.turns)
     if free is not None:
-        yield free, None if other is None or seen is None else wrench_experiment(other, seen, wrench.turns)
-    contact = contact_experiment(recording, robot, wrench, torque, stiffness)
+        yield free, None if other is None or seen is None else wrench_regression(other, seen, wrench.turns)
+    contact = contact_regression(recording, robot, wrench, torque, stiffness)
     # The surface of another recording is another one: its curve would say nothing here.
     if contact is not None:
         yield contact, None
 
 
-def wrench_of(recording: Recording, robot: Robot, torque: Experiment) -> Wrench | None:
+def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench | None:
     """The recorded wrench, minus bias and weight in the recording's ``tool`` metadata; None without ``fx fy fz``."""
     names = [name for name in ("fx", "fy", "fz", "mx", "my", "mz") if name in recording.columns]
     if names not in (["fx", "fy", "fz"], ["fx", "fy", "fz", "mx", "my", "mz"]):
@@ -165,7 +166,7 @@ def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bo
     return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4]
 
 
-def wrench_experiment(wrench: Wrench, torque: Experiment, turns: bool) -> Experiment | None:
+def wrench_regression(wrench: Wrench, torque: Regression, turns: bool) -> Regression | None:
     """The wrench without contact; mass and first moments of the tool are taken for granted, inertia on its own.
 
     A sensor that leaves inertia out, or takes it away, then does not look biased.
@@ -191,8 +192,8 @@ def wrench_experiment(wrench: Wrench, torque: Experiment, turns: bool) -> Experi
     return _made(torque, filtered, names, units, y, filtered.decimate(W), extra, y)
 
 
-def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torque: Experiment,
-                       stiffness: Array | None) -> Experiment | None:
+def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torque: Regression,
+                       stiffness: Array | None) -> Regression | None:
     """Place of the tip along the surface's normal in contact, plus the give that is assumed (``contact_stiffness``).
 
     The surface is taken for granted as a smooth curve along the path.
@@ -225,7 +226,7 @@ def contact_experiment(recording: Recording, robot: Robot, wrench: Wrench, torqu
     extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
     made = _made(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra,
                  (small - small.mean())[:, None])
-    return dataclasses.replace(made, quiet=wide * np.sqrt(2.0 * band * dt * filtered.factor))
+    return dataclasses.replace(made, noise_floor=wide * np.sqrt(2.0 * band * dt * filtered.factor))
 
 
 def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
@@ -254,7 +255,7 @@ def _nearest(mask: np.ndarray) -> np.ndarray:
     return np.asarray(np.where(closer, inside[left], inside[right]))
 
 
-def _arm_side(recording: Recording, robot: Robot, torque: Experiment, force: Array, stiffness: Array | None) -> Array:
+def _arm_side(recording: Recording, robot: Robot, torque: Regression, force: Array, stiffness: Array | None) -> Array:
     """Tip ``(N, 3)`` where it is measured, else by kinematics, minus what the gears are known to give way."""
     if all(axis in recording.columns for axis in "xyz"):
         measured = np.column_stack([recording.columns[axis] for axis in "xyz"])
@@ -286,13 +287,13 @@ def _surface(place: Array, normal: Array, strong: np.ndarray) -> Array:
     return np.column_stack(columns)[:, None, :]
 
 
-def blocks_of(made: Experiment, held_out: bool) -> Blocks:
+def blocks_of(made: Regression, held_out: bool) -> Blocks:
     """Blocks of a regression whose rows are few: eight or more, shorter than those of the torque."""
     count = int(np.clip(len(made.t) / 10, 8, 32))
     return time_blocks(len(made.t), 0.5 * count / len(made.t), held_out)
 
 
-def _only(torque: Experiment, mask: np.ndarray) -> FilteredSignals:
+def _only(torque: Regression, mask: np.ndarray) -> FilteredSignals:
     """The filter with rows of some samples only; the ends count, where the position's derivatives do not, too."""
     filtered, rows = torque.filtered, np.flatnonzero(torque.filtered.keep)
     keep = filtered.keep.copy()
@@ -300,9 +301,9 @@ def _only(torque: Experiment, mask: np.ndarray) -> FilteredSignals:
     return dataclasses.replace(filtered, keep=keep & mask[:: filtered.factor])
 
 
-def _made(torque: Experiment, filtered: FilteredSignals, channels: tuple[str, ...], units: tuple[str, ...], y: Array,
-          W: Array, extra: dict[str, Array], measured: Array) -> Experiment:
+def _made(torque: Regression, filtered: FilteredSignals, channels: tuple[str, ...], units: tuple[str, ...], y: Array,
+          W: Array, extra: dict[str, Array], measured: Array) -> Regression:
     signals = dataclasses.replace(torque.signals, extra=extra, frames=None)
     return dataclasses.replace(torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
                                measured=measured, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
-                               filtered=filtered, quiet=noise_in_band(y, torque), domain=SENSOR)
+                               filtered=filtered, noise_floor=noise_in_band(y, torque), domain=SENSOR)

@@ -15,15 +15,11 @@ import pinocchio as pin
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.motor_torque import Experiment, experiment
-from ideal_robot.diagnosis.search.candidates import Candidate
-from ideal_robot.diagnosis.statistics.cross_products import Blocks, Data
-from ideal_robot.diagnosis.statistics.estimate import estimate, fitted_effect
-from ideal_robot.effects import SENSOR, FittedEffect, Signals, library
+from ideal_robot.diagnosis.channels.blocks import Blocks
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.effects import SENSOR, Signals
 from ideal_robot.effects.learned import spline_basis
 from ideal_robot.effects.sensor.seen_line import ACROSS, ALONG, CUBIC, DRIFT, SCALE, SPEED, YAW
-from ideal_robot.errors import InputError
-from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -41,7 +37,7 @@ _OUTLIER = 8.0
 
 
 @dataclasses.dataclass(frozen=True)
-class LineExperiment(Experiment):
+class LineRegression(Regression):
     """Rows are points of the line in order of time; columns need no filter.
 
     Attributes:
@@ -63,8 +59,8 @@ class LineExperiment(Experiment):
         return self.signals
 
 
-def line_experiment(recording: Recording, robot: Robot, torque: Experiment,
-                    stiffness: Array | None) -> LineExperiment | None:
+def line_regression(recording: Recording, robot: Robot, torque: Regression,
+                    stiffness: Array | None) -> LineRegression | None:
     """The regression of a line-following recording; None if there are no line points, or too few.
 
     Args:
@@ -131,13 +127,13 @@ def line_experiment(recording: Recording, robot: Robot, torque: Experiment,
     signals = Signals(times, at(s0.q), at(s0.qd), at(s0.qdd), at(s0.load), at(s0.torque), at(s0.friction), extra=extra)
     # What differs between points next to each other in one field is the noise of finding them.
     jumps = np.diff(residual, 2)[number[rows][2:] == number[rows][:-2]]
-    quiet = np.array([np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0) if len(jumps) else 0.0])
+    noise_floor = np.array([np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0) if len(jumps) else 0.0])
     y, constant = residual[:, None], np.ones((len(residual), 1, 1))
-    return LineExperiment(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
-                          torque.filtered, {}, quiet, SENSOR, field=number[rows])
+    return LineRegression(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
+                          torque.filtered, {}, noise_floor, torque.prismatic, SENSOR, field=number[rows])
 
 
-def line_blocks(made: LineExperiment, held_out: bool) -> Blocks:
+def line_blocks(made: LineRegression, held_out: bool) -> Blocks:
     """Blocks of a few fields each."""
     first = np.flatnonzero(np.diff(made.field, prepend=-1))
     edges = (*(int(e) for e in first[::BLOCK]), len(made.t))
@@ -148,21 +144,6 @@ def line_blocks(made: LineExperiment, held_out: bool) -> Blocks:
     fold = np.full(len(number), -1)
     fold[selecting] = np.arange(int(selecting.sum())) % 6
     return Blocks(edges, fold, 6)
-
-
-def told_line(recording: Recording, robot: Robot, model: Model, name: str) -> FittedEffect:
-    """An oracle: an effect of the camera by its name, fitted to all of a line-following recording.
-
-    Raises:
-        InputError: no such effect, or no line in the recording.
-    """
-    made = line_experiment(recording, robot, experiment(recording, robot, model), model.stiffness)
-    found = [e for e in library() if e.domain == SENSOR and e.name == name and e.acts_on("line")]
-    if made is None or not found:
-        raise InputError("no such effect of a camera, or no line in the recording", field="effect", value=name)
-    candidate = Candidate(found[0], 0)
-    fit = estimate(made, Data(made.y, made.W, made.use, line_blocks(made, False)), [candidate], None)
-    return fitted_effect(candidate, fit.coefficients[0], fit.std[0], fit.theta_std[0], False, {})
 
 
 def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
@@ -187,7 +168,7 @@ def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
     return stamps[fields], number, points[fields][number, which]
 
 
-def _arm_angles(recording: Recording, torque: Experiment, stiffness: Array | None) -> tuple[Array, Array]:
+def _arm_angles(recording: Recording, torque: Regression, stiffness: Array | None) -> tuple[Array, Array]:
     """Times and arm angles ``(N, n)``: measured, or those of the motors less the deflection that is known."""
     n = torque.signals.n
     if all(f"qa_{i + 1}" in recording.columns for i in range(n)):
@@ -211,7 +192,7 @@ def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:
     return result, rate
 
 
-def _poses(recording: Recording, robot: Robot, torque: Experiment, stiffness: Array | None,
+def _poses(recording: Recording, robot: Robot, torque: Regression, stiffness: Array | None,
            stamps: Array) -> tuple[Array, Array, Array, Array]:
     """Rotation, place, velocity and angular velocity of the tool in the base frame at the time stamps."""
     t, angles = _arm_angles(recording, torque, stiffness)
@@ -225,7 +206,7 @@ def _poses(recording: Recording, robot: Robot, torque: Experiment, stiffness: Ar
     return rotation, place, twist[:, :3], twist[:, 3:]
 
 
-def _tool_path(recording: Recording, robot: Robot, torque: Experiment, stiffness: Array | None, stamps: Array,
+def _tool_path(recording: Recording, robot: Robot, torque: Regression, stiffness: Array | None, stamps: Array,
                up: Array) -> tuple[Array, Array]:
     """The tool's path in the surface while the line is seen, at equal steps, smoothed, straight on at its end."""
     moments = np.arange(stamps[0], min(stamps[-1] + 0.5, float(recording.t[-1])), 0.004)

@@ -6,15 +6,18 @@ all of its parameters (``ideal_robot.model.parametrisation``), both through the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-from scipy import interpolate, signal
+from scipy import interpolate
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.moving import apart_from_ends, apart_from_reversals, moving_samples, small_velocity
+from ideal_robot.diagnosis.channels.noise import noise_above_band
+from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
-from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
+from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.robots.robot import Robot
@@ -25,70 +28,11 @@ HIGHEST_RATE = 100.0
 """Rate after decimation [Hz]: far above what a robot arm's torque follows, low enough for whole recordings at once."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
-WIDTH = 2
-"""Samples left out to either side of a reversal."""
-_SLOW = 0.004
-"""Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
-filter's cut-off, friction hangs on a direction that the filter has blurred, and those samples do not count."""
-_EDGE = 3.0
-"""Memory of the position filter in periods of its cut-off; effects differentiate the load, which it made, once more."""
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """The regression of one recording.
-
-    Attributes:
-        t: decimated times from the start of the recording ``(N,)`` [s].
-        channels, units: names and units of the ``c`` channels.
-        y: measured minus predicted ``(N, c)``.
-        measured: what was measured ``(N, c)``.
-        W: derivative of the prediction by the model's parameters ``(N, c, p)``.
-        use: samples that count ``(N, c)``.
-        signals: undecimated signals for effects.
-        filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
-        undecided: joints (from 1) that move too little, with the reason.
-        domain: where its effects act.
-        quiet: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
-    """
-
-    t: Array
-    channels: tuple[str, ...]
-    units: tuple[str, ...]
-    y: Array
-    measured: Array
-    W: Array
-    use: np.ndarray
-    signals: Signals
-    filtered: FilteredSignals = field(repr=False)
-    undecided: dict[int, str]
-    quiet: Array
-    domain: Domain = MOTOR_TORQUE
-
-    def channel_of(self, joint: int) -> int | None:
-        """Index of the channel of a joint; None where effects do not belong to one channel."""
-        return joint - 1 if joint else None
-
-    def decimate(self, columns: Array) -> Array:
-        """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""
-        return self.filtered.decimate(columns)
-
-    def decimated_signals(self) -> Signals:
-        """The signals at the rows of ``y``, sampled (not filtered): for plots and dependence measures."""
-        s, step, keep = self.signals, self.filtered.factor, self.filtered.keep
-
-        def at(values: Array) -> Array:
-            return np.asarray(values[::step][keep])
-
-        return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
-                       friction=at(s.friction), payload=None, rigid=None, frames=None,
-                       temperature=None if s.temperature is None else at(s.temperature),
-                       sliding=None if s.sliding is None else at(s.sliding),
-                       extra={name: at(values) for name, values in s.extra.items()})
-
-
-def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
-               shared: bool = True, blur: Array | None = None, payload: bool = False) -> Experiment:
+def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutoff: float | None = None,
+                      shared: bool = True, reversal_width: Array | None = None,
+                      payload: bool = False) -> Regression:
     """Builds the regression of the motor torques.
 
     Args:
@@ -96,7 +40,8 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
         robot: whose URDF it is.
         model: what predicts, and whose parameters may change.
         cutoff: of the position filter [Hz], from the data if None.
-        blur: speed over which dry friction changes sign ``(n,)`` [rad/s]; from the noise of the position if None.
+        reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s]; from the noise of the position if
+            None.
         payload: whether effects need the regressor of a body on the last link.
         shared: whether the joints share inertias; False gives each joint its own copy of all parameters.
 
@@ -116,7 +61,7 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
                    if recording.has("temp") else None)
 
-    noise_velocity = _small_velocity(recording, filtered)
+    noise_velocity = small_velocity(recording, filtered)
     extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
     body = regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
     still = np.zeros_like(q)
@@ -125,18 +70,19 @@ def experiment(recording: Recording, robot: Robot, model: Model, *, cutoff: floa
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
-    moving, undecided = _moving(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    use = moving[:: filtered.factor][filtered.keep] & _apart_from_reversals(qd[:: filtered.factor][filtered.keep])
-    use &= _apart_from_ends(filtered)[:, None]
+    moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
+    use = moving[:: filtered.factor][filtered.keep] & apart_from_reversals(qd[:: filtered.factor][filtered.keep])
+    use &= apart_from_ends(filtered)[:, None]
     measured = filtered.decimate(filtered.tau)
-    units = tuple("N" if robot.prismatic[j] else "N m" for j in range(n))
-    made = Experiment(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
-                      measured, measured, W, use, signals, filtered, undecided, _noise(filtered))
-    made = with_blur(made, model, noise_velocity if blur is None else blur)
+    prismatic = tuple(bool(slides) for slides in robot.prismatic)
+    units = tuple("N" if slides else "N m" for slides in prismatic)
+    made = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
+                      measured, measured, W, use, signals, filtered, undecided, noise_above_band(filtered), prismatic)
+    made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
     return made if shared else replace(made, W=_own_copies(made.W))
 
 
-def about(made: Experiment, model: Model) -> Experiment:
+def about_model(made: Regression, model: Model) -> Regression:
     """The same regression about a model of the same structure with other parameters."""
     s, n = made.signals, made.signals.n
     chain = chain_of(model._exact_model)
@@ -153,9 +99,15 @@ def about(made: Experiment, model: Model) -> Experiment:
     return replace(made, signals=signals, y=made.measured - made.filtered.decimate(prediction))
 
 
-def with_blur(made: Experiment, model: Model, blur: Array) -> Experiment:
-    """The same regression with dry friction that changes sign over other speeds ``(n,)`` [rad/s]."""
-    made = about(replace(made, signals=replace(made.signals, v_small=blur)), model)
+def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:
+    """The same regression with dry friction that changes sign over other speeds.
+
+    Args:
+        made: the regression.
+        model: whose friction it is.
+        reversal_width: speeds ``(n,)`` [rad/s].
+    """
+    made = about_model(replace(made, signals=replace(made.signals, v_small=reversal_width)), model)
     s, W, at = made.signals, made.W.copy(), model.base.count
     for j, law in enumerate(model.friction.laws):
         first, at = at, at + len(law.coefficients)
@@ -179,25 +131,14 @@ def _differentiated(filtered: FilteredSignals) -> FilteredSignals:
     return replace(filtered, qd=spline(filtered.t, 1), qdd=spline(filtered.t, 2))
 
 
-def _apart_from_reversals(qd: Array, width: int = WIDTH) -> np.ndarray:
-    """Mask ``(N, n)`` without the samples next to each change of direction, ``width`` to either side.
-
-    When exactly friction changes sign between two samples nobody knows; each reversal would leave a spike of its own.
-    """
-    change = np.diff(np.sign(qd), axis=0) != 0
-    mask = np.ones(qd.shape, dtype=bool)
-    for shift in range(width):
-        mask[: len(mask) - 1 - shift][change[shift:]] = False
-        mask[1 + shift :][change[: len(change) - shift]] = False
-    return mask
-
-
-def _apart_from_ends(filtered: FilteredSignals) -> np.ndarray:
-    """Mask ``(N,)`` without what the position filter does not know at both ends; at most a tenth is left out."""
-    t = filtered.t_decimated
-    first, last = float(filtered.t[0]), float(filtered.t[-1])
-    edge = min(_EDGE / filtered.cutoff, 0.05 * (last - first))
-    return np.asarray((t > first + edge) & (t < last - edge))
+def in_own_units(made: Regression) -> Regression:
+    """Torque and load of the nominal model in the units of each joint's measurement, by one factor a joint."""
+    nominal = made.decimate(made.signals.torque)
+    factor = (nominal * made.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300)
+    signals = replace(made.signals, torque=made.signals.torque * factor, load=made.signals.load * factor,
+                      friction=made.signals.friction * factor, rigid=None)
+    return replace(made, signals=signals, y=made.measured, units=("A",) * len(made.units),
+                   prismatic=(False,) * len(made.prismatic))
 
 
 def _own_copies(W: Array) -> Array:
@@ -213,53 +154,7 @@ def _own_copies(W: Array) -> Array:
 
 def _is_known_column(name: str) -> bool:
     """Whether a column is one whose meaning is known and that causes nothing by itself."""
-    head, _, tail = name.rpartition("_")
+    kind, _, tail = name.rpartition("_")
     known = {"q", "qd", "qdd", "tau", "current", "temp", "q_c", "q_d", "qa", "line_x", "line_y", "line_z"}
-    return (tail.isdigit() and head in known) or name in {"x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx",
+    return (tail.isdigit() and kind in known) or name in {"x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz", "mx",
                                                           "my", "mz", "cam_t"}
-
-
-def _small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
-    """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
-    raw = np.column_stack([np.interp(filtered.t, recording.t, recording.columns[f"q_{j + 1}"])
-                           for j in range(recording.n)])
-    noise = np.std(np.diff(raw, 3, axis=0), axis=0) / np.sqrt(20.0)
-    # White position noise through the low-pass, differentiated: integral of (2 pi f)^2 up to the cut-off.
-    share = 2.0 * np.pi * filtered.cutoff * np.sqrt(2.0 * filtered.cutoff * filtered.dt / 3.0)
-    top = np.percentile(np.abs(filtered.qd), 99, axis=0)
-    return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
-
-
-def _moving(t: Array, q: Array, qd: Array, v_small: Array, rest: float, robot: Robot) -> tuple[Array, dict[int, str]]:
-    """Samples at which each joint moves (passages shorter than ``rest`` [s] included), and joints that move too little.
-    """
-    dt = float(t[1] - t[0])
-    moving = np.ones(q.shape, dtype=bool)
-    undecided: dict[int, str] = {}
-    for j in range(q.shape[1]):
-        speed = np.abs(qd[:, j])
-        slow = speed < np.maximum(2.0 * v_small[j], _SLOW * np.percentile(speed, 99))
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
-            if (stop - start) * dt > rest:
-                moving[start:stop, j] = False
-        seconds = float(np.sum(moving[:, j]) * dt)
-        travel = float(np.ptp(q[:, j]))
-        turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
-        noise_travel = 20.0 * v_small[j] * dt
-        if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
-            unit = "m" if robot.prismatic[j] else "rad"
-            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {unit}; "
-                                "at least 2 s and 0.02 rad (4 mm) are needed")
-        elif turns < 2:
-            undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"
-    return moving, undecided
-
-
-def _noise(filtered: FilteredSignals) -> Array:
-    """Noise of the torque measurement in the band that is looked at: the floor of its spectrum above the band."""
-    rate = 1.0 / filtered.dt
-    band = min(filtered.cutoff_decimation, 0.5 * rate)
-    f, power = signal.welch(filtered.tau, fs=rate, nperseg=min(len(filtered.tau), 1024), axis=0)
-    above = f >= 0.8 * f[-1]
-    return np.sqrt(np.median(power[above], axis=0) / np.log(2.0) * band)

@@ -1,12 +1,12 @@
-"""A selected candidate with its evidence, a candidate with what it would win, and the thresholds between them."""
+"""A selected candidate with its evidence, a candidate with its score, and the thresholds between them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from ideal_robot.diagnosis.search.candidates import Candidate
-from ideal_robot.diagnosis.statistics.block_regression import Trial
+from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.dependence import Dependence
+from ideal_robot.diagnosis.statistics.least_squares import HeldOutTest
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,11 @@ class Options:
         smallest: share of a channel's residual squares an effect has to take away on held-out blocks.
         smallest_next: the same for a channel that has an effect already: its form may be slightly another.
         smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
-        smallest_in_base: the same for an effect that is a change of the model's own parameters.
+        smallest_absorbed: the same for an effect that is a change of the model's own parameters.
         smallest_torque: rms of an effect over the torque's standard deviation below which nothing is claimed.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
-        unknown_margin: a learned curve replaces the best effect of the library only if it wins so many times as much.
+        unknown_margin: a learned curve replaces the best effect of the library only if it reduces squares by so many
+            times as much.
         most: effects at most.
     """
 
@@ -29,7 +30,7 @@ class Options:
     smallest: float = 0.05
     smallest_next: float = 0.10
     smallest_learned: float = 0.10
-    smallest_in_base: float = 0.10
+    smallest_absorbed: float = 0.10
     smallest_torque: float = 0.002
     smallest_own: float = 0.0005
     unknown_margin: float = 1.6
@@ -42,9 +43,10 @@ class Choice:
 
     Attributes:
         candidate: with refined theta.
-        p_value: of its held-out score, paid for the values of theta that were tried.
-        rivals: labels of candidates that the data cannot tell from it, with the share of its win that they reach.
-        share: share of the most affected channel's squares that it won on held-out blocks.
+        p_value: of its held-out score, corrected for the values of theta that were tried.
+        rivals: names and joints of candidates that the data cannot tell from it, with the share of its reduction that
+            they reach.
+        share: share of the most affected channel's squares that it takes away on held-out blocks.
         dependence: for a learned term, the dependence that led to it.
     """
 
@@ -57,10 +59,18 @@ class Choice:
 
 @dataclass
 class Scored:
-    """A candidate with what it would win."""
+    """A candidate with its score.
+
+    Attributes:
+        candidate: effect, joint and theta.
+        test: how much it reduces the residual.
+        p_value: of the test, corrected for the values of theta that were tried.
+        share: of the most affected channel's squares that it takes away on held-out blocks.
+        dependence: for a learned term, the dependence that led to it.
+    """
 
     candidate: Candidate
-    trial: Trial
+    test: HeldOutTest
     p_value: float
     share: float
     dependence: Dependence | None = field(default=None)

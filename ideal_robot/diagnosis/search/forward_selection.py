@@ -1,22 +1,59 @@
-"""The search: effects are added one by one, each fitted jointly with all parameters, compared with its mimics on time
-blocks that had no part in the fit, and taken out again when later ones make it superfluous.
+"""The search: effects are added one by one, each fitted together with all parameters, compared with its rivals on
+blocks of time that had no part in the fit, and taken out again when later ones make it superfluous.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.candidates import Candidate, prepared
-from ideal_robot.diagnosis.search.choice import Choice, Scored
+from ideal_robot.diagnosis.search.choice import Choice, Options, Scored
+from ideal_robot.diagnosis.search.comparison import discoveries, indistinguishable, overlap, rivals_of
+from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
+from ideal_robot.diagnosis.search.pool import candidates
+from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.search.scoring import Scoring
-from ideal_robot.diagnosis.statistics.block_regression import Fit
-from ideal_robot.diagnosis.statistics.dependence import terms, time_period
-from ideal_robot.effects import TCP_POSITION
+from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.effects import Effect
+
+Progress = Callable[[float, str], None]
+"""Called with the share done and a word."""
+Only = tuple[tuple[str, int], ...]
+"""Names and joints of the effects that may be looked for."""
+_REFINED = 6
+"""Candidates of a round that are refined over theta, at most."""
 
 
-class Search(Scoring):
-    """Forward selection with backward pruning and exchange; see ``Scoring`` for the arguments."""
+def silent(share: float, word: str) -> None:
+    """Progress that nobody looks at."""
+
+
+class Search:
+    """Forward selection with backward pruning and exchange.
+
+    Args:
+        problem: the regression.
+        effects: to choose from.
+        options: thresholds.
+        rng: for null distributions.
+        absorbed: whether effects are tried that the model's own parameters could take over.
+        only: names and joints of the effects that may be looked for; then nothing is learned either.
+        progress: called with the share done and a word.
+    """
+
+    def __init__(self, problem: Problem, effects: Sequence[Effect], options: Options, rng: np.random.Generator, *,
+                 absorbed: bool, only: Only | None = None, progress: Progress = silent) -> None:
+        self.options, self.progress = options, progress
+        self.model = PresentModel(problem)
+        self.scoring = Scoring(self.model, options)
+        self.curves = LearnedCurves(self.scoring, rng)
+        self.learns = only is None
+        regression = problem.regression
+        self.pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
+                     if only is None or (starts[0].effect.name, starts[0].joint) in only]
 
     def run(self) -> list[Choice]:
         """Selects; returns the choices in the order they were taken."""
@@ -25,137 +62,70 @@ class Search(Scoring):
             choice = self._next()
             if choice is None:
                 break
-            self._take(choice)
-            self._prune()
-            self._exchange()
-        return self.choices
+            self.model.take(choice)
+            if not choice.candidate.effect.learned:
+                # A learned curve never pushes out a physical cause.
+                self._prune()
+                self._exchange()
+        return self.model.choices
 
-    def _take(self, choice: Choice) -> None:
-        self._ensure(choice.candidate)
-        self.choices.append(choice)
-        self.weights = self._weights(self.keys())
+    def settle(self, prior: Array) -> None:
+        """Takes a looser prior ``(P, P)`` and drops effects that the model's own parameters can now take over."""
+        self.model.with_prior(prior)
+        for choice in sorted(self.model.choices, key=lambda c: c.share):
+            if choice.candidate.effect.absorbed_by_base:
+                continue
+            s = self.scoring.tested(self.model.fit(without=choice), choice.candidate, choice.dependence)
+            if s.p_value > self.options.false_discovery or s.share < self.scoring.smallest_share(choice.candidate,
+                                                                                                 choice):
+                self.model.drop(choice)
 
     def _next(self) -> Choice | None:
-        fit = self.fit()
-        residual = self.residual(fit)
-        scored = self._score(fit, residual, self.pool)
-        self.rounds.append(scored)
-        best = self._best(fit, scored)
-        learned = self._learned(fit, residual, best) if self.learns else None
+        fit = self.model.fit()
+        best = self._best(fit, self.scoring.scored(fit, self.pool))
+        learned = self.curves.best(fit, best) if self.learns else None
         return learned if learned is not None else best
 
     def _best(self, fit: Fit, scored: list[Scored]) -> Choice | None:
-        """The winner of this round: significant among all, large enough, best on held-out blocks after refinement."""
-        passed = [s for s in self._discovered(scored) if self._large(s)]
+        """The best candidate of this round: significant among all, large enough, best after refinement."""
+        passed = [s for s in discoveries(scored, len(self.pool), self.options.false_discovery)
+                  if self.scoring.is_large(s)]
         if not passed:
             return None
-        passed.sort(key=lambda s: -s.trial.total)
-        top = passed[0].trial.total
-        refined = [self._refined(fit, s) for s in passed[:6] if s.trial.total > 0.4 * top]
-        refined.sort(key=lambda s: -s.trial.total)
-        winner = refined[0]
+        passed.sort(key=lambda s: -s.test.total)
+        top = passed[0].test.total
+        refined = [self.scoring.refined(fit, s) for s in passed[:_REFINED] if s.test.total > 0.4 * top]
+        refined.sort(key=lambda s: -s.test.total)
+        best = refined[0]
         # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
-            if other.candidate.cost < winner.candidate.cost and self._equal(refined[0], other, 0.95):
-                winner = other
-        return Choice(winner.candidate, winner.p_value, self._rivals(winner, refined), winner.share)
-
-    def settle(self, prior: Array) -> None:
-        """Takes a looser prior and drops effects that the model's own parameters can now take over."""
-        self.prior = prior
-        self.weights = self._weights(self.keys())
-        for choice in sorted(self.choices, key=lambda c: c.share):
-            if choice.candidate.effect.absorbed_by_base:
-                continue
-            trial = self._tried(self.fit(without=choice), choice.candidate, choice.dependence)
-            if trial.p_value > self.options.false_discovery or trial.share < self._smallest(choice.candidate, choice):
-                self.choices.remove(choice)
-                self.weights = self._weights(self.keys())
-
-    def adopt(self, other: Search) -> None:
-        """Takes over the columns of another search's choices."""
-        for choice in self.choices:
-            self.design.add(choice.candidate.key, other.design.groups[choice.candidate.key])
-        self.weights = self._weights(self.keys())
-
-    # -- what the library does not have --------------------------------------------------------------------------------
-
-    def _learned(self, fit: Fit, residual: Array, best: Choice | None) -> Choice | None:
-        """A learned curve, if it wins clearly more than the best effect of the library in this round."""
-        to_beat = 0.0
-        if best is not None:
-            to_beat = self.options.unknown_margin * self._tried(fit, best.candidate).trial.total
-        scored: list[Scored] = []
-        blocks = self.data.blocks.of_samples()
-        selecting = self.data.blocks.fold[blocks] >= 0
-        for j in range(self.data.c):
-            if j + 1 in self.experiment.undecided and self.experiment.domain != TCP_POSITION:
-                continue
-            use = self.data.use[:, j] & selecting
-            squares = float(np.sum(residual[use, j] ** 2) * self.weights[j])
-            tests = [self.sieve.test(residual[:, j], use, j, term)
-                     for term in terms(self.at_rows, j, best is None, self.experiment.domain)]
-            period = time_period(residual[:, j], use, self.at_rows.t, self.experiment.domain)
-            if period is not None:
-                tests.append(self.sieve.test(residual[:, j], use, j, period))
-            tests.sort(key=lambda d: -(d.share - d.expected))
-            # Only a sieve: what is promising is tried on held-out blocks below, paid for all curves looked at.
-            promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > to_beat]
-            for d in promising[:6]:
-                candidate = Candidate(d.term, j + 1, (), len(tests) * self.data.c)
-                key = candidate.key
-                self.design.add(key, prepared(self.experiment, self.data,
-                                              d.term.columns(self.experiment.signals, j + 1, ())))
-                scored.append(self._tried(fit, candidate, d))
-        scored = [s for s in scored if s.p_value < self.options.false_discovery and self._large(s)
-                  and s.trial.total > to_beat and not self._taken(s.candidate)]
-        if not scored:
-            return None
-        s = max(scored, key=lambda s: s.trial.total)
-        return Choice(s.candidate, s.p_value, (), s.share, s.dependence)
-
-    def _taken(self, candidate: Candidate) -> bool:
-        return any(c.candidate.key == candidate.key for c in self.choices)
-
-    # -- second thoughts -----------------------------------------------------------------------------------------------
+            if other.candidate.parameter_count < best.candidate.parameter_count \
+                    and indistinguishable(self.model, refined[0], other, 0.95):
+                best = other
+        return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share)
 
     def _prune(self) -> None:
-        """Takes out what the others have made superfluous; a learned curve never pushes out a physical cause."""
-        if self.choices[-1].candidate.effect.learned:
-            return
-        for choice in list(self.choices[:-1]):
-            trial = self._tried(self._rivalling(choice), choice.candidate)
-            if trial.p_value > self.options.false_discovery or trial.share < 0.5 * self.options.smallest:
-                self.choices.remove(choice)
-                self.weights = self._weights(self.keys())
+        """Takes out what the others have made superfluous."""
+        for choice in list(self.model.choices[:-1]):
+            s = self.scoring.tested(self.model.fit_of_rivals(choice), choice.candidate)
+            if s.p_value > self.options.false_discovery or s.share < 0.5 * self.options.smallest:
+                self.model.drop(choice)
 
     def _exchange(self) -> None:
         """Tries, for each selected effect, every other one that acts on the same joint in its place."""
-        if len(self.choices) < 2:
-            return
-        newest = self.choices[-1].candidate
-        if newest.effect.learned:
-            return
-        for position, choice in enumerate(list(self.choices[:-1])):
-            if not self._overlap(choice.candidate, newest):
+        newest = self.model.choices[-1].candidate
+        for position, choice in enumerate(list(self.model.choices[:-1])):
+            if not overlap(self.model, choice.candidate, newest):
                 continue
-            fit = self._rivalling(choice)
-            present = self._tried(fit, choice.candidate)
+            fit = self.model.fit_of_rivals(choice)
+            present = self.scoring.tested(fit, choice.candidate)
             pool = [starts for starts in self.pool if starts[0].joint in (choice.candidate.joint, 0)
                     and (starts[0].place != choice.candidate.place or len(starts) > 1)]
-            rivals = self._score(fit, self.residual(fit), pool)
-            rivals = [s for s in rivals if s.p_value < self.options.false_discovery and self._large(s)
-                      and s.trial.total > 0.8 * present.trial.total]
-            refined = sorted((self._refined(fit, s) for s in rivals), key=lambda s: -s.trial.total)
-            if refined and refined[0].trial.total > 1.03 * present.trial.total:
+            rivals = [s for s in self.scoring.scored(fit, pool)
+                      if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
+                      and s.test.total > 0.8 * present.test.total]
+            refined = sorted((self.scoring.refined(fit, s) for s in rivals), key=lambda s: -s.test.total)
+            if refined and refined[0].test.total > 1.03 * present.test.total:
                 s = refined[0]
-                self._ensure(s.candidate)
-                self.choices[position] = Choice(s.candidate, s.p_value, self._rivals(s, refined), s.share)
-                self.weights = self._weights(self.keys())
-
-    def _rivalling(self, choice: Choice) -> Fit:
-        """The fit against which a choice has to hold its place: without it, and for a physical cause without curves."""
-        if choice.candidate.effect.learned:
-            return self.fit(without=choice)
-        keys = ["W", *[c.candidate.key for c in self.choices if c is not choice and not c.candidate.effect.learned]]
-        return Fit(self.design, keys, self.weights, self.prior)
+                better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share)
+                self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])

@@ -9,11 +9,14 @@ counts twice what both describe.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
-from ideal_robot.diagnosis.channels.arm import arm_experiment
-from ideal_robot.diagnosis.channels.motor_torque import experiment
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.validation.carry_over import accepted
 from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect
 from ideal_robot.friction import PerJointFriction
@@ -21,7 +24,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-_LESS = 0.99
+_LEAST = -np.log(0.99)
 """What does not lower an error by a hundredth is not taken for an improvement."""
 
 
@@ -35,18 +38,22 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
         robot: the arm.
     """
     kept = dataclasses.replace(known, effects=known.effects + _behind_gears(known, found, run, robot))
-    if found.model is None:
+    fitted = found.model
+    if fitted is None:
         return kept
     at_torque = [f.fitted for f in (*found.effects, *found.unknown)
                  if f.fitted.effect.channel_prefix == MOTOR_TORQUE.prefix]
-    error = kept.predict(run).relative_error_percent
-    for joint in sorted({effect.joint for effect in at_torque}):
-        own = tuple(effect for effect in at_torque if effect.joint == joint)
-        tried = with_joint(kept, found.model, joint, own)
-        after = tried.predict(run).relative_error_percent
-        if np.all(after[joint - 1 : joint or None] < _LESS * error[joint - 1 : joint or None]):
-            kept, error = tried, after
-    return kept
+
+    def with_joints(joints: Sequence[int]) -> Model:
+        model = kept
+        for joint in joints:
+            model = with_joint(model, fitted, joint, tuple(e for e in at_torque if e.joint == joint))
+        return model
+
+    joints = accepted(sorted({effect.joint for effect in at_torque}),
+                      lambda some: with_joints(some).predict(run).relative_error_percent,
+                      lambda joint: joint - 1 if joint else None, _LEAST)
+    return with_joints(joints)
 
 
 def with_joint(model: Model, fitted: Model, joint: int, effects: tuple[FittedEffect, ...]) -> Model:
@@ -67,16 +74,14 @@ def with_joint(model: Model, fitted: Model, joint: int, effects: tuple[FittedEff
 def _behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> tuple[FittedEffect, ...]:
     """Effects of the measured arm angles that also lower the error of those of the run."""
     behind = [f.fitted for f in found.effects if f.fitted.domain == ARM_POSITION]
-    arm = arm_experiment(run, robot, experiment(run, robot, known), known.stiffness) if behind else None
+    arm = arm_angle_regression(run, robot, torque_regression(run, robot, known), known.stiffness) if behind else None
     if arm is None:
         return ()
-    left, kept = arm.y - arm.y.mean(axis=0), []
-    for effect in behind:
-        j = effect.joint - 1
-        tried = left[:, j] - arm.decimate(effect.contribution(arm.signals))[:, j]
+    columns = {id(effect): arm.decimate(effect.contribution(arm.signals)) for effect in behind}
+
+    def error(effects: Sequence[FittedEffect]) -> Array:
+        left = arm.y - sum((columns[id(effect)] for effect in effects), np.zeros_like(arm.y))
         # A constant difference of the measuring devices says nothing about gears.
-        tried -= tried.mean()
-        if np.linalg.norm(tried) < _LESS * np.linalg.norm(left[:, j]):
-            left[:, j] = tried
-            kept.append(effect)
-    return tuple(kept)
+        return np.asarray(np.linalg.norm(left - left.mean(axis=0), axis=0) + 1e-300)
+
+    return tuple(accepted(behind, error, lambda effect: effect.joint - 1, _LEAST))

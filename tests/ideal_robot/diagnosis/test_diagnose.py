@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.channels.motor_torque import experiment, with_blur
-from ideal_robot.diagnosis.channels.reversal import fitted_blur
-from ideal_robot.diagnosis.statistics.cross_products import Data, time_blocks
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression, with_reversal_width
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.reversal_width import reversal_widths
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
@@ -186,17 +187,17 @@ def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_
     tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / speed) + 1.5 * qd + 0.01 * rng.normal(size=q.shape)
     recording = Recording.from_arrays(t, q=q, tau=tau)
     nominal = Model.nominal(one)
-    raw = experiment(recording, one, nominal)
+    raw = torque_regression(recording, one, nominal)
     blocks = time_blocks(len(raw.t), float(raw.t[1] - raw.t[0]), held_out=True)
-    blur = fitted_blur(raw, Data(raw.y, raw.W, raw.use, blocks), nominal)
-    assert blur[0] == pytest.approx(speed, rel=0.1)
+    reversal_width = reversal_widths(Problem(raw, blocks), nominal)
+    assert reversal_width[0] == pytest.approx(speed, rel=0.1)
     # About a model that has friction, the residual holds the same change of sign as the columns.
     law = type(nominal.friction.laws[0])(np.array([[1.5], [2.0]]))
     rubbing = dataclasses.replace(nominal, friction=PerJointFriction([law]))
-    made = with_blur(raw, rubbing, blur)
+    made = with_reversal_width(raw, rubbing, reversal_width)
     beta = np.zeros(made.W.shape[2])
     beta[nominal.base.count : nominal.base.count + 2] = 1.5, 2.0
-    bare = with_blur(raw, nominal, blur)
+    bare = with_reversal_width(raw, nominal, reversal_width)
     assert made.y == pytest.approx(bare.y - bare.W @ beta, abs=1e-9)
     assert diagnose(recording, one).verdict == "none"
 
@@ -204,7 +205,7 @@ def test_how_sharply_friction_changes_sign_is_found_and_is_no_effect(width, tmp_
 def test_acceleration_is_not_lost_as_in_a_soft_gear(tmp_path):
     t, w = np.arange(0.0, 40.0, 0.01), 2.0 * np.pi * 3.0
     q = 0.4 * np.sin(w * t)[:, None] + 0.3 * np.sin(0.2 * w * t)[:, None]
-    raw = experiment(Recording.from_arrays(t, q=q, tau=np.zeros_like(q)), arm(tmp_path),
+    raw = torque_regression(Recording.from_arrays(t, q=q, tau=np.zeros_like(q)), arm(tmp_path),
                      Model.nominal(arm(tmp_path)), cutoff=15.0)
     exact = -0.4 * w**2 * np.sin(w * t) - 0.3 * (0.2 * w) ** 2 * np.sin(0.2 * w * t)
     # Central differences would lose (w dt)^2 / 3 = 1.2 % of the fast part.

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.channels.line import line_experiment, told_line
-from ideal_robot.diagnosis.channels.motor_torque import experiment
+from ideal_robot.diagnosis.channels.line import line_regression
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.validation.oracle import named_camera_effect
 from ideal_robot.effects import SENSOR, FittedEffect, effect_of
 from ideal_robot.effects.sensor.seen_line import CUBIC, SCALE, SPEED
 from ideal_robot.model.model import Model
@@ -30,7 +31,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 def test_told_its_name_the_number_is_right(robot: Robot, name: str) -> None:
     # Small, so that the columns, which are derivatives, hold for all of it.
     kind, size, recording = draw_line_trial(31, name, share=0.2)
-    fitted = told_line(recording, robot, Model.nominal(robot), kind)
+    fitted = named_camera_effect(recording, robot, Model.nominal(robot), kind)
     expected = 0.5 * size if name == "camera_offset" else size
     assert abs(fitted.coefficients[0] - expected) < 3.0 * fitted.std[0]
     assert fitted.domain == SENSOR
@@ -60,8 +61,8 @@ def test_columns_are_what_moved_points_do(robot: Robot) -> None:
         return Recording(columns, recording.meta)
 
     def lines(changed: Recording) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        torque = experiment(changed, robot, Model.nominal(robot))
-        seen = line_experiment(changed, robot, torque, None)
+        torque = torque_regression(changed, robot, Model.nominal(robot))
+        seen = line_regression(changed, robot, torque, None)
         assert seen is not None
         return seen.y[:, 0], dict(seen.signals.extra)
 
@@ -87,4 +88,4 @@ def test_model_file_keeps_them_and_torques_do_not_change(robot: Robot, tmp_path:
 def test_recording_without_a_line_has_no_line_channel(robot: Robot) -> None:
     recording = draw_line_trial(34, "none")[2]
     plain = Recording({k: v for k, v in recording.columns.items() if k != "cam_t" and not k.startswith("line_")})
-    assert line_experiment(plain, robot, experiment(plain, robot, Model.nominal(robot)), None) is None
+    assert line_regression(plain, robot, torque_regression(plain, robot, Model.nominal(robot)), None) is None

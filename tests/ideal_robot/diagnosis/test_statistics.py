@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from ideal_robot.diagnosis.statistics.block_regression import Design, Fit
-from ideal_robot.diagnosis.statistics.cross_products import Blocks, Data, time_blocks
+from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
+from ideal_robot.diagnosis.statistics.block_products import BlockProducts
 from ideal_robot.diagnosis.statistics.dependence import Sieve, terms
+from ideal_robot.diagnosis.statistics.least_squares import Design, Fit
 from tests.ideal_robot.effects.test_laws import motion
 
 
@@ -22,10 +23,10 @@ def test_p_values_of_coloured_noise_are_honest():
         x, extra = coloured(rng, count, 0.98), coloured(rng, count, 0.98)
         W = np.stack([np.ones(count), x], axis=1)[:, None, :]
         y = coloured(rng, count)[:, None]
-        data = Data(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
+        data = BlockProducts(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
         design = Design(data)
         design.add("c", data.masked(extra[:, None, None]))
-        p_values.append(Fit(design, ["W"], np.ones(1)).trial("c").p_value)
+        p_values.append(Fit(design, ["W"], np.ones(1)).held_out_test("c").p_value)
     assert np.mean(np.array(p_values) < 0.05) < 0.12
     assert np.mean(np.array(p_values) < 0.001) < 0.02
 
@@ -36,13 +37,13 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
     W, C = rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 1))
     y = rng.normal(size=(count, 2)) + 0.3 * C[:, :, 0] + W[:, :, 0]
     blocks = time_blocks(count, 0.02, held_out=True)
-    data = Data(y, W, np.ones((count, 2), bool), blocks)
+    data = BlockProducts(y, W, np.ones((count, 2), bool), blocks)
     design, weights = Design(data), np.array([1.0, 2.0])
     design.add("c", data.masked(C))
-    trial = Fit(design, ["W"], weights).trial("c")
+    trial = Fit(design, ["W"], weights).held_out_test("c")
     of_sample = blocks.fold[blocks.of_samples()]
     scale = np.sqrt(weights)[None, :, None]
-    won = 0.0
+    reduction = 0.0
     for k in range(blocks.folds):
         train, test = (of_sample >= 0) & (of_sample != k), of_sample == k
         losses = []
@@ -50,9 +51,9 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
             A, b = (X * scale)[train].reshape(-1, X.shape[2]), (y * scale[:, :, 0])[train].ravel()
             beta = np.linalg.lstsq(A, b, rcond=None)[0]
             losses.append(np.sum(((y - X @ beta) * scale[:, :, 0])[test] ** 2))
-        won += losses[0] - losses[1]
-    np.testing.assert_allclose(trial.total, won, rtol=2e-3)
-    assert np.isnan(trial.won[blocks.fold < 0]).all()
+        reduction += losses[0] - losses[1]
+    np.testing.assert_allclose(trial.total, reduction, rtol=2e-3)
+    assert np.isnan(trial.reduction[blocks.fold < 0]).all()
 
 
 def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
@@ -96,7 +97,7 @@ def test_held_out_blocks_take_no_part():
     blocks = time_blocks(count, 0.05, held_out=True)
     spoiled = y.copy()
     spoiled[blocks.fold[blocks.of_samples()] < 0] += 100.0
-    betas = [Fit(Design(Data(values, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1)).beta
+    betas = [Fit(Design(BlockProducts(values, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1)).beta
              for values in (y, spoiled)]
     np.testing.assert_allclose(betas[0], betas[1])
     assert isinstance(blocks, Blocks)

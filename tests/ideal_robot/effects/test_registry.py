@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.search.evidence import would_tell
+from ideal_robot.diagnosis.validation.evidence import discriminating_motion
 from ideal_robot.effects import FittedEffect, effect_of, library, names, register, unregister
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.learned import Unknown
@@ -58,7 +58,7 @@ def test_an_own_effect_is_found_by_the_diagnosis(own_effect, tmp_path):
     assert [e.fitted.name for e in found.effects] == ["square_of_position"]
     assert found.effects[0].fitted.coefficients[0] == pytest.approx(0.7, rel=0.02)
     assert found.effects[0].fitted.channel == "tau_1"
-    assert would_tell("cable_spring", ("square_of_position",)) == "other strokes"
+    assert discriminating_motion("cable_spring", ("square_of_position",)) == "other strokes"
 
 
 def test_an_effect_is_registered_once(own_effect):

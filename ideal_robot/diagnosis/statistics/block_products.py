@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Blocks
 
 
 @dataclass(frozen=True)
@@ -31,46 +32,7 @@ class Columns:
         return int(self.values.shape[2])
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """Consecutive stretches of time and what they are used for.
-
-    Attributes:
-        edges: first sample of each block and the end ``(B + 1,)``.
-        fold: fold of each block, from 0; -1 for blocks that only the report sees.
-        folds: number of folds.
-    """
-
-    edges: tuple[int, ...]
-    fold: np.ndarray
-    folds: int
-
-    @property
-    def count(self) -> int:
-        """Number of blocks."""
-        return len(self.edges) - 1
-
-    def of_samples(self) -> np.ndarray:
-        """Block of each sample ``(N,)``."""
-        return np.repeat(np.arange(self.count), np.diff(self.edges))
-
-
-def time_blocks(samples: int, dt: float, held_out: bool) -> Blocks:
-    """Cuts ``samples`` into about 32 blocks, of half a second at least; every fourth is held out if asked for."""
-    count = int(np.clip(samples * dt / 0.5, 8, 32))
-    edges = np.linspace(0, samples, count + 1).astype(int)
-    number = np.arange(count)
-    # Fold numbers run through the blocks, so that each fold is spread over the whole recording.
-    if held_out:
-        selecting = number % 4 != 2
-        fold = np.full(count, -1)
-        fold[selecting] = np.arange(int(selecting.sum())) % 6
-    else:
-        fold = number % 8
-    return Blocks(tuple(int(e) for e in edges), fold, int(fold.max()) + 1)
-
-
-class Data:
+class BlockProducts:
     """The rows of a recording, ready for cross-products.
 
     Args:

@@ -1,4 +1,4 @@
-"""Weighted least squares on blocks of time, and what one more candidate would win on blocks it has not seen."""
+"""Weighted least squares on blocks of time, and how far one more group reduces the residual of blocks left out."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.cross_products import Columns, Data
+from ideal_robot.diagnosis.statistics.block_products import BlockProducts, Columns
 
 _RIDGE = 3e-5
 """Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
@@ -19,7 +19,7 @@ _SMOOTH = 3e-3
 class Design:
     """Named groups of columns and their cross-products, each computed once."""
 
-    def __init__(self, data: Data) -> None:
+    def __init__(self, data: BlockProducts) -> None:
         self.data = data
         self.groups: dict[str, Columns] = {"W": data.W, "y": data.y}
         self._cross: dict[tuple[str, str], Array] = {}
@@ -49,27 +49,27 @@ class Design:
 
 
 @dataclass(frozen=True)
-class Trial:
-    """What a candidate would win.
+class HeldOutTest:
+    """How much a candidate reduces the residual.
 
     Attributes:
         gain: weighted squares it takes away in sample, after everything else is refitted.
         coefficients: its coefficients on all selecting blocks ``(m,)``.
-        won: weighted squares won on each block that had no part in the fit ``(B,)``; nan where none was tried.
-        won_by_channel: their sum for each channel ``(c,)``.
+        reduction: weighted squares taken away from each block left out of the fit ``(B,)``; nan where none was tried.
+        reduction_by_channel: their sum for each channel ``(c,)``.
         p_value: one-sided, of the alignment of what it predicts with the residual of blocks it has not seen.
     """
 
     gain: float
     coefficients: Array
-    won: Array
-    won_by_channel: Array
+    reduction: Array
+    reduction_by_channel: Array
     p_value: float
 
     @property
     def total(self) -> float:
-        """Weighted squares won on held-out folds."""
-        return float(np.nansum(self.won))
+        """Reduction of the weighted squares over all held-out folds."""
+        return float(np.nansum(self.reduction))
 
 
 class Fit:
@@ -127,6 +127,15 @@ class Fit:
             result[mine] = np.maximum(_quadratic(self.G[mine], v), 0.0)
         return result
 
+    def refitted_weights(self) -> Array:
+        """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
+        return _inverse_variance(self.squares(), self.design.data.count)
+
+    @property
+    def inverse(self) -> Array:
+        """Inverse of the normal equations' matrix on all estimating blocks ``(P, P)``."""
+        return self._inverse[0]
+
     def covariance(self) -> Array:
         """Covariance of ``beta (P, P)`` from the scatter of the blocks' scores, so that coloured noise counts."""
         selecting = self._training[0]
@@ -147,13 +156,13 @@ class Fit:
         CX, Cy, CC = self._candidate(key)
         return self._joined(0, CX, Cy, CC)[:2]
 
-    def trial(self, key: str) -> Trial:
+    def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         full = (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key))
         CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights, part) for part in full)
         gain, coefficients = self._joined(0, CX, Cy, CC)[:2]
         B, c = self.G.shape[:2]
-        won, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
+        reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
         for k in range(self.folds):
             _, gamma, beta = self._joined(k + 1, CX, Cy, CC)
             mine = self.fold == k
@@ -168,11 +177,12 @@ class Fit:
             # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
             L1 = _quadratic(G, after) + 2.0 * CX_gamma @ beta - 2.0 * Cy_gamma + CC_gamma
             size = _quadratic(G, step) + 2.0 * CX_gamma @ step[:-1] + CC_gamma
-            won[mine] = (L0 - L1) * self.weights
+            reduction[mine] = (L0 - L1) * self.weights
             # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
             score[mine] = ((L0 - L1 + size) * self.weights).sum(axis=1) / 2.0
             left[mine] = ((L0 - L1 - size) * self.weights).sum(axis=1) / 2.0
-        return Trial(gain, coefficients, won.sum(axis=1), np.nansum(won, axis=0), _one_sided(score, left))
+        return HeldOutTest(gain, coefficients, reduction.sum(axis=1), np.nansum(reduction, axis=0),
+                           _one_sided(score, left))
 
     def _candidate(self, key: str) -> tuple[Array, Array, Array]:
         weighted = []
@@ -220,7 +230,24 @@ def _one_sided(score: Array, left: Array) -> float:
     return float(stats.t.sf(float(values.sum()) / spread, B - 1))
 
 
-def channel_weights(squares: Array, count: Array) -> Array:
+def weights_of_channels(design: Design, keys: list[str], prior: Array | None, rounds: int) -> Array:
+    """1/σ² of each channel ``(c,)`` from the residual of a fit, found by refitting.
+
+    The first weights are those that the model's own parameters leave, so that no channel's misfit weighs on another.
+
+    Args:
+        design: groups and cross-products.
+        keys: the groups of the fit, ``W`` first.
+        prior: precision of the parameters ``(P, P)``, or None.
+        rounds: refits with ``keys``.
+    """
+    weights = Fit(design, ["W"], np.ones(design.data.c), prior).refitted_weights()
+    for _ in range(rounds):
+        weights = Fit(design, keys, weights, prior).refitted_weights()
+    return weights
+
+
+def _inverse_variance(squares: Array, count: Array) -> Array:
     """1/σ² of each channel from squares ``(B, c)`` over as many samples ``(B, c)``; zero for an empty channel."""
     total, number = squares.sum(axis=0), count.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

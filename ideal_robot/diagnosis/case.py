@@ -1,0 +1,85 @@
+"""What a diagnosis is asked, and what its stages have found so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Only, Progress
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult
+from ideal_robot.diagnosis.validation.result import NotTransferred
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is asked; see ``diagnose`` for what has no words here.
+
+    Attributes:
+        given: the model that was known before, or None.
+        shared: whether the joints share inertias; not where torques are in amperes of unknown gain.
+    """
+
+    recording: Recording
+    robot: Robot
+    given: Model | None
+    validate: Recording | None
+    options: Options
+    rng: np.random.Generator
+    progress: Progress
+    shared: bool
+    only: Only | None
+
+    @property
+    def stiffness(self) -> Array | None:
+        """Of the gears as far as the given model knows it ``(n,)`` [N m/rad]."""
+        return None if self.given is None else self.given.stiffness
+
+    def torque_regression(self, recording: Recording, model: Model, *, cutoff: float | None = None,
+                          reversal_width: Array | None = None) -> Regression:
+        """The regression of the motor torques of one of the recordings.
+
+        Args:
+            recording: the one that is diagnosed, or that validates.
+            model: what predicts.
+            cutoff: of the position filter [Hz], from the data if None.
+            reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], from the data if None.
+        """
+        made = torque_regression(recording, self.robot, model, cutoff=cutoff, shared=self.shared,
+                                 reversal_width=reversal_width, payload=self.given is not None)
+        return made if self.shared else in_own_units(made)
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was found so far.
+
+    Attributes:
+        start: the model about which the regression is made.
+        problem: the regression of the motor torques.
+        reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], where it was fitted.
+        choices: effects of the motor torque.
+        validation: the regression of the validation recording, or None.
+        not_transferred: effects that were dropped because they do not carry over.
+        domains: the domains after their search, that of the motor torque first.
+        results: what they add to the report.
+        warnings: for people.
+    """
+
+    start: Model
+    problem: Problem
+    reversal_width: Array | None = None
+    choices: tuple[Choice, ...] = ()
+    validation: Regression | None = None
+    not_transferred: tuple[NotTransferred, ...] = ()
+    domains: tuple[DomainDiagnosis, ...] = ()
+    results: tuple[DomainResult, ...] = ()
+    warnings: tuple[str, ...] = ()

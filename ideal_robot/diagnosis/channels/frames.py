@@ -1,0 +1,56 @@
+"""Joint frames and the TCP along a motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects import Frames
+from ideal_robot.robots.robot import Robot
+
+
+def frames_along(robot: Robot, q: Array) -> Frames:
+    """Joint frames, their axes and the TCP along a motion ``(N, n)``."""
+    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
+    N, n = q.shape
+    axis, x, position, tip = (np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, 3)))
+    prismatic = robot.prismatic
+    normals = _normals(robot, prismatic)
+    jacobian = np.empty((N, 3, n))
+    for k in range(N):
+        pin.framesForwardKinematics(model, data, q[k])
+        tip[k] = data.oMf[tool].translation
+        full = pin.computeFrameJacobian(model, data, q[k], tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        jacobian[k] = full[:3]
+        for j in range(n):
+            placement = data.oMi[j + 1]
+            position[k, j] = placement.translation
+            axis[k, j] = full[3:, j] if not prismatic[j] else full[:3, j]
+            x[k, j] = placement.rotation @ normals[j]
+    return Frames(axis, x, position, tip, jacobian)
+
+
+def _normals(robot: Robot, prismatic: NDArray[np.bool_]) -> Array:
+    """Common normal of each joint's axis and the next one, in the joint's own frame ``(n, 3)``.
+
+    For parallel axes it points from one to the other; for the last joint towards the TCP.
+    """
+    model, q = robot.pinocchio, pin.neutral(robot.pinocchio)
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    n = model.nv
+    full = pin.computeFrameJacobian(model, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    axes = [full[:3, j] if prismatic[j] else full[3:, j] for j in range(n)]
+    places = [*[data.oMi[j + 1].translation for j in range(n)], data.oMf[robot.tool_id].translation]
+    result = np.empty((n, 3))
+    for j in range(n):
+        z = axes[j] / np.linalg.norm(axes[j])
+        across = np.cross(z, axes[j + 1]) if j + 1 < n else np.zeros(3)
+        for candidate in (across, places[j + 1] - places[j], *np.eye(3)):
+            flat = candidate - (candidate @ z) * z
+            if np.linalg.norm(flat) > 1e-3:
+                break
+        result[j] = data.oMi[j + 1].rotation.T @ (flat / np.linalg.norm(flat))
+    return result

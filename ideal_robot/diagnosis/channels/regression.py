@@ -1,0 +1,66 @@
+"""A regression: what was measured, what the model expects, and what may be changed in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
+from ideal_robot.signals.preprocess import FilteredSignals
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The regression of one recording.
+
+    Attributes:
+        t: decimated times from the start of the recording ``(N,)`` [s].
+        channels, units: names and units of the ``c`` channels.
+        y: measured minus predicted ``(N, c)``.
+        measured: what was measured ``(N, c)``.
+        W: derivative of the prediction by the model's parameters ``(N, c, p)``.
+        use: samples that count ``(N, c)``.
+        signals: undecimated signals for effects.
+        filtered: the filter that made them; ``decimate`` brings columns of effects to the rows of ``y``.
+        undecided: joints (from 1) that move too little, with the reason.
+        domain: where its effects act.
+        prismatic: which joints slide and are measured in N and m ``(n,)``.
+        noise_floor: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
+    """
+
+    t: Array
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    y: Array
+    measured: Array
+    W: Array
+    use: np.ndarray
+    signals: Signals
+    filtered: FilteredSignals = field(repr=False)
+    undecided: dict[int, str]
+    noise_floor: Array
+    prismatic: tuple[bool, ...]
+    domain: Domain = MOTOR_TORQUE
+
+    def channel_of(self, joint: int) -> int | None:
+        """Index of the channel of a joint; None where effects do not belong to one channel."""
+        return joint - 1 if joint else None
+
+    def decimate(self, columns: Array) -> Array:
+        """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""
+        return self.filtered.decimate(columns)
+
+    def decimated_signals(self) -> Signals:
+        """The signals at the rows of ``y``, sampled (not filtered): for plots and dependence measures."""
+        s, step, keep = self.signals, self.filtered.factor, self.filtered.keep
+
+        def at(values: Array) -> Array:
+            return np.asarray(values[::step][keep])
+
+        return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
+                       friction=at(s.friction), payload=None, rigid=None, frames=None,
+                       temperature=None if s.temperature is None else at(s.temperature),
+                       sliding=None if s.sliding is None else at(s.sliding),
+                       extra={name: at(values) for name, values in s.extra.items()})

@@ -1,0 +1,51 @@
+"""Searches in what is measured beside motor torques: arm angles, TCP positions, force sensor, camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
+from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
+from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
+from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.tool_position import tool_regression
+from ideal_robot.diagnosis.search.equivalents import with_equivalents
+from ideal_robot.diagnosis.search.forward_selection import Search
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.effects import SENSOR, library
+
+
+def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
+    """The domains that the recording has beside the motor torque, after their search."""
+    torque, validation = found.problem.regression, found.validation
+    for build in (arm_angle_regression, tool_regression):
+        made = build(case.recording, case.robot, torque, case.stiffness)
+        if made is None:
+            continue
+        other = None if validation is None or case.validate is None else \
+            build(case.validate, case.robot, validation, case.stiffness)
+        blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
+        yield _diagnosed(case, made, other, blocks)
+    for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
+                                         case.stiffness):
+        yield _diagnosed(case, made, other, blocks_of(made, held_out=other is None))
+    # The curve of another recording's line would say nothing here.
+    line = line_regression(case.recording, case.robot, torque, case.stiffness)
+    if line is not None:
+        yield _diagnosed(case, line, None, line_blocks(line, held_out=True))
+
+
+def _diagnosed(case: Case, made: Regression, validation: Regression | None, blocks: Blocks) -> DomainDiagnosis:
+    """The search in one regression; of a sensor nothing is learned, and what is reported as before is refitted."""
+    effects = [effect for effect in library() if effect.domain == made.domain]
+    sensor, only = made.domain == SENSOR, case.only
+    if sensor:
+        only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
+    problem = Problem(made, blocks)
+    choices = Search(problem, effects, case.options, case.rng, absorbed=True, only=only).run()
+    choices = with_equivalents(problem, choices)
+    final = problem.on_all_blocks().fit([c.candidate for c in choices], uncertainty=True)
+    return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash)

@@ -1,0 +1,63 @@
+"""From the findings to the answer."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
+from ideal_robot.diagnosis.validation.domain_diagnosis import rms
+from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
+from ideal_robot.model.model import Model
+from ideal_robot.signals.recording import Recording
+
+
+def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
+    """The answer after all stages."""
+    every = [effect for result in found.results for effect in result.found]
+    effects = tuple(f for f in every if not f.fitted.effect.learned)
+    unknown = tuple(f for f in every if f.fitted.effect.learned)
+    verdict = "unknown" if unknown else ("effects" if effects else "none")
+    return Diagnosis(verdict, tuple(channel for result in found.results for channel in result.channels), effects,
+                     unknown, _held_out(case, found), found.domains[0].held_out_seconds,
+                     found.problem.regression.undecided,
+                     before=tuple(structure for result in found.results for structure in result.before),
+                     remaining=tuple(structure for result in found.results for structure in result.remaining),
+                     warnings=found.warnings, model=_extended(case, found, every),
+                     traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred)
+
+
+def undecided(case: Case, found: Findings) -> Diagnosis:
+    """The answer where no joint moves enough to decide anything."""
+    made = found.problem.regression
+    error, signal = (rms(values, made.use) for values in (made.y, made.measured))
+    channels = tuple(ChannelResult(name, unit, float(error[j]), float(error[j]), float(error[j]),
+                                   float(made.noise_floor[j]), float(signal[j]))
+                     for j, (name, unit) in enumerate(zip(made.channels, made.units, strict=True)))
+    return Diagnosis("undecided", channels, (), (), "nothing: no joint moves enough to decide anything", 0.0,
+                     made.undecided, warnings=found.warnings, model=case.given)
+
+
+def _held_out(case: Case, found: Findings) -> str:
+    """How the data on which errors are reported were kept apart."""
+    if case.validate is not None:
+        return (f"parameters and selection from {_name(case.recording)}; of {_name(case.validate)} every second "
+                "block of time decides what transfers, and the errors are those of the others")
+    return (f"every fourth of {found.problem.blocks.count} blocks of time of {_name(case.recording)}, which "
+            "neither selection nor estimation saw")
+
+
+def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> Model | None:
+    """The model with the parameters of the joint fit and all effects; None where torques are in amperes."""
+    if not case.shared:
+        return None
+    final = found.domains[0].final
+    model = with_parameters(found.start, final.change, final.covariance)
+    provenance = dict(model.provenance)
+    provenance["diagnosis"] = {"recording": case.recording.source, "hash": case.recording.hash,
+                               "effects": [f.fitted.name for f in added]}
+    return dataclasses.replace(model, effects=model.effects + tuple(f.fitted for f in added), provenance=provenance)
+
+
+def _name(recording: Recording) -> str:
+    return str(recording.source).rsplit("/", 1)[-1]

@@ -1,0 +1,71 @@
+"""Comparing scored candidates: which stand out of chance, and which the data cannot tell apart."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.diagnosis.search.choice import Scored
+from ideal_robot.diagnosis.search.present_model import PresentModel
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+
+
+def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:
+    """Candidates that Benjamini–Hochberg accepts.
+
+    Args:
+        scored: candidates with their p-values.
+        tests: how many were tested, joints × effects.
+        rate: of false discoveries.
+    """
+    ordered = sorted(scored, key=lambda s: s.p_value)
+    last = 0
+    for rank, s in enumerate(ordered, start=1):
+        if s.p_value <= rate * rank / max(tests, 1):
+            last = rank
+    return ordered[:last]
+
+
+def rivals_of(model: PresentModel, best: Scored, others: list[Scored]) -> tuple[tuple[str, int, float], ...]:
+    """Candidates with nine tenths of the reduction, or not significantly less: with other data they might be ahead.
+
+    Args:
+        model: the present model.
+        best: the candidate that was selected.
+        others: all that were refined beside it.
+
+    Returns:
+        Name, joint, and share of the best one's reduction.
+    """
+    rivals = []
+    for s in others:
+        if s is best:
+            continue
+        ratio = s.test.total / max(best.test.total, 1e-300)
+        nearly = ratio > 0.9 and overlap(model, best.candidate, s.candidate)
+        if nearly or indistinguishable(model, best, s, 0.8):
+            rivals.append((s.candidate.effect.name, s.candidate.joint, ratio))
+    return tuple(rivals)
+
+
+def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: float) -> bool:
+    """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
+
+    Args:
+        model: the present model.
+        best, other: both scored against it.
+        share: of the best one's reduction that the other has to reach.
+    """
+    if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
+        return False
+    difference = best.test.reduction - other.test.reduction
+    difference = difference[np.isfinite(difference)]
+    error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
+    return bool(float(difference.sum()) < 2.0 * error)
+
+
+def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:
+    """Whether two candidates act on a common channel, so that one can stand for the other."""
+    groups = model.design.groups
+    ours, theirs = (set(groups[c.key].channels) for c in (a, b) if c.key in groups)
+    same = a.joint == b.joint or not a.joint or not b.joint
+    return bool(ours & theirs) and (same or min(len(ours), len(theirs)) == 1)

@@ -1,0 +1,54 @@
+"""Selection against a model known before: its parameters hold unless the data say that they have changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Only, Progress, Search
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.effects import Effect
+
+_HELD = 1e4
+"""Times the prior's precision with which parameters are held while their changes are effects."""
+_AS_GOOD = 1.05
+_NEARLY_AS_GOOD = 1.1
+"""Ratio of the mean squares with held parameters to those with free ones up to which the model holds: for the same
+effects, and after a search of its own."""
+
+
+def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], options: Options,
+                     rng: np.random.Generator, *, only: Only | None,
+                     progress: Progress) -> tuple[list[Choice], bool]:
+    """Selects effects with the model's parameters held, or with free ones where the model does not hold.
+
+    Args:
+        problem: about the known model, without a prior.
+        prior: precision of its parameters ``(P, P)``, in the units of the weighted squares.
+        effects: to choose from.
+        options: thresholds.
+        rng: for null distributions.
+        only: names and joints of the effects that may be looked for.
+        progress: called with the share done and a word.
+
+    Returns:
+        The choices, and whether the model holds.
+    """
+    held = Search(problem.with_prior(_HELD * prior), effects, options, rng, absorbed=True, only=only,
+                  progress=progress)
+    held.run()
+    held.settle(prior)
+    free = Search(problem, effects, options, rng, absorbed=False, only=only, progress=progress)
+    free.model.replace([c for c in held.model.choices if not c.candidate.effect.absorbed_by_base])
+    error = held.model.mean_squares()
+    if error < _AS_GOOD * free.model.mean_squares():
+        return held.model.choices, True
+    # The search begins without effects, but with the weights that they leave.
+    free.model.choices = []
+    free.run()
+    if error < _NEARLY_AS_GOOD * free.model.mean_squares():
+        return held.model.choices, True
+    return free.model.choices, False

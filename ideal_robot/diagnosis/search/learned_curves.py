@@ -1,0 +1,76 @@
+"""What the library does not have: curves over signals, taken where they explain clearly more than any effect."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.diagnosis.search.choice import Choice, Scored
+from ideal_robot.diagnosis.search.scoring import Scoring
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.dependence import Sieve, terms, time_period
+from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.effects import TCP_POSITION
+
+_TESTED = 6
+"""Curves of a channel that are tested on blocks left out, at most."""
+
+
+class LearnedCurves:
+    """Looks for curves in what the present model leaves.
+
+    Args:
+        scoring: of the present model.
+        rng: for the null distribution.
+    """
+
+    def __init__(self, scoring: Scoring, rng: np.random.Generator) -> None:
+        self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
+        self.sieve = Sieve(scoring.at_rows, self.model.problem.blocks.edges, rng)
+
+    def best(self, fit: Fit, best: Choice | None) -> Choice | None:
+        """A learned curve, if it reduces the residual clearly more than the best effect of the library.
+
+        Args:
+            fit: of the present model.
+            best: the best effect of this round, or None.
+        """
+        least = 0.0
+        if best is not None:
+            least = self.options.unknown_margin * self.scoring.tested(fit, best.candidate).test.total
+        problem = self.model.problem
+        residual = self.model.residual(fit)
+        selecting = problem.blocks.selecting[problem.blocks.of_samples()]
+        scored: list[Scored] = []
+        for j in range(problem.products.c):
+            if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
+                continue
+            scored += self._of_channel(fit, residual, j, problem.products.use[:, j] & selecting, best is None, least)
+        scored = [s for s in scored if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
+                  and s.test.total > least and not self._taken(s.candidate)]
+        if not scored:
+            return None
+        s = max(scored, key=lambda s: s.test.total)
+        return Choice(s.candidate, s.p_value, (), s.share, s.dependence)
+
+    def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
+                    least: float) -> list[Scored]:
+        """Curves of channel ``j`` tested on blocks left out; ``least`` is what they have to take away."""
+        regression = self.model.problem.regression
+        squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
+        at_rows = self.scoring.at_rows
+        tests = [self.sieve.test(residual[:, j], use, j, term) for term in terms(at_rows, j, pairs, regression.domain)]
+        period = time_period(residual[:, j], use, at_rows.t, regression.domain)
+        if period is not None:
+            tests.append(self.sieve.test(residual[:, j], use, j, period))
+        tests.sort(key=lambda d: -(d.share - d.expected))
+        # Only a sieve: what is promising is tested on blocks left out, corrected for all curves looked at.
+        promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
+        scored = []
+        for d in promising[:_TESTED]:
+            candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
+            self.model.design.add(candidate.key, self.model.problem.columns(candidate))
+            scored.append(self.scoring.tested(fit, candidate, d))
+        return scored
+
+    def _taken(self, candidate: Candidate) -> bool:
+        return any(c.candidate.key == candidate.key for c in self.model.choices)

@@ -1,0 +1,102 @@
+"""The stages of a diagnosis, in their order: each says of a case and of what was found before it what it finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import about_model, with_reversal_width
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.other_channels import diagnosed_channels
+from ideal_robot.diagnosis.search.forward_selection import Search
+from ideal_robot.diagnosis.search.known_model import selected_against
+from ideal_robot.diagnosis.statistics.prior import prior_precision
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.reversal_width import reversal_widths
+from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.transfer import transferring
+from ideal_robot.effects import MOTOR_TORQUE, library
+from ideal_robot.model.model import Model
+
+
+def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
+    """The regression of the motor torques about the model that is known, or about the nominal one."""
+    start = case.given if case.given is not None else Model.nominal(case.robot)
+    regression = case.torque_regression(case.recording, start)
+    dt = float(regression.t[1] - regression.t[0])
+    blocks = time_blocks(len(regression.t), dt, held_out=case.validate is None)
+    return Findings(start, Problem(regression, blocks), warnings=warnings)
+
+
+def baseline(case: Case, found: Findings) -> Findings:
+    """How sharply friction changes sign, and without a known model its parameters from the recording itself."""
+    if not case.shared:
+        return found
+    start, problem = found.start, found.problem
+    width = reversal_widths(problem, start)
+    problem = problem.with_regression(with_reversal_width(problem.regression, start, width))
+    if case.given is None:
+        start = with_parameters(start, problem.fit().change)
+        problem = problem.with_regression(about_model(problem.regression, start))
+    return replace(found, start=start, problem=problem, reversal_width=width)
+
+
+def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
+    """Effects that the motor torques show, selected one by one."""
+    effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
+    problem, warnings = found.problem, found.warnings
+    if case.given is None or not np.any(found.start.covariance):
+        choices = Search(problem, effects, case.options, case.rng, absorbed=False, only=case.only,
+                         progress=case.progress).run()
+    else:
+        prior = prior_precision(found.start, problem)
+        choices, holds = selected_against(problem, prior, effects, case.options, case.rng, only=case.only,
+                                          progress=case.progress)
+        problem = problem.with_prior(prior if holds else None)
+        if not holds:
+            warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
+                         "parameters are therefore not listed as effects",)
+    found = replace(found, problem=problem, choices=tuple(choices), warnings=warnings)
+    # The columns of some effects follow from the model; with the effects in it they are taken once more.
+    return replace(found, problem=problem.with_regression(_with_signals(case, found, problem.regression)))
+
+
+def found_but_not_added(case: Case, found: Findings) -> Findings:
+    """Effects that make the error of the validation recording worse are dropped."""
+    if case.validate is None:
+        return found
+    validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
+                                        reversal_width=found.reversal_width)
+    validation = _with_signals(case, found, validation)
+    kept, dropped = transferring(found.problem, found.choices, validation)
+    return replace(found, choices=tuple(kept), validation=validation, not_transferred=dropped)
+
+
+def joint_fit(case: Case, found: Findings) -> Findings:
+    """Parameters and effects of the motor torque, fitted together to all of the recording."""
+    final = found.problem.on_all_blocks().fit([c.candidate for c in found.choices], uncertainty=True)
+    torque = DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
+                             case.recording.hash)
+    return replace(found, domains=(torque,))
+
+
+def effects_of_other_channels(case: Case, found: Findings) -> Findings:
+    """Arm angles, TCP positions, force sensor and camera, as far as the recording has them."""
+    return replace(found, domains=(*found.domains, *diagnosed_channels(case, found)))
+
+
+def errors_before_and_after(case: Case, found: Findings) -> Findings:
+    """Errors on data that had no part in finding anything, and what the residual depends on."""
+    return replace(found, results=tuple(domain.result(case.rng) for domain in found.domains))
+
+
+def _with_signals(case: Case, found: Findings, regression: Regression) -> Regression:
+    """A regression with the signals that follow from the model as it is with the selected effects."""
+    if not found.choices or not case.shared:
+        return regression
+    change = found.problem.fit([c.candidate for c in found.choices]).change
+    return replace(regression, signals=about_model(regression, with_parameters(found.start, change)).signals)

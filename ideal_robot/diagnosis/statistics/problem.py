@@ -1,0 +1,117 @@
+"""The problem of a diagnosis: a regression, its blocks of time, and what is known of its parameters beforehand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.blocks import Blocks
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.statistics.block_products import BlockProducts, Columns
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.estimate import Estimate
+from ideal_robot.diagnosis.statistics.least_squares import Design, Fit, weights_of_channels
+
+_ROUNDS = 2
+"""Refits after which the channels' weights of the final fit have settled."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What every fit, test and report of a domain starts from.
+
+    Attributes:
+        regression: what was measured, what is expected, what may change.
+        blocks: of its rows.
+        prior: precision of the model's parameters about zero ``(P, P)``, in the units of the weighted squares; None
+            where they are free.
+    """
+
+    regression: Regression
+    blocks: Blocks
+    prior: Array | None = None
+
+    @cached_property
+    def products(self) -> BlockProducts:
+        """The rows, masked and ready for cross-products of blocks."""
+        r = self.regression
+        return BlockProducts(r.y, r.W, r.use, self.blocks)
+
+    def with_regression(self, regression: Regression) -> Problem:
+        """The same problem about another model."""
+        return replace(self, regression=regression)
+
+    def with_prior(self, prior: Array | None) -> Problem:
+        """The same problem with other knowledge of its parameters; cross-products are kept."""
+        made = replace(self, prior=prior)
+        made.__dict__["products"] = self.products
+        return made
+
+    def on_all_blocks(self) -> Problem:
+        """The same problem where all blocks estimate: for numbers that are reported, not for selection."""
+        return replace(self, blocks=self.blocks.without_folds())
+
+    def prepared(self, columns: Array) -> Columns:
+        """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
+        channels = np.flatnonzero(np.any(columns != 0.0, axis=(0, 2)))
+        small = self.regression.decimate(np.ascontiguousarray(columns[:, channels]))
+        values = small * self.regression.use[:, channels, None]
+        return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))
+
+    def columns(self, candidate: Candidate) -> Columns:
+        """A candidate's columns at the rows of the regression."""
+        return self.prepared(candidate.effect.columns(self.regression.signals, candidate.joint, candidate.theta))
+
+    def design(self, effects: Sequence[Candidate] = ()) -> Design:
+        """Parameters of the model and columns of effects, with their cross-products."""
+        design = Design(self.products)
+        for candidate in effects:
+            design.add(candidate.key, self.columns(candidate))
+        return design
+
+    def fit(self, effects: Sequence[Candidate] = (), *, uncertainty: bool = False) -> Estimate:
+        """Fits the model's parameters and effects together on the estimating blocks.
+
+        Args:
+            effects: with their theta.
+            uncertainty: whether standard deviations are wanted; theta's derivative columns then join the fit.
+        """
+        design = self.design(effects)
+        keys = ["W", *[c.key for c in effects]]
+        weights = weights_of_channels(design, keys, self.prior, _ROUNDS)
+        fit = Fit(design, keys, weights, self.prior)
+        p = self.products.W.m
+        sizes = [design.groups[c.key].m for c in effects]
+        parts = np.split(fit.beta, np.cumsum([p, *sizes])[:-1]) if effects else [fit.beta]
+        if not uncertainty:
+            return Estimate(parts[0], np.zeros((p, p)), tuple(parts[1:]), (), ())
+        moved = [self._add_theta_columns(design, c, own) for c, own in zip(effects, parts[1:], strict=True)]
+        extra = [key for keys_of in moved for key in keys_of if key is not None]
+        weights = fit.refitted_weights()
+        covariance = Fit(design, [*keys, *extra], weights, self.prior).covariance()
+        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        std = np.split(sigma[: p + sum(sizes)], np.cumsum([p, *sizes])[:-1])[1:] if effects else []
+        where = {key: p + sum(sizes) + i for i, key in enumerate(extra)}
+        theta_std = [np.array([0.0 if key is None else sigma[where[key]] for key in keys_of]) for keys_of in moved]
+        return Estimate(parts[0], covariance[:p, :p], tuple(parts[1:]), tuple(std), tuple(theta_std))
+
+    def _add_theta_columns(self, design: Design, candidate: Candidate, coefficients: Array) -> list[str | None]:
+        """Adds, for each physical theta, what moving it changes in the prediction, ``dC/dtheta c``; names of groups."""
+        signals, theta = self.regression.signals, candidate.theta
+        physical = candidate.effect.theta_is_physical and bool(candidate.effect.bounds(signals, candidate.joint))
+        keys: list[str | None] = []
+        for i, value in enumerate(theta):
+            if not physical or value == 0.0:
+                keys.append(None)
+                continue
+            step = 1e-3 * max(abs(value), 1e-6)
+            sides = [candidate.effect.columns(signals, candidate.joint, (*theta[:i], value + sign * step,
+                                                                          *theta[i + 1 :])) @ coefficients
+                     for sign in (1.0, -1.0)]
+            keys.append(f"d{i}:{candidate.key}")
+            design.add(f"d{i}:{candidate.key}", self.prepared(((sides[0] - sides[1]) / (2.0 * step))[:, :, None]))
+        return keys

@@ -1,0 +1,134 @@
+"""One domain of a diagnosis: what was selected in it, and its errors before and after on held-out data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.search.choice import Choice
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.validation.evidence import discriminating_motion, ranked_structure
+from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, Structure, Traces
+from ideal_robot.diagnosis.validation.transfer import deciding
+from ideal_robot.effects import SENSOR
+
+
+@dataclass(frozen=True)
+class DomainResult:
+    """What one domain adds to the diagnosis."""
+
+    channels: tuple[ChannelResult, ...]
+    found: tuple[FoundEffect, ...]
+    before: tuple[Structure, ...]
+    remaining: tuple[Structure, ...]
+    traces: tuple[tuple[str, ...], Traces]
+
+
+@dataclass(frozen=True)
+class DomainDiagnosis:
+    """A domain after its search.
+
+    Attributes:
+        problem: that was searched.
+        choices: what was selected.
+        final: the fit to all of the recording, with uncertainty.
+        validation: the regression of the validation recording, or None.
+        given: whether the model was given, so that "before" is the model as it was.
+        source: hash of the recording.
+    """
+
+    problem: Problem
+    choices: list[Choice]
+    final: Estimate
+    validation: Regression | None
+    given: bool
+    source: str
+
+    @property
+    def effects(self) -> list[Candidate]:
+        """The selected effects with their theta."""
+        return [choice.candidate for choice in self.choices]
+
+    @property
+    def reported(self) -> Regression:
+        """The regression whose errors are reported."""
+        return self.validation or self.problem.regression
+
+    @property
+    def held_out(self) -> np.ndarray:
+        """Samples on which errors are reported ``(N,)``."""
+        if self.validation is not None:
+            return ~deciding(self.validation)
+        blocks = self.problem.blocks
+        return np.asarray(~blocks.selecting[blocks.of_samples()])
+
+    @property
+    def held_out_seconds(self) -> float:
+        """How much time they are."""
+        t = self.reported.t
+        return float(self.held_out.sum() * (t[1] - t[0]))
+
+    def result(self, rng: np.random.Generator) -> DomainResult:
+        """Errors of each step, effects with their numbers, and what the residual depends on."""
+        effects, own, reported = self.effects, self.problem.regression, self.reported
+        steps = [self.problem.fit(effects[:k]) for k in range(len(effects) + 1)]
+        residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
+        before = reported.y if self.given else residuals[0]
+        levels = [self._rms(r) for r in residuals]
+        start, signal = self._rms(before), self._rms(reported.measured)
+        channels = tuple(ChannelResult(name, unit, float(start[j]), float(levels[0][j]), float(levels[-1][j]),
+                                       float(reported.noise_floor[j]), float(signal[j]))
+                         for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True)))
+        # An effect that could as well be a change of the model's parameters is measured against the model as it was.
+        if self.given:
+            levels[0] = start
+        found = tuple(self._found(k, choice, levels) for k, choice in enumerate(self.choices))
+        # Dependences are looked for in the recording that the fit was made on.
+        first = own.y if self.given else steps[0].residual(own, [])
+        structure = [ranked_structure(self.problem, r, rng) for r in (first, steps[-1].residual(own, effects))]
+        at = reported.decimated_signals()
+        traces = Traces(reported.t, reported.measured, before, residuals[-1], reported.use, self.held_out, at.q, at.qd,
+                        tuple(steps[-1].contributions(reported, effects)))
+        return DomainResult(channels, found, structure[0], structure[1], (reported.channels, traces))
+
+    def _rms(self, values: Array) -> Array:
+        return rms(values, self.reported.use & self.held_out[:, None])
+
+    def _found(self, k: int, choice: Choice, levels: Sequence[Array]) -> FoundEffect:
+        """The effect of a choice; ``levels`` are the errors ``(c,)`` with the first 0, 1, … effects."""
+        candidate = choice.candidate
+        effect = candidate.effect
+        j = self._channel(k, candidate, levels)
+        rivals = tuple(dict.fromkeys(name for name, _, _ in choice.rivals if name != effect.name))
+        before, after = float(levels[k][j]), float(levels[k + 1][j])
+        transfers = None if self.validation is None else bool(levels[k + 1][j] < levels[k][j])
+        evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
+                    "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source}
+        sliding = effect.depends_on_joint and candidate.joint > 0 and self.reported.prismatic[candidate.joint - 1]
+        fitted = fitted_effect(candidate, self.final, k, sliding=sliding, evidence=evidence)
+        names = tuple(choice.dependence.names) if choice.dependence is not None else ()
+        return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
+                           transfers, names)
+
+    def _channel(self, k: int, candidate: Candidate, levels: Sequence[Array]) -> int:
+        """Index of the channel in which an effect is reported: its own, else where it reduces the error most."""
+        reported = self.reported
+        own = reported.channel_of(candidate.joint)
+        if own is not None:
+            return own
+        if reported.domain == SENSOR:
+            # Not where it reduces most by chance, but where it is largest against the noise.
+            added = self.final.contributions(reported, self.effects)[k]
+            return int(np.argmax(np.sqrt(np.mean(added**2, axis=0)) / (reported.noise_floor + 1e-300)))
+        return int(np.argmax((levels[k] - levels[k + 1]) / (levels[k] + 1e-300)))
+
+
+def rms(values: Array, use: np.ndarray) -> Array:
+    """Root mean square per channel ``(c,)`` of values ``(N, c)`` over the samples that count ``(N, c)``."""
+    return np.asarray(np.sqrt((values**2 * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1)))
