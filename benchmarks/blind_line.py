@@ -12,14 +12,12 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import argparse
-import tempfile
 import time
 from collections import Counter
-from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.robots.robot import Robot
 from trials.line import KINDS, draw_line_trial, gantry
+from trials.report import arm_of
 
 
 def main() -> None:
@@ -33,10 +31,7 @@ def main() -> None:
     grouped: Counter[str] = Counter()
     right_number = 0
     start = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "gantry.urdf"
-        urdf.write_text(gantry(), encoding="utf-8")
-        robot = Robot.load(urdf)
+    with arm_of(gantry()) as robot:
         for seed in range(arguments.first, arguments.first + arguments.count):
             kind, size, recording = draw_line_trial(seed)
             found = [e for e in diagnose(recording, robot).effects if e.fitted.channel == "line"]

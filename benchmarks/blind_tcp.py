@@ -15,15 +15,13 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import argparse
 import dataclasses
-import tempfile
 import time
-from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import SENSOR
-from ideal_robot.robots.robot import Robot
 from trials.force import draw_force_trial
-from trials.score import Score, confusion, rates, score
+from trials.report import arm_of, line_of, tables, write_tables
+from trials.score import Score, score
 from trials.tcp import KINDS, draw_tcp_trial
 
 
@@ -31,10 +29,8 @@ def play(seed: int, kind: str | None, force: bool) -> Score:
     """Draws, diagnoses and scores one trial."""
     trial = (draw_force_trial if force else draw_tcp_trial)(seed, kind)
     start = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "arm.urdf"
-        urdf.write_text(trial.urdf, encoding="utf-8")
-        found = diagnose(trial.recording, Robot.load(urdf))
+    with arm_of(trial.urdf) as robot:
+        found = diagnose(trial.recording, robot)
     if force:
         # Contact also shows in motor torques, of which these trials do not ask.
         effects = tuple(e for e in found.effects if e.fitted.domain == SENSOR)
@@ -67,20 +63,14 @@ def main() -> None:
     for seed in range(options.first, options.first + options.count):
         s = play(seed, options.kind, options.force)
         scores.append(s)
-        print(f"{'ok ' if s.right else 'BAD'} {s.seed} {s.kind:8s} {s.seconds:5.1f} s  true {s.truth}  "
-              f"found {s.verdict} {s.found}", flush=True)
+        print(line_of(s), flush=True)
         if time.monotonic() - begun > 60.0 * options.minutes:
             break
-    text = "\n".join([rates(scores), "", confusion(scores)])
+    text = tables(scores)
     print(text)
     if options.write:
-        page = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
-        what = "force" if options.force else "tcp"
-        first, last = f"<!-- blind trials {what} -->\n", f"<!-- end of blind trials {what} -->"
-        before, _, rest = page.read_text(encoding="utf-8").partition(first)
-        after = rest.partition(last)[2]
         seeds = f"Seeds {scores[0].seed} to {scores[-1].seed}, played once.\n\n"
-        page.write_text(f"{before}{first}{seeds}{text}\n{last}{after}", encoding="utf-8")
+        write_tables(f"blind trials {'force' if options.force else 'tcp'}", seeds + text)
 
 
 if __name__ == "__main__":

@@ -14,19 +14,17 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 import argparse
 import dataclasses
-import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.robots.robot import Robot
-from trials.score import Score, confusion, rates, score
+from trials.report import arm_of, line_of, tables, write_tables
+from trials.score import Score, score
 from trials.torque import KINDS, draw_trial
 
 ORACLE = bool(os.environ.get("BLIND_ORACLE"))
-"""Whether an oracle that is told names and joints diagnoses too, for the ratio of held-out errors; twice the time."""
+"""Whether an oracle that knows names and joints diagnoses too, for the ratio of held-out errors; twice the time."""
 
 
 def play(job: tuple[int, str | None]) -> Score:
@@ -34,10 +32,7 @@ def play(job: tuple[int, str | None]) -> Score:
     seed, kind = job
     trial = draw_trial(seed, kind)
     start = time.process_time()
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "arm.urdf"
-        urdf.write_text(trial.urdf, encoding="utf-8")
-        robot = Robot.load(urdf)
+    with arm_of(trial.urdf) as robot:
         model = None
         if trial.reference is not None:
             model = diagnose(trial.reference, robot).model
@@ -46,8 +41,8 @@ def play(job: tuple[int, str | None]) -> Score:
         seconds = time.process_time() - start
         ratio = None
         if ORACLE and trial.kind in ("inside", "two"):
-            told = diagnose(trial.recording, robot, only=trial.truth)
-            ratio = max(found.channels[j - 1].rms_after / told.channels[j - 1].rms_after for _, j in trial.truth)
+            oracle = diagnose(trial.recording, robot, only=trial.truth)
+            ratio = max(found.channels[j - 1].rms_after / oracle.channels[j - 1].rms_after for _, j in trial.truth)
     return score(trial.seed, trial.kind, trial.truth, trial.outside, found, seconds, ratio)
 
 
@@ -73,21 +68,16 @@ def main() -> None:
         for s in (pool.map(play, jobs) if options.processes > 1 else map(play, jobs)):
             scores.append(s)
             if not options.quiet:
-                mark = "ok " if s.right else "BAD"
-                print(f"{mark} {s.seed} {s.kind:8s} {s.seconds:5.1f} s  true {s.truth}  found {s.verdict} {s.found}",
-                      flush=True)
+                print(line_of(s), flush=True)
             if time.monotonic() - begun > 60.0 * options.minutes:
                 pool.shutdown(wait=False, cancel_futures=True)
                 break
-    text = "\n".join([rates(scores), "", confusion(scores)])
+    text = tables(scores)
     print(text)
     print("kinds:", dict(Counter(s.kind for s in scores)),
           f"CPU {sum(s.seconds for s in scores) / len(scores):.1f} s a trial")
     if options.write:
-        page = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
-        before, _, rest = page.read_text(encoding="utf-8").partition("<!-- blind trials -->\n")
-        after = rest.partition("<!-- end of blind trials -->")[2]
-        page.write_text(f"{before}<!-- blind trials -->\n{text}\n<!-- end of blind trials -->{after}", encoding="utf-8")
+        write_tables("blind trials", text)
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ class Trial:
         urdf: text of the URDF for the diagnosis.
         truth: the effects drawn: name, joint from 1 (0 for the whole arm).
         outside: whether the effect is outside the library.
-        oracle: torque or angle ``(N, n)`` that the effects added, for an oracle that is told their form.
+        oracle: torque or angle ``(N, n)`` that the effects added, for an oracle that knows their form.
         reference: a recording of the same arm without the effect, for kinds that need a model; None for others.
     """
 

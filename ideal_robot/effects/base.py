@@ -191,8 +191,10 @@ class Effect(ABC):
         """The physical numbers to report; by default the coefficients and theta as they are.
 
         Args:
-            coefficients, std: estimates and their standard deviations ``(m,)``, in ``coefficient_units``.
-            theta, theta_std: the same of the nonlinear parameters, in ``theta_units``.
+            coefficients: estimates ``(m,)``, in ``coefficient_units``.
+            std: their standard deviations ``(m,)``.
+            theta: the nonlinear parameters, in ``theta_units``.
+            theta_std: their standard deviations.
         """
         linear = [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                   zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=True)]

@@ -56,11 +56,11 @@ class Unknown(Effect):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """None: a curve has no physical numbers."""
+        """See ``Effect.parameters``. None: a curve has no physical numbers."""
         return []
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, m)``: the basis functions on the joint's channel."""
+        """See ``Effect.columns``. Shape ``(N, n, m)``: the basis functions on the joint's channel."""
         basis = self.basis(signals)
         if self.directed:
             basis = basis * signals.sliding_direction(joint)[:, None]
@@ -84,7 +84,16 @@ class Unknown(Effect):
 
 
 def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
-    """Cubic B-splines on ``knots`` (ends included) at ``x (N,)``, fading to zero outside: ``(N, len(knots) + 2)``."""
+    """Cubic B-splines, fading to zero outside of their knots.
+
+    Args:
+        x: where, in the signal's unit ``(N,)``.
+        knots: ends included, in the same unit.
+        margin: share of the knots' range over which they fade.
+
+    Returns:
+        Shape ``(N, len(knots) + 2)``.
+    """
     inner = np.asarray(knots)
     full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
     basis = BSpline.design_matrix(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)), full, 3).toarray()

@@ -1,0 +1,1 @@
+"""Regressions of what a recording has: motor torques, arm angles, TCP, force sensor, camera."""

@@ -41,7 +41,13 @@ class Blocks:
 
 
 def time_blocks(samples: int, dt: float, held_out: bool) -> Blocks:
-    """Cuts ``samples`` into about 32 blocks, of half a second at least; every fourth is held out if asked for."""
+    """Cuts a recording into about 32 blocks of time, of half a second at least.
+
+    Args:
+        samples: how many there are.
+        dt: between them [s].
+        held_out: whether every fourth block only reports.
+    """
     count = int(np.clip(samples * dt / 0.5, 8, 32))
     edges = np.linspace(0, samples, count + 1).astype(int)
     number = np.arange(count)

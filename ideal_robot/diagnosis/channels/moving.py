@@ -24,7 +24,8 @@ def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
 
     Args:
         t: times ``(N,)`` [s], evenly spaced.
-        q, qd: positions and velocities ``(N, n)`` [rad, rad/s].
+        q: positions ``(N, n)`` [rad or m].
+        qd: velocities ``(N, n)`` [rad/s or m/s].
         v_small: velocities below which the direction is lost in noise ``(n,)`` [rad/s].
         rest: passages through low speed shorter than that count as motion [s].
         robot: which joints slide.

@@ -52,7 +52,8 @@ def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: f
 
     Args:
         model: the present model.
-        best, other: both scored against it.
+        best: scored against it.
+        other: likewise.
         share: of the best one's reduction that the other has to reach.
     """
     if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
@@ -64,7 +65,13 @@ def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: f
 
 
 def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:
-    """Whether two candidates act on a common channel, so that one can stand for the other."""
+    """Whether two candidates act on a common channel, so that one can stand for the other.
+
+    Args:
+        model: the present model.
+        a: a candidate.
+        b: another one.
+    """
     groups = model.design.groups
     ours, theirs = (set(groups[c.key].channels) for c in (a, b) if c.key in groups)
     same = a.joint == b.joint or not a.joint or not b.joint

@@ -1,5 +1,7 @@
-"""The search: effects are added one by one, each fitted together with all parameters, compared with its rivals on
-blocks of time that had no part in the fit, and taken out again when later ones make it superfluous.
+"""The search: forward selection of effects, with pruning and exchange.
+
+They are added one by one, each fitted together with all parameters, compared with its rivals on blocks of time that had
+no part in the fit, and taken out again when later ones make it superfluous.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import numpy as np
 from ideal_robot.diagnosis.search.choice import Choice, Scored
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.candidate import Candidate
-from ideal_robot.diagnosis.statistics.dependence import Sieve, terms, time_period
+from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.effects import TCP_POSITION
 
@@ -25,7 +25,7 @@ class LearnedCurves:
 
     def __init__(self, scoring: Scoring, rng: np.random.Generator) -> None:
         self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
-        self.sieve = Sieve(scoring.at_rows, self.model.problem.blocks.edges, rng)
+        self.dependence = DependenceTest(scoring.at_rows, self.model.problem.blocks.edges, rng)
 
     def best(self, fit: Fit, best: Choice | None) -> Choice | None:
         """A learned curve, if it reduces the residual clearly more than the best effect of the library.
@@ -58,12 +58,13 @@ class LearnedCurves:
         regression = self.model.problem.regression
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
         at_rows = self.scoring.at_rows
-        tests = [self.sieve.test(residual[:, j], use, j, term) for term in terms(at_rows, j, pairs, regression.domain)]
+        tests = [self.dependence.test(residual[:, j], use, j, term)
+                 for term in terms(at_rows, j, pairs, regression.domain)]
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
         if period is not None:
-            tests.append(self.sieve.test(residual[:, j], use, j, period))
+            tests.append(self.dependence.test(residual[:, j], use, j, period))
         tests.sort(key=lambda d: -(d.share - d.expected))
-        # Only a sieve: what is promising is tested on blocks left out, corrected for all curves looked at.
+        # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
         promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
         scored = []
         for d in promising[:_TESTED]:

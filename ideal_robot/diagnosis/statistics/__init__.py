@@ -1,0 +1,1 @@
+"""Fits and tests on blocks of time."""

@@ -61,7 +61,14 @@ def signal_names(signals: Signals, channel: int) -> list[str]:
 
 
 def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TORQUE) -> list[Unknown]:
-    """Curves to try on a channel: single signals, directed ones, and with ``pairs`` products of two."""
+    """Curves to try on a channel: of single signals, and times the direction of motion.
+
+    Args:
+        signals: at the rows of the residual.
+        channel: index of the channel.
+        pairs: whether products of two signals are tried too.
+        domain: of the channel.
+    """
     names = signal_names(signals, channel)
     result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), domain=domain)
               for name in names for intervals in (_SLOW if name == "t" else (9,))]
@@ -80,7 +87,7 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
     return result
 
 
-class Sieve:
+class DependenceTest:
     """Tests many curves on residuals at the same samples; bases are computed once.
 
     Args:
@@ -96,7 +103,14 @@ class Sieve:
         self._curves: dict[tuple[str, tuple[float, ...]], Array] = {}
 
     def test(self, residual: Array, use: np.ndarray, channel: int, term: Unknown) -> Dependence:
-        """Tests one curve on one channel's residual ``(N,)``; ``use (N,)`` says which samples count."""
+        """Tests one curve on one channel's residual.
+
+        Args:
+            residual: of the channel ``(N,)``, in its unit.
+            use: samples that count ``(N,)``.
+            channel: its index.
+            term: the curve.
+        """
         columns = self._basis(term, channel) * use[:, None]
         r = np.where(use, residual, 0.0)
         count = max(float(use.sum()), 1.0)
@@ -139,7 +153,14 @@ class Sieve:
 
 
 def time_period(residual: Array, use: np.ndarray, t: Array, domain: Domain) -> Unknown | None:
-    """The strongest oscillation over time of a residual as a candidate term; None for a short recording."""
+    """The strongest oscillation over time of a residual as a candidate term; None for a short recording.
+
+    Args:
+        residual: of a channel ``(N,)``, in its unit.
+        use: samples that count ``(N,)``.
+        t: times ``(N,)`` [s], evenly spaced.
+        domain: of the channel.
+    """
     r = np.where(use, residual, 0.0)
     N = len(r)
     if N < 64:

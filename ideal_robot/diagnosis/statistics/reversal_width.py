@@ -58,8 +58,7 @@ def _remaining(problem: Problem, design: Design, weights: Array, law: FrictionMo
                speed: float) -> float:
     """Weighted squares that remain if friction of joint ``j`` changes sign over ``speed``.
 
-    Args:
-        first: where its coefficients stand among the parameters.
+    Its coefficients stand from ``first`` on among the parameters.
     """
     s = problem.regression.signals
     qd, load, q = (values[:, [j]] for values in (s.qd, s.load, s.q))

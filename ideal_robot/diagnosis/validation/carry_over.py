@@ -18,7 +18,8 @@ def log_reduction(without: Array, present: Array, channel: int | None) -> float:
     """Logarithm of the error without an effect over that with it.
 
     Args:
-        without, present: error of each channel ``(c,)``.
+        without: error of each channel ``(c,)``, in their units.
+        present: the same with it.
         channel: the effect's own; None takes the mean over all.
     """
     ratio = np.log(without / present)

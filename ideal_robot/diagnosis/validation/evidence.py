@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.dependence import Dependence, Sieve, terms
+from ideal_robot.diagnosis.statistics.dependence import Dependence, DependenceTest, terms
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.result import Structure
 from ideal_robot.effects import library
@@ -32,10 +32,10 @@ def ranked_structure(problem: Problem, residual: Array, rng: np.random.Generator
     """
     regression, use = problem.regression, problem.products.use
     signals = regression.decimated_signals()
-    sieve = Sieve(signals, problem.blocks.edges, rng)
+    dependence = DependenceTest(signals, problem.blocks.edges, rng)
     result = []
     for j, channel in enumerate(regression.channels):
-        tests = [sieve.test(residual[:, j], use[:, j], j, term)
+        tests = [dependence.test(residual[:, j], use[:, j], j, term)
                  for term in terms(signals, j, False, regression.domain)]
         limit = 0.01 / max(len(tests) * len(regression.channels), 1)
         clear: list[Dependence] = [d for d in tests if d.p_value < limit and d.share - d.expected > 0.01]

@@ -34,7 +34,9 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     parameters of before would count twice what both describe.
 
     Args:
-        recording, robot, model: as for ``diagnose``.
+        recording: as for ``diagnose``.
+        robot: likewise.
+        model: likewise.
         effects: name and joint (from 1) of each.
 
     Raises:
@@ -62,7 +64,9 @@ def named_camera_effect(recording: Recording, robot: Robot, model: Model, name: 
     """An effect of the camera by its name, fitted to all of a line-following recording.
 
     Args:
-        recording, robot, model: as for ``diagnose``.
+        recording: as for ``diagnose``.
+        robot: likewise.
+        model: likewise.
         name: of the effect.
 
     Raises:

@@ -53,7 +53,7 @@ class FoundEffect:
     Attributes:
         fitted: the effect with its numbers.
         rms_before, rms_after: of its channel on held-out data without and with it, those before it being in the model.
-        p_value: paid for all values of theta that were tried.
+        p_value: corrected for all values of theta that were tried.
         indistinguishable_from: effects that these data cannot tell from it.
         would_tell: what motion would tell them apart.
         transfers: whether it also lowers the error on the validation recording; None without one.

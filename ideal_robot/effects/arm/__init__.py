@@ -1,0 +1,1 @@
+"""Effects as measured arm angles show them."""

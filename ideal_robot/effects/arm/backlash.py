@@ -44,10 +44,13 @@ class ArmBacklash(Effect):
         return [(5e-6 * span, 0.01 * span)]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``: scaled by the gap so that the coefficient of a pure play is one."""
+        """See ``Effect.columns``.
+
+        Shape ``(N, n, 1)``: scaled by the gap so that the coefficient of a pure play is one.
+        """
         q = np.ascontiguousarray(signals.q[:, joint - 1])
         return signals.on_joint(joint, play(q, theta[0]) - q)
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """The arm lags."""
+        """See ``Effect.plausible``. The arm lags."""
         return bool(coefficients[0] > 0.0)

@@ -37,9 +37,9 @@ class ArmBacklashByLoad(Effect):
         return [(0.01 * size, 0.4 * size)]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, -np.tanh(signals.load[:, joint - 1] / theta[0]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """The load pushes the arm away, not towards itself."""
+        """See ``Effect.plausible``. The load pushes the arm away, not towards itself."""
         return bool(coefficients[0] > 0.0)

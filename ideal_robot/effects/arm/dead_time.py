@@ -18,9 +18,9 @@ class ArmDeadTime(Effect):
     source = "first-order expansion of a pure delay"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, -signals.qd[:, joint - 1])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Milliseconds, not tenths of a second."""
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
         return bool(abs(coefficients[0]) < 0.1)

@@ -25,16 +25,16 @@ class ArmElasticity(Effect):
         return float(np.std(signals.load[:, joint - 1])) > 0.0
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, -signals.load[:, joint - 1])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """A spring gives way, it does not push back."""
+        """See ``Effect.plausible``. A spring gives way, it does not push back."""
         return bool(coefficients[0] > 0.0)
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """The stiffness."""
+        """See ``Effect.parameters``. The stiffness."""
         c = float(coefficients[0])
         return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
 

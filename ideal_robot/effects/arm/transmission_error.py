@@ -19,7 +19,7 @@ class TransmissionError(TorqueRipple):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """Amplitude in radians."""
+        """See ``Effect.parameters``. Amplitude in radians."""
         size, phase, order = super().parameters(coefficients, std, theta, theta_std)
         return [EffectParameter(size.name, size.value, size.std, "rad"), phase, order]
 

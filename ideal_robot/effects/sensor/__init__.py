@@ -1,0 +1,1 @@
+"""Effects of force sensors and cameras."""

@@ -25,12 +25,12 @@ class CameraOffset(SeenLineEffect):
     source = "[L] 4.4: calibration of the camera's mounting"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 1, 2)``, or ``(N, 1, 3)`` where a shift across the line can be seen."""
+        """See ``Effect.columns``. Shape ``(N, 1, 2)``, or ``(N, 1, 3)`` where a shift across the line can be seen."""
         names = (*self.needs, ACROSS) if ACROSS in signals.extra else self.needs
         return np.stack([signals.extra[name] for name in names], axis=-1)[:, None, :]
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """What can be seen of the mounting."""
+        """See ``Effect.parameters``. What can be seen of the mounting."""
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]

@@ -38,12 +38,12 @@ class ForceBias(Effect):
         return MOMENTS in signals.extra
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 6, 6)``, or ``(N, 3, 3)`` for a sensor of forces alone."""
+        """See ``Effect.columns``. Shape ``(N, 6, 6)``, or ``(N, 3, 3)`` for a sensor of forces alone."""
         count = 6 if MOMENTS in signals.extra and bool(np.all(signals.extra[MOMENTS] > 0.5)) else 3
         return np.tile(np.eye(count), (len(signals.t), 1, 1))
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """The components of the wrench that the sensor has."""
+        """See ``Effect.parameters``. The components of the wrench that the sensor has."""
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]

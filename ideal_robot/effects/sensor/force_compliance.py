@@ -43,11 +43,14 @@ class ForceCompliance(Effect):
         return CONTACT_FORCE in signals.extra
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Large against what is assumed: a normal that turns with the surface's slope moves that by some percent."""
+        """See ``Effect.plausible``.
+
+        Large against what is assumed: a normal that turns with the surface's slope moves that by some percent.
+        """
         assumed = float(np.max(signals.extra.get(ASSUMED_GIVE, np.zeros(1))))
         return bool(abs(coefficients[0]) > _SMALLEST * assumed)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 1, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, 1, 1)``."""
         force = signals.extra.get(CONTACT_FORCE, np.zeros(len(signals.t)))
         return -np.asarray(force)[:, None, None]

@@ -39,5 +39,5 @@ class SeenLineEffect(Effect):
         return all(name in signals.extra for name in self.needs)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 1, m)``."""
+        """See ``Effect.columns``. Shape ``(N, 1, m)``."""
         return np.stack([signals.extra[name] for name in self.needs], axis=-1)[:, None, :]

@@ -1,0 +1,1 @@
+"""Effects as a measured TCP shows them."""

@@ -44,19 +44,19 @@ class AtTool(Effect):
         return self.inner.bounds(signals, joint)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 3, m)``."""
+        """See ``Effect.columns``. Shape ``(N, 3, m)``."""
         inner = self.inner.columns(signals, joint, theta)[:, joint - 1]
         if signals.frames is None:
             return np.zeros((len(signals.t), 3, inner.shape[1]))
         return np.asarray(signals.frames.jacobian[:, :, joint - 1, None] * inner[:, None, :])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """As the angle's effect."""
+        """See ``Effect.plausible``. As the angle's effect."""
         return self.inner.plausible(coefficients, theta, signals, joint)
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """As the angle's effect."""
+        """See ``Effect.parameters``. As the angle's effect."""
         return self.inner.parameters(coefficients, std, theta, theta_std)
 
 

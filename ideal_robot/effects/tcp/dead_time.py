@@ -31,11 +31,11 @@ class ToolDeadTime(Effect):
         return signals.frames is not None
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 3, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, 3, 1)``."""
         if signals.frames is None:
             return np.zeros((len(signals.t), 3, 1))
         return np.asarray(-np.einsum("kij,kj->ki", signals.frames.jacobian, signals.qd)[:, :, None])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Milliseconds, not tenths of a second."""
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
         return bool(abs(coefficients[0]) < 0.1)

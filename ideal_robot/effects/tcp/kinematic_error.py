@@ -33,7 +33,7 @@ class KinematicError(Effect):
         return signals.frames is not None
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 3, 4)``."""
+        """See ``Effect.columns``. Shape ``(N, 3, 4)``."""
         frames = signals.frames
         if frames is None:
             return np.zeros((len(signals.t), 3, 4))
@@ -47,6 +47,6 @@ class KinematicError(Effect):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """Those that can be seen at all."""
+        """See ``Effect.parameters``. Those that can be seen at all."""
         every = super().parameters(coefficients, std, theta, theta_std)
         return [parameter for parameter in every if parameter.value != 0.0]

@@ -37,7 +37,7 @@ class ThermalGrowth(Effect):
         return warming_bounds(signals)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 3, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, 3, 1)``."""
         frames = signals.frames
         if frames is None:
             return np.zeros((len(signals.t), 3, 1))

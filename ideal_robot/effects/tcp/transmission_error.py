@@ -22,14 +22,17 @@ class ToolTransmissionError(TransmissionError):
 
     def visible_part(self, signals: Signals, joint: int, residual: Array,
                      use: np.ndarray) -> tuple[Array, np.ndarray]:
-        """Residual of the TCP ``(N, 3)`` along the joint's motion, so that its spectrum is that of the angle."""
+        """See ``TorqueRipple.visible_part``.
+
+        Residual of the TCP ``(N, 3)`` along the joint's motion, so that its spectrum is that of the angle.
+        """
         if signals.frames is None:
             return np.zeros(len(residual)), use[:, 0]
         lever = signals.frames.jacobian[:, :, joint - 1]
         return np.asarray(np.einsum("ki,ki->k", lever, residual)), np.all(use, axis=1)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, 3, 2)``."""
+        """See ``Effect.columns``. Shape ``(N, 3, 2)``."""
         if signals.frames is None:
             return np.zeros((len(signals.t), 3, 2))
         phase = theta[0] * signals.q[:, joint - 1]

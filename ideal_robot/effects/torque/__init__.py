@@ -1,0 +1,1 @@
+"""Effects as motor torques show them."""

@@ -23,7 +23,7 @@ class AsymmetricFriction(Effect):
     source = "A. Janot, M. Gautier, M. Brunot, data set EMPS: friction of a worn ball screw"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.abs(signals.qd[:, joint - 1]))
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

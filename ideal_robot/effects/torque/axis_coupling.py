@@ -38,7 +38,7 @@ class AxisCoupling(Effect):
         return signals.n > 1
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 3)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 3)``."""
         j, i, sense = joint - 1, int(theta[0]) - 1, theta[1]
         together = signals.direction(signals.qd[:, j] + sense * signals.qd[:, i], joint)
         result = signals.on_joint(joint, signals.qdd[:, i], signals.qd[:, i], together)
@@ -48,6 +48,6 @@ class AxisCoupling(Effect):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """The three coefficients and the partner, which is a choice and has no deviation."""
+        """See ``Effect.parameters``. The three coefficients and the partner, which is a choice and has no deviation."""
         found = super().parameters(coefficients, std, theta, (0.0,) * 3)
         return found

@@ -41,16 +41,16 @@ class Backlash(JointElasticity):
         return [(0.02 * size, 0.6 * size)]
 
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """What a unit coefficient bends the gear by ``(N,)``."""
+        """See ``JointElasticity.bend``."""
         return np.asarray(np.tanh(self.slow_load(signals, joint) / theta[0]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """A gap, not a range of motion."""
+        """See ``Effect.plausible``. A gap, not a range of motion."""
         return bool(0.0 < coefficients[0] < 0.02)
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """Half the gap and the crossing load."""
+        """See ``Effect.parameters``. Half the gap and the crossing load."""
         return Effect.parameters(self, coefficients, std, theta, theta_std)
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

@@ -16,9 +16,9 @@ class CableSpring(Effect):
     source = "hose packs and cables along the arm"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.q[:, joint - 1])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """The motor works against the pull: a spring holds back, it does not push on."""
+        """See ``Effect.plausible``. The motor works against the pull: a spring holds back, it does not push on."""
         return bool(coefficients[0] > 0.0)

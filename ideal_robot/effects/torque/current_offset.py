@@ -19,7 +19,7 @@ class CurrentOffset(Effect):
     source = "[J] section 3: offset of the current sensors"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.ones_like(signals.t))
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

@@ -11,7 +11,13 @@ from ideal_robot.effects.signals import Signals
 
 
 def delayed(values: Array, delay: float, dt: float) -> Array:
-    """``values (N,)`` late by ``delay`` [s], by cubic splines between samples; the ends are held."""
+    """A signal that is late, by cubic splines between samples; the ends are held.
+
+    Args:
+        values: the signal ``(N,)``, in any unit.
+        delay: by which it is late [s].
+        dt: between samples [s].
+    """
     return np.asarray(ndimage.shift(values, delay / dt, order=3, mode="nearest"))
 
 
@@ -40,7 +46,7 @@ class DeadTime(Effect):
     _shortest = 5e-5
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         torque = signals.torque[:, joint - 1]
         return signals.on_joint(joint, (delayed(torque, theta[0], signals.dt) - torque) / theta[0])
 
@@ -59,9 +65,9 @@ class DeadTime(Effect):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """The delay alone; the chord is only how it was computed."""
+        """See ``Effect.parameters``. The delay alone; the chord is only how it was computed."""
         return [EffectParameter("delay", float(coefficients[0]), float(std[0]), "s")]
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Milliseconds, not tenths of a second."""
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
         return bool(abs(coefficients[0]) < self.longest)

@@ -36,11 +36,11 @@ class Degressive(Effect):
         return [(1.5 / top, 80.0 / top)]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.arctan(theta[0] * signals.qd[:, joint - 1]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """The characteristic bends downwards from a rise."""
+        """See ``Effect.plausible``. The characteristic bends downwards from a rise."""
         return bool(coefficients[0] > 0.0)
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

@@ -22,9 +22,9 @@ class DriveGain(Effect):
     source = "[J] (15): drive gains"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.torque[:, joint - 1])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """A gain is positive and not wrong by a factor of three."""
+        """See ``Effect.plausible``. A gain is positive and not wrong by a factor of three."""
         return bool(np.abs(coefficients[0]) < 2.0 and coefficients[0] > -0.7)

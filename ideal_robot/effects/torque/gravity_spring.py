@@ -43,7 +43,7 @@ class GravitySpring(Effect):
         return bool(np.ptp(signals.q[:, joint - 1]) > 0.5)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 2)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
         phi, rho = theta
         angle = signals.q[:, joint - 1] - phi
         length = np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle))
@@ -51,7 +51,7 @@ class GravitySpring(Effect):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """As they are, with the angle within one turn."""
+        """See ``Effect.parameters``. As they are, with the angle within one turn."""
         found = super().parameters(coefficients, std, theta, theta_std)
         angle = found[2]
         return [*found[:2], EffectParameter(angle.name, float(np.angle(np.exp(1j * angle.value))), angle.std,

@@ -15,7 +15,7 @@ _MOTION = 5.0
 
 
 class JointElasticity(Effect):
-    """Seen in the motor torque: the arm moves on ``q_a = q - tau_load/K``, so that
+    """Seen in the motor torque: the arm moves on ``q_a = q - tau_load/K``.
 
         delta tau = tau_rigid(q - tau_load/K, …) - tau_rigid(q, …) ,
 
@@ -32,7 +32,7 @@ class JointElasticity(Effect):
         return signals.rigid is not None and float(np.std(signals.load[:, joint - 1])) > 0.0
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         if signals.rigid is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
         j = joint - 1
@@ -54,7 +54,16 @@ class JointElasticity(Effect):
         return np.asarray((sides[0] - sides[1])[:, :, None] / (2.0 * h))
 
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """What a unit coefficient bends the gear by ``(N,)``."""
+        """What a unit coefficient bends the gear by.
+
+        Args:
+            signals: of ``N`` samples.
+            joint: from 1.
+            theta: nonlinear parameters, in ``theta_units``.
+
+        Returns:
+            Shape ``(N,)``, in rad (m) per unit of the coefficient.
+        """
         return self.slow_load(signals, joint)
 
     def slow_load(self, signals: Signals, joint: int) -> Array:
@@ -67,13 +76,13 @@ class JointElasticity(Effect):
         return load if signals.cutoff is None else lowpass(load, signals.dt, signals.cutoff / _MOTION)
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """A spring holds, and bends by less than a twentieth of a radian in use."""
+        """See ``Effect.plausible``. A spring holds, and bends by less than a twentieth of a radian in use."""
         bend = float(np.max(np.abs(signals.load[:, joint - 1])))
         return bool(0.0 < coefficients[0] * bend < 0.05) if bend else False
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """The stiffness."""
+        """See ``Effect.parameters``. The stiffness."""
         c = float(coefficients[0])
         return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
 

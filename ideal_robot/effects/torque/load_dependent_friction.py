@@ -27,12 +27,12 @@ class LoadDependentFriction(Effect):
         return bool(np.std(load) > 0.05 * (np.mean(load) + 1e-12))
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         direction = signals.sliding_direction(joint)
         return signals.on_joint(joint, np.abs(signals.load[:, joint - 1]) * direction)
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """More load, more friction; never as much as the load itself."""
+        """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""
         return bool(0.0 < coefficients[0] < 1.0)
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

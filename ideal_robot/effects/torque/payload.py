@@ -33,19 +33,22 @@ class Payload(Effect):
         return signals.payload is not None
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 10)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
         if signals.payload is None:
             return np.zeros((len(signals.t), signals.n, 10))
         return signals.payload
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """A body has mass, or one has been taken off: its first moments then share the sign of a plausible lever."""
+        """See ``Effect.plausible``.
+
+        A body has mass, or one has been taken off: its first moments then share the sign of a plausible lever.
+        """
         mass, first = float(coefficients[0]), float(np.linalg.norm(coefficients[1:4]))
         return abs(mass) > 1e-9 and first < 3.0 * abs(mass) + 1e-9
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """Mass, and the centre in the frame of the last joint."""
+        """See ``Effect.parameters``. Mass, and the centre in the frame of the last joint."""
         m = float(coefficients[0])
         centre = [EffectParameter(f"c_{axis}", float(coefficients[i + 1]) / m,
                                   float(np.hypot(std[i + 1] / m, coefficients[i + 1] * std[0] / m**2)), "m")

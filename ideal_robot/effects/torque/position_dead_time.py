@@ -29,7 +29,7 @@ class PositionDeadTime(Effect):
         return signals.n > 1 and signals.rigid is not None
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         if signals.rigid is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
         j, h = joint - 1, self._step
@@ -45,5 +45,5 @@ class PositionDeadTime(Effect):
         return np.asarray(column[:, :, None])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Milliseconds, not tenths of a second."""
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
         return bool(abs(coefficients[0]) < self.longest)

@@ -57,12 +57,12 @@ class PreslidingHysteresis(Effect):
         return [(0.0005 * span, 0.15 * span)]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         z = dahl(np.ascontiguousarray(signals.q[:, joint - 1]), theta[0])
         return signals.on_joint(joint, z - signals.sliding_direction(joint))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Friction opposes motion."""
+        """See ``Effect.plausible``. Friction opposes motion."""
         return bool(coefficients[0] > 0.0)
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

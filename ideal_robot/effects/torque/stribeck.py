@@ -36,12 +36,12 @@ class Stribeck(Effect):
         return [(0.01 * top, 0.5 * top)]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 1)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         qd = signals.qd[:, joint - 1]
         return signals.on_joint(joint, signals.sliding_direction(joint) * np.exp(-np.abs(qd) / theta[0]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """Friction is larger, not smaller, near standstill."""
+        """See ``Effect.plausible``. Friction is larger, not smaller, near standstill."""
         return bool(coefficients[0] > 0.0)
 
     def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:

@@ -47,7 +47,7 @@ class ThermalDrift(Effect):
         return warming_bounds(signals)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 2)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
         qd = signals.qd[:, joint - 1]
         if theta[0] > 0.0:
             warm = 1.0 - np.exp(-signals.t / theta[0])
@@ -59,7 +59,7 @@ class ThermalDrift(Effect):
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """Changes per kelvin where temperature was used."""
+        """See ``Effect.parameters``. Changes per kelvin where temperature was used."""
         if theta[0] > 0.0:
             return super().parameters(coefficients, std, theta, theta_std)
         units = ("N m s/(rad K)", "N m/K")

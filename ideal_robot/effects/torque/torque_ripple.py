@@ -83,13 +83,13 @@ class TorqueRipple(Effect):
         return [(low, min(high, low + 3000.0 * 2.0 / span))]
 
     def bounds_near(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> list[tuple[float, float]]:
-        """Within half a period over the range, where the scan's peak is."""
+        """See ``Effect.bounds_near``. Within half a period over the range, where the scan's peak is."""
         width = 1.5 / float(np.ptp(signals.q[:, joint - 1]))
         return [(theta[0] - width, theta[0] + width)]
 
     def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
                              use: np.ndarray) -> tuple[list[tuple[float, ...]], int]:
-        """Orders at the highest peaks of the residual's spectrum over position."""
+        """See ``Effect.starts_from_residual``. Orders at the highest peaks of the residual's spectrum over position."""
         low, high = self.bounds(signals, joint)[0]
         part, counts = self.visible_part(signals, joint, residual, use)
         orders, tries = spectral_peaks(signals.q[:, joint - 1], part, counts, (low, high))
@@ -108,13 +108,13 @@ class TorqueRipple(Effect):
         return residual[:, joint - 1], use[:, joint - 1]
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """Shape ``(N, n, 2)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
         phase = theta[0] * signals.q[:, joint - 1]
         return signals.on_joint(joint, np.cos(phase), np.sin(phase))
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
-        """Amplitude, phase and order."""
+        """See ``Effect.parameters``. Amplitude, phase and order."""
         a, b = (float(v) for v in coefficients)
         size = float(np.hypot(a, b))
         sigma = float(np.hypot(a * std[0], b * std[1]) / max(size, 1e-12))

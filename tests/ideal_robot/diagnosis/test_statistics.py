@@ -4,7 +4,7 @@ import numpy as np
 
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.statistics.block_products import BlockProducts
-from ideal_robot.diagnosis.statistics.dependence import Sieve, terms
+from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import Design, Fit
 from tests.ideal_robot.effects.test_laws import motion
 
@@ -62,7 +62,7 @@ def test_dependence_is_seen_where_it_is_and_not_where_it_is_not():
     rng = np.random.default_rng(3)
     noise = rng.normal(size=len(signals.t))
     use = np.ones(len(noise), bool)
-    sieve = Sieve(signals, blocks.edges, rng)
+    sieve = DependenceTest(signals, blocks.edges, rng)
     term = next(t for t in terms(signals, 0, pairs=False) if t.depends_on == ("q_2",))
     nothing = sieve.test(noise, use, 0, term)
     something = sieve.test(noise + 1.5 * np.cos(3.0 * signals.q[:, 1]), use, 0, term)
@@ -77,7 +77,7 @@ def test_a_slow_disturbance_is_seen_over_time():
     blocks = time_blocks(len(signals.t), signals.dt, held_out=False)
     rng = np.random.default_rng(5)
     use = np.ones(len(signals.t), bool)
-    sieve = Sieve(signals, blocks.edges, rng)
+    sieve = DependenceTest(signals, blocks.edges, rng)
     of_time = [t for t in terms(signals, 0, pairs=False) if t.depends_on == ("t",) and not t.directed]
     slow = np.sin(2.0 * np.pi * 1.7 * signals.t / signals.t[-1])
     for term in of_time:
