@@ -35,7 +35,7 @@ _WARMTH = 3.0
 """A gear has to warm up by this before its warm-up can be fitted [K]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class IdentificationResult:
     """The identified model and everything behind it.
 
@@ -61,6 +61,12 @@ class IdentificationResult:
     missing: tuple[str, ...] = ()
     linear_loop: LinearLoopFit | None = None
     warm_up: tuple[WarmUp | None, ...] = ()
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{value:.3g}" for value in residual_std(self.result.estimation))
+        return (f"IdentificationResult({self.model.robot_name!r}: std(residual)/std(torque) {errors} % by joint)\n"
+                f"  {len(self.warnings)} warnings; not told by the recordings: "
+                f"{', '.join(text.partition(':')[0] for text in self.missing) or 'nothing'}")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""

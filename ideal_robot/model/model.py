@@ -40,7 +40,7 @@ _SAME_PLACE = 0.02
 """What joint placements may differ by [m, or of a direction cosine]: a calibrated URDF is still of the same arm."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Model:
     """Dynamic model of an arm with ``n`` joints, as written to a model file.
 
@@ -82,6 +82,13 @@ class Model:
                 array = np.array(getattr(self, name), dtype=float)
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
+
+    def __repr__(self) -> str:
+        known = [name for name in ("controller", "stiffness") if getattr(self, name) is not None]
+        effects = ", ".join(f"{effect.name} of joint {effect.joint}" for effect in self.effects[:6])
+        return (f"Model({self.robot_name!r}: {self.n} joints, {len(self.base_values)} base parameters, "
+                f"{' and '.join(known) or 'neither controller nor stiffness'} known)"
+                + (f"\n  effects: {effects}{', …' if len(self.effects) > 6 else ''}" if effects else ""))
 
     @property
     def n(self) -> int:

@@ -25,7 +25,7 @@ WRITTEN = (".parquet", ".csv")
 """Endings of files that recordings are written to."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """Columns of equal length over time; joints are counted from 1 in the names.
 
@@ -58,6 +58,11 @@ class Recording:
                 raise InputError(f"column has {len(values)} values, t has {length}; all must be equally long",
                                  file=self.source, field=name)
         object.__setattr__(self, "columns", columns)
+
+    def __repr__(self) -> str:
+        length = f"{self.t[-1] - self.t[0]:.4g} s" if len(self.t) else "empty"
+        names = ", ".join(list(self.columns)[:12]) + (", …" if len(self.columns) > 12 else "")
+        return f"Recording({self.source!r}: {self.n} joints, {len(self.t)} samples, {length})\n  {names}"
 
     @property
     def n(self) -> int:

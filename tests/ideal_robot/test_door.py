@@ -185,3 +185,12 @@ def test_identify_says_what_the_recording_cannot_tell() -> None:
     result = ir.identify(ir.Recording.from_frame(frame()), ROBOT, friction="viscous_coulomb")
     assert any(text.startswith("controller") and "q_c_1" in text for text in result.missing)
     assert any(text.startswith("stiffness") and "qa_1" in text for text in result.missing)
+    assert "controller" in repr(result)
+
+
+def test_results_say_in_three_lines_what_they_are() -> None:
+    recording = ir.Recording.from_frame(frame())
+    for thing, words in ((recording, "6 joints, 400 samples"), (KR15, "kr15")):
+        assert len(repr(thing).splitlines()) <= 3
+        assert len(repr(thing)) < 400
+        assert words in repr(thing)
