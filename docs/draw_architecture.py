@@ -185,7 +185,7 @@ class Panel:
 
 
 def _box(name: str, x: float, y: float) -> str:
-    lines = wrap(_summary(name), 29)[:3]
+    lines = wrap(_summary(name), 29, max_lines=3, placeholder=" …")
     text = "".join(f'<tspan x="{x + 8:.0f}" dy="11">{escape(line)}</tspan>' for line in lines)
     return (f'<g class="room" data-name="{name}"><rect x="{x:.0f}" y="{y:.0f}" width="{BOX[0]}" height="{BOX[1]}" '
             f'rx="5" fill="#fff" stroke="#555"/><text x="{x + 8:.0f}" y="{y + 17:.0f}" class="name">'
