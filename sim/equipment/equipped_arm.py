@@ -51,6 +51,11 @@ class CarriedCamera:
 class CarriedForceSensor:
     """The simulated force sensor on the arm, as a ``sensing.force.force_device.ForceSensor``.
 
+    Args:
+        sensor: the truth of the sensor.
+        arm: that carries it.
+        contact: of the tool's tip.
+
     Attributes:
         samples: all that was measured.
     """
