@@ -138,14 +138,15 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
         found = healthy.scaled(effect, target, kind)
         if found is None:
             return None
-        amount, seen = found
+        amount, seen, run = found
         setup = effect.apply(setup, amount)
         values.update(effect.values(amount))
         outside = kind == "outside"
         right = frozenset({("unknown", effect.joint)}) if outside else right_names(
             effect.name, effect.joint, arm.n, setup.logger.qa)
         causes.append(Cause(effect.name, effect.joint, seen, right, outside))
-    run = healthy.run if not drawn else ENGINES[engine](setup.plant, motion)
+    if len(drawn) != 1:
+        run = ENGINES[engine](setup.plant, motion) if drawn else healthy.run
     reference = None
     if kind == "model":
         again = draw_motion(rng, arm, duration, motion.kind)
@@ -206,8 +207,9 @@ class _Player:
         self.setup = Setup(setup.plant, dataclasses.replace(setup.logger, noise=noise))
         self._reading: Reading | None = None
 
-    def scaled(self, effect: Drawn, target: float, kind: str) -> tuple[float, float] | None:
-        """Amount of an effect that makes it about as large as wanted, and how large it became; None where it cannot."""
+    def scaled(self, effect: Drawn, target: float, kind: str) -> tuple[float, float, Run] | None:
+        """Amount of an effect that makes it about as large as wanted, how large it became, and what happened then; None
+        where it cannot become so large."""
         if self._reading is None:
             self._reading = self._read(self.setup, self.run)
         amount = min(1.0, effect.largest)
@@ -221,12 +223,12 @@ class _Player:
                 every = sizes(self._reading, reading, absorbed=kind != "model")
             seen = float(np.max(every) if effect.joint == 0 else every[effect.joint - 1])
             if target / _CLOSE <= seen <= target * _CLOSE:
-                return amount, seen
+                return amount, seen, run
             if seen < 1e-6 or amount * target / seen > effect.largest:
                 return None
             amount *= target / seen
         return None
 
     def _read(self, setup: Setup, run: Run) -> Reading:
-        plain: Logger = dataclasses.replace(setup.logger, jitter=0.0, dropped=0.0, spikes=0.0, temp=(), xy=False)
+        plain: Logger = dataclasses.replace(setup.logger, spikes=0.0, temp=(), xy=False)
         return read(record(plain, setup.plant, run), setup.plant.arm.model)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -48,6 +50,22 @@ def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
     healthy = read(record(setup.logger, setup.plant, ENGINES["integrator"](setup.plant, motion)), arm.model)
     assert seen(0.0) == 0.0
     assert seen(4.0) > 1.5 * seen(2.0) > 0.0
+
+
+def test_jitter_makes_an_effect_less_visible() -> None:
+    arm = an_arm()
+    rng = np.random.default_rng(2)
+    setup = Setup(a_plant(arm), draw_logger(rng, arm.n, ()))
+    motion = a_motion(arm, 8.0)
+    changed = INSIDE["cable_spring"](rng, setup, 1).apply(setup, 4.0)
+    runs = [ENGINES["integrator"](s.plant, motion) for s in (setup, changed)]
+
+    def seen(jitter: float) -> float:
+        logger = dataclasses.replace(setup.logger, every=16, jitter=jitter, stamps="nominal", encoder=1e-6)
+        healthy, other = (read(record(logger, setup.plant, run), arm.model) for run in runs)
+        return float(sizes(healthy, other, absorbed=True)[1])
+
+    assert seen(0.15) < 0.9 * seen(0.0)
 
 
 def test_filter_of_all_torques_is_late_by_its_time_constant() -> None:
