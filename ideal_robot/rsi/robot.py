@@ -15,12 +15,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.execution.catch_up import CatchUp
+from ideal_robot.execution.following import FollowingWatch
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.limits import checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.axes import Axes
-from ideal_robot.rsi.catch_up import CatchUp
-from ideal_robot.rsi.following import FollowingWatch
 from ideal_robot.rsi.format import RsiFormat
 from ideal_robot.rsi.in_force import InForce
 from ideal_robot.rsi.link import PacketLink

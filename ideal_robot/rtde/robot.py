@@ -1,0 +1,229 @@
+"""A real arm behind UR's RTDE, as one more implementation of ``RobotInterface``.
+
+The controller's program reads the commanded angles from input registers and hands them to ``servoj`` every cycle
+(docs/rsi.md holds it). The controller is the clock: a data package comes every cycle, a command goes back.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from array import array
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.execution.catch_up import CatchUp
+from ideal_robot.execution.following import FollowingWatch
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.limits import checked_command
+from ideal_robot.robots.robot import Robot
+from ideal_robot.rtde.connection import RtdeConnection
+from ideal_robot.rtde.rtde_error import RtdeError
+from ideal_robot.rtde.wire import Recipe, Value
+
+_OUTPUTS = ("timestamp", "actual_q", "target_q", "actual_current", "runtime_state", "safety_status_bits")
+_AXES = 6
+_PLAYING = 2
+"""``runtime_state`` of a running program."""
+_SAFETY = {2: "protective stop", 4: "safeguard stop", 5: "emergency stop (system)", 6: "emergency stop (robot)",
+           7: "emergency stop", 8: "violation", 9: "fault", 10: "stopped by safety"}
+"""Bits of ``safety_status_bits`` with which the controller stops the arm by itself."""
+
+
+@dataclass
+class RtdeCounts:
+    """What happened on the connection.
+
+    Attributes:
+        cycles: data packages that were a cycle of their own.
+        lost: cycles whose data package never came, or was found when a newer one was there already.
+        outdated: data packages of a time already past.
+        implausible: measured positions that cannot be; they count as missing.
+    """
+
+    cycles: int = 0
+    lost: int = 0
+    outdated: int = 0
+    implausible: int = 0
+
+
+class RtdeRobot:
+    """A ``RobotInterface`` to an arm whose controller speaks RTDE.
+
+    Where a cycle was missed, ``servoj`` held the arm; the next commands lead from there back to what is wanted.
+
+    Args:
+        robot: six joints, limits, cycle time, drive gains.
+        host: address of the controller.
+        port: TCP port.
+        register: first of the six input double registers for the command; the counter of commands goes into the input
+            integer register of the same number.
+        timeout: silence of the controller after which the connection counts as broken [s].
+        bridge: how long data packages may be missing [s].
+        answers_within: time in which the arm's loop answers a command, for the watch over following [s].
+
+    Raises:
+        InputError: an arm without six joints, a register that is none.
+
+    Attributes:
+        t_ipo: cycle [s].
+        counts: what happened on the connection.
+        commanded: joint angles commanded last ``(n,)`` [rad].
+        answer_times: from reading each data package to its command [s].
+        fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
+        version: the controller's version, once connected.
+    """
+
+    def __init__(self, robot: Robot, host: str = "127.0.0.1", *, port: int = 30004, register: int = 24,
+                 timeout: float = 1.0, bridge: float = 0.1, answers_within: float = 0.5) -> None:
+        if robot.n != _AXES:
+            raise InputError(f"RTDE moves arms with {_AXES} joints", field="robot", value=f"{robot.name}: {robot.n}")
+        if not 0 <= register <= 48 - _AXES:
+            raise InputError(f"expected 0 to {48 - _AXES}", field="register", value=register)
+        self.robot, self.t_ipo, self.host, self.port = robot, robot.t_ipo, host, port
+        self.counts = RtdeCounts()
+        self.fault: str | None = None
+        self.version: tuple[int, int, int, int] | None = None
+        self.commanded = np.full(robot.n, np.nan)
+        self.answer_times = array("d")
+        self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
+        self._inputs = (*(f"input_double_register_{register + i}" for i in range(_AXES)),
+                        f"input_int_register_{register}")
+        self._timeout = timeout
+        v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+        room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
+        self._catch_up = CatchUp(room, v_max, robot.t_ipo)
+        self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
+                                     np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative=False)
+        self._connection: RtdeConnection | None = None
+        self._number = 0
+        self._missed = False
+
+    def connect(self) -> RobotState:
+        """Agrees with the controller on what is exchanged; the program there may run already or be started afterwards.
+
+        Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
+
+        Raises:
+            RtdeError: no controller, another protocol, fields it does not know, an arm stopped by its safety system.
+        """
+        self._connection = link = RtdeConnection(self.host, self.port, self._timeout)
+        self.version = link.agree()
+        self._outputs: Recipe = link.outputs(_OUTPUTS, 1.0 / self.t_ipo)
+        self._recipe = link.inputs(self._inputs)
+        link.start()
+        self.commanded = self._wanted = np.array(self._next()["target_q"])
+        # Whatever stood in the registers must not be where the arm goes first.
+        link.send(self._recipe.packed(*self.commanded.tolist(), 0))
+        data = self._next()
+        self._begun = self._last = self._time(data)
+        self._watch.begin(self.commanded, np.array(data["actual_q"]))
+        return self._state(data)
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """Hands over the command ``q_c (n,)`` [rad] and waits for the next data package.
+
+        Raises:
+            InputError: wrong size or not finite.
+            LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
+            RtdeError: see ``receive``.
+        """
+        self.send(q_c)
+        return self.receive()
+
+    def send(self, q_c: Array) -> None:
+        """The first half of ``cycle``: commands and returns, which leaves the cycle's time for computing.
+
+        Raises:
+            RtdeError: before ``connect``, or the connection is broken.
+        """
+        if self._connection is None:
+            raise RtdeError("connect to the controller before a command is handed over")
+        q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
+        wanted, self._wanted = self._wanted, q_c
+        if self._missed:
+            # The arm was held: its speed is gone, the one that is wanted is not.
+            self._catch_up.start(self.commanded - wanted, wanted - q_c, q_c - wanted)
+            self._missed = False
+        if self._catch_up.active:
+            q_c = np.clip(q_c + self._catch_up.next(), self.robot.q_min, self.robot.q_max)
+        self._number = self._number % (2**31 - 1) + 1
+        self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
+        self.answer_times.append(time.perf_counter() - self._arrived)
+        self.commanded = q_c
+
+    def receive(self) -> RobotState:
+        """The second half of ``cycle``: waits for the next data package.
+
+        Raises:
+            RtdeError: silence, a broken connection, an arm stopped by its safety system, a program that ended, more
+                missed than can be bridged.
+        """
+        while True:
+            data = self._next()
+            since = round((self._time(data) - self._last) / self.t_ipo)
+            if since > 0:
+                break
+            self.counts.outdated += 1
+        if since - 1 > self.max_lost:
+            raise RtdeError(f"{since - 1} data packages in a row were lost, more than {self.max_lost}; check network "
+                            "and load")
+        if since > 1:
+            self.counts.lost += since - 1
+            self._missed = True
+        self._last += since * self.t_ipo
+        if data["runtime_state"] != _PLAYING and self._number > 1:
+            raise RtdeError("the controller's program does not run any more")
+        return self._state(data)
+
+    def close(self) -> None:
+        """Ends the connection; the watchdog of the controller's program stops the arm."""
+        if self._connection is not None:
+            self._connection.pause()
+            self._connection.close()
+            self._connection = None
+
+    def __enter__(self) -> RtdeRobot:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def _next(self) -> dict[str, Value]:
+        """The newest data package, if the arm is not stopped and all numbers are numbers."""
+        if self._connection is None:
+            raise RtdeError("connect to the controller before a command is handed over")
+        data, self._arrived = self._connection.newest(self._outputs)
+        bits = int(self._number_of(data, "safety_status_bits"))
+        stopped = [name for bit, name in _SAFETY.items() if bits >> bit & 1]
+        if stopped:
+            raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
+                            + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
+        if not np.isfinite([self._time(data), *data["actual_q"], *data["target_q"]]).all():  # type: ignore[misc]
+            raise RtdeError("the controller tells positions that are not finite")
+        return data
+
+    def _time(self, data: dict[str, Value]) -> float:
+        return float(self._number_of(data, "timestamp"))
+
+    @staticmethod
+    def _number_of(data: dict[str, Value], name: str) -> float:
+        value = data[name]
+        if isinstance(value, tuple):
+            raise RtdeError(f"{name} has {len(value)} numbers, one is expected")
+        return value
+
+    def _state(self, data: dict[str, Value]) -> RobotState:
+        """Torque is the current in ampere times the drive gain."""
+        self.counts.cycles += 1
+        measured = np.array(data["actual_q"])
+        if self.fault is None:
+            self.fault = self._watch.check(self.commanded, measured)
+            self.counts.implausible = self._watch.missing
+        tau = np.array(data["actual_current"]) * self.robot.drive_gain
+        return RobotState(self._last - self._begun, measured, tau)

@@ -1,0 +1,171 @@
+"""RTDE against our emulator: what is agreed on, what is refused, and what a stopped or silent controller leads to."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from ideal_robot.rtde import RtdeError, RtdeRobot
+from ideal_robot.rtde.wire import MAX_PACKAGE, Kind, Reader, Recipe, package, said
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+from sim.devices.rtde_controller import RtdeController, RtdeFaults
+from tests.sim.devices.rtde_link import serving
+
+ROBOT = Robot.load("kr6")
+
+
+@contextmanager
+def connected(**faults) -> Iterator[tuple[RtdeRobot, RtdeController]]:
+    with (SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm,
+          serving(RtdeController(arm, RtdeFaults(**faults))) as controller,
+          RtdeRobot(ROBOT, *controller.address[:1], port=controller.address[1], timeout=5.0) as link):
+        link.connect()
+        yield link, controller
+
+
+def ramp(k: int) -> Array:
+    share = min(k / 60.0, 1.0)
+    return np.asarray(ROBOT.home + 0.2 * share**2 * (3 - 2 * share))
+
+
+def until(link: RtdeRobot, end: Callable[[int], bool] = lambda k: k == 100) -> None:
+    for k in range(1, 1000):
+        link.cycle(ramp(k))
+        if end(k):
+            return
+
+
+def test_what_is_agreed_on_is_what_was_asked_for() -> None:
+    with connected() as (link, controller):
+        assert link.version == (5, 11, 0, 0)
+        np.testing.assert_allclose(link.commanded, ROBOT.home, atol=1e-12)
+        for k in (1, 2, 3):
+            link.cycle(ramp(k))
+        assert controller.inputs["input_int_register_24"] == 3
+        np.testing.assert_array_equal([controller.inputs[f"input_double_register_{24 + i}"] for i in range(6)], ramp(3))
+
+
+@pytest.mark.parametrize(("faults", "says"), [
+    ({"protocols": (1,)}, "does not know version 2"),
+    ({"unknown": ("actual_current",)}, "actual_current: the controller does not know it"),
+    ({"in_use": ("input_double_register_26",)}, "input_double_register_26: another client writes it"),
+    ({"protective_stop": 0, "says": "C153A0 collision"}, "protective stop, stopped by safety; it says: C153A0"),
+    ({"disconnects": 0}, "closed the connection|is gone"),
+])
+def test_a_controller_that_cannot_be_used_is_refused_and_the_reason_named(faults, says: str) -> None:
+    with pytest.raises(RtdeError, match=says), connected(**faults):
+        pass
+
+
+@pytest.mark.parametrize(("faults", "says"), [
+    ({"protective_stop": 30}, "has stopped the arm: protective stop"),
+    ({"program_ends": 30}, "program does not run any more"),
+    ({"disconnects": 30}, "closed the connection|is gone"),
+    ({"skips": tuple(range(30, 60))}, "30 data packages in a row were lost"),
+])
+def test_what_ends_a_run_is_named(faults, says: str) -> None:
+    with connected(**faults) as (link, controller):
+        with pytest.raises(RtdeError, match=says):
+            until(link)
+        assert 25 <= link.counts.cycles <= 32
+        # Stopped, the arm gets no further command.
+        np.testing.assert_array_equal(controller.commands[-1], link.commanded if "skips" in faults else
+                                      controller.commands[-1])
+
+
+def test_missed_cycles_are_made_good_within_the_limits() -> None:
+    with connected(skips=(20, 21, 22, 35)) as (link, controller):
+        until(link)
+        assert link.counts.lost == 4
+        commands = np.array(controller.commands)
+    np.testing.assert_allclose(commands[-1], ramp(100), atol=1e-12)
+    speed = np.diff(commands, axis=0) / ROBOT.t_ipo
+    bend = np.abs(np.diff(speed, axis=0)) / ROBOT.t_ipo
+    # That the arm is held in a missed cycle is the controller's own doing.
+    assert np.all((bend * (np.abs(speed[1:]) > 1e-12)).max(axis=0) <= ROBOT.a_max)
+
+
+def test_an_arm_that_does_not_move_is_noticed() -> None:
+    with connected() as (link, controller):
+        controller.register = 30
+        until(link, lambda k: link.fault is not None)
+        assert "does not move" in str(link.fault)
+
+
+def test_arms_and_registers_that_cannot_be_are_refused() -> None:
+    with pytest.raises(InputError, match="0 to 42"):
+        RtdeRobot(ROBOT, register=43)
+    with pytest.raises(InputError, match="6 joints"):
+        RtdeRobot(Robot.load("kr500") if Robot.load("kr500").n != 6 else _two_joints())
+    with pytest.raises(RtdeError, match="no controller at"):
+        RtdeRobot(ROBOT, port=9, timeout=0.5).connect()
+
+
+def _two_joints():
+    class Two:
+        n, name = 2, "two"
+
+    return Two()
+
+
+def test_packages_are_found_in_whatever_pieces_they_come() -> None:
+    stream = package(Kind.TEXT, b"\2hi\4RTDE\3") + package(Kind.START, b"\1")
+    assert stream[:3] == struct.pack(">HB", 3 + 9, ord("M"))
+    for size in range(1, len(stream) + 1):
+        reader, found = Reader(), []
+        for at in range(0, len(stream), size):
+            reader.feed(stream[at : at + size])
+            while (one := reader.next()) is not None:
+                found.append(one)
+        assert found == [(ord("M"), b"\2hi\4RTDE\3"), (ord("S"), b"\1")]
+    assert said(b"\2hi\4RTDE\3") == "hi"
+    assert said(b"\3\x1b[m") == " [m"
+
+
+@pytest.mark.parametrize("size", [0, 2, MAX_PACKAGE + 1])
+def test_a_size_that_cannot_be_ends_the_connection(size: int) -> None:
+    reader = Reader()
+    reader.feed(struct.pack(">HB", size, ord("U")))
+    with pytest.raises(RtdeError, match="does not speak RTDE"):
+        reader.next()
+
+
+def test_a_recipe_takes_what_fits_it_and_nothing_else() -> None:
+    recipe = Recipe.agreed(("timestamp", "actual_q", "safety_mode"), b"\7DOUBLE,VECTOR6D,INT32")
+    data = recipe.packed(1.5, 1, 2, 3, 4, 5, 6, -1)
+    assert data[:4] == struct.pack(">HBB", 4 + 60, ord("U"), 7)
+    assert recipe.unpacked(data[3:]) == {"timestamp": 1.5, "actual_q": (1, 2, 3, 4, 5, 6), "safety_mode": -1}
+    for wrong in (data[3:-1], data[3:] + b"\0", b"\6" + data[4:], b""):
+        with pytest.raises(RtdeError, match="does not fit"):
+            recipe.unpacked(wrong)
+    for answer in (b"", b"\0DOUBLE", b"\1DOUBLE,DOUBLE", b"\1FLOAT"):
+        with pytest.raises(RtdeError, match="cannot be used"):
+            Recipe.agreed(("timestamp",), answer)
+
+
+def test_mutated_answers_end_the_connection_and_nothing_else() -> None:
+    rng = np.random.default_rng(3)
+    recipe = Recipe.agreed(("timestamp", "actual_q"), b"\1DOUBLE,VECTOR6D")
+    stream = package(Kind.OUTPUTS, b"\1DOUBLE,VECTOR6D") + recipe.packed(1.0, *range(6))
+    for _ in range(20_000):
+        data = bytearray(stream)
+        for _ in range(int(rng.integers(1, 4))):
+            data[int(rng.integers(0, len(data)))] = int(rng.integers(0, 256))
+        reader = Reader()
+        reader.feed(bytes(data))
+        try:
+            while (found := reader.next()) is not None:
+                if found[0] == Kind.OUTPUTS:
+                    Recipe.agreed(("timestamp", "actual_q"), found[1])
+                elif found[0] == Kind.DATA:
+                    assert set(recipe.unpacked(found[1])) == {"timestamp", "actual_q"}
+        except RtdeError:
+            continue
