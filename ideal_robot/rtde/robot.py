@@ -16,8 +16,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.execution.catch_up import CatchUp
-from ideal_robot.execution.following import FollowingWatch
+from ideal_robot.robots.catch_up import CatchUp
+from ideal_robot.robots.following import FollowingWatch
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.limits import checked_command
 from ideal_robot.robots.robot import Robot

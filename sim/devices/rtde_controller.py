@@ -107,7 +107,7 @@ class RtdeController:
             try:
                 if self._agreed(client):
                     self._play(client)
-            except (ConnectionError, BrokenPipeError):
+            except ConnectionError:
                 return
 
     def _agreed(self, client: socket.socket) -> bool:
@@ -152,8 +152,7 @@ class RtdeController:
             skipped = k in self.faults.skips
             if not skipped:
                 self._send(client, "U", b"\1" + self._told(state, held, begun + k * self.arm.t_ipo, k))
-                if self._commanded(client):
-                    return
+                self._commanded(client)
             stopped = self.faults.protective_stop is not None and k >= self.faults.protective_stop
             if self.inputs.get(f"input_int_register_{self.register}", 0) > 0 and not stopped and not skipped:
                 held = np.array([self.inputs[f"input_double_register_{self.register + i}"] for i in range(6)])
@@ -170,21 +169,23 @@ class RtdeController:
         return b"".join(struct.pack(">" + _CODES[_KNOWN[name]], *values.get(name, np.zeros(6)))
                         for name in self._outputs)
 
-    def _commanded(self, client: socket.socket) -> bool:
-        """Takes the client's next data package; True if it has left."""
+    def _commanded(self, client: socket.socket) -> None:
+        """Takes the client's next data package, if one comes."""
         while True:
             found = self._package(client, self.timeout)
-            if found is None or found[0] == "P":
-                return True
+            if found is None:
+                return
+            if found[0] == "P":
+                raise ConnectionError("the client has paused")
             if found[0] != "U":
                 continue
             names = self._recipes[found[1][0]]
             codes = ">" + "".join("i" if name.startswith("input_int") else "d" for name in names)
             self.inputs.update(zip(names, struct.unpack(codes, found[1][1:]), strict=True))
-            return False
+            return
 
     def _package(self, client: socket.socket, timeout: float) -> tuple[str, bytes] | None:
-        """Letter and payload of the next package; None if the client has left, says nothing, or the end has come."""
+        """Letter and payload of the next package; None if the client says nothing, or the end has come."""
         end = time.perf_counter() + timeout
         while True:
             if len(self._waiting) >= 3:
@@ -200,7 +201,7 @@ class RtdeController:
                     return None
                 continue
             if not piece:
-                return None
+                raise ConnectionError("the client has left")
             self._waiting += piece
 
     def _send(self, client: socket.socket, letter: str, payload: bytes) -> None:

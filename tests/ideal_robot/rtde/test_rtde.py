@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import struct
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -98,6 +101,33 @@ def test_an_arm_that_does_not_move_is_noticed() -> None:
         controller.register = 30
         until(link, lambda k: link.fault is not None)
         assert "does not move" in str(link.fault)
+
+
+CLIENT = """
+import time
+from rtde_receive import RTDEReceiveInterface
+arm = RTDEReceiveInterface("127.0.0.1", 125.0, ["timestamp", "actual_q", "target_q"])
+before = arm.getTimestamp()
+time.sleep(0.5)
+print(*arm.getActualQ(), arm.getTimestamp() - before)
+arm.disconnect()
+"""
+
+
+def test_a_public_client_understands_our_controller() -> None:
+    """``ur_rtde`` in a process of its own: it holds Python's lock while it waits."""
+    if importlib.util.find_spec("rtde_receive") is None:
+        pytest.skip("the package ur-rtde is not installed")
+    with SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
+        try:
+            controller = RtdeController(arm, timeout=0.01, port=30004)
+        except OSError:
+            pytest.skip("something else listens on RTDE's port 30004")
+        with serving(controller):
+            words = [sys.executable, "-c", CLIENT]
+            told = subprocess.run(words, capture_output=True, text=True, timeout=30.0, check=True).stdout.split()
+    np.testing.assert_allclose([float(value) for value in told[:6]], ROBOT.home, atol=1e-4)
+    assert float(told[6]) > 0.0
 
 
 def test_arms_and_registers_that_cannot_be_are_refused() -> None:
