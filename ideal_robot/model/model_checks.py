@@ -112,7 +112,8 @@ def _effects(model: Any, n: int, file: Path | str | None) -> None:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"not a complete effect ({type(error).__name__}: {error})", file=file,
                              field=f"{key}.data") from error
+        # Of a sensor's effect a recording may show the first coefficients only.
         if not effect.learned and (len(fitted.theta) != len(effect.theta_names)
-                                   or len(fitted.coefficients) != len(effect.coefficient_names)):
-            raise InputError(f"expected {len(effect.coefficient_names)} coefficients and {len(effect.theta_names)} "
-                             "nonlinear parameters", file=file, field=key)
+                                   or not 0 < len(fitted.coefficients) <= len(effect.coefficient_names)):
+            raise InputError(f"expected up to {len(effect.coefficient_names)} coefficients and "
+                             f"{len(effect.theta_names)} nonlinear parameters", file=file, field=key)
