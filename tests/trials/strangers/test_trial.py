@@ -12,7 +12,7 @@ from trials.strangers.effects import INSIDE, Setup, torque_filter
 from trials.strangers.engines import ENGINES
 from trials.strangers.logger import draw_logger, record
 from trials.strangers.trial import KINDS, SHARES, draw_trial
-from trials.strangers.visible import read, sizes
+from trials.strangers.visible import left, read, sizes
 
 
 @pytest.mark.parametrize("engine", sorted(ENGINES))
@@ -50,6 +50,23 @@ def test_size_of_an_effect_grows_with_it_and_is_zero_without() -> None:
     healthy = read(record(setup.logger, setup.plant, ENGINES["integrator"](setup.plant, motion)), arm.model)
     assert seen(0.0) == 0.0
     assert seen(4.0) > 1.5 * seen(2.0) > 0.0
+
+
+@pytest.mark.parametrize("engine", sorted(ENGINES))
+def test_nothing_but_dry_friction_keeps_a_clean_rigid_plant_out_of_the_model_class(engine: str) -> None:
+    """No clock or engine leaves a trace of its own: without dry friction the model class explains the torque."""
+    arm = an_arm()
+    rng = np.random.default_rng(2)
+    logger = dataclasses.replace(draw_logger(rng, arm.n, ()), every=4, torque="sampled", encoder=1e-9, jitter=0.0,
+                                 noise=np.zeros(arm.n), dropped=0.0, spikes=0.0)
+    motion = a_motion(arm, 12.0)
+    shares = []
+    for friction in (False, True):
+        plant = a_plant(arm, friction=friction)
+        reading = read(record(logger, plant, ENGINES[engine](plant, motion)), arm.model)
+        shares.append(np.std(left(reading), axis=0) / np.std(reading.tau, axis=0))
+    assert np.all(shares[0] < 2e-3)
+    assert np.max(shares[1]) > 10.0 * np.max(shares[0])
 
 
 def test_jitter_makes_an_effect_less_visible() -> None:
