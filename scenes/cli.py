@@ -53,32 +53,43 @@ def main() -> None:
 
     With ``IDEAL_ROBOT_DEBUG=1`` in the environment errors of the program itself show their traceback.
     """
-    debug = os.environ.get("IDEAL_ROBOT_DEBUG", "") not in ("", "0")
-    if not debug:
+    if not _debugging():
         warnings.simplefilter("ignore")
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     _register()
     try:
         app()
-    except IdealRobotError as error:
-        print(f"ideal-robot: {shown(error)}", file=sys.stderr)
-        sys.exit(2 if isinstance(error, InputError) else 1)
-    except MemoryError:
-        print("ideal-robot: not enough memory for this; use shorter recordings or fewer at once", file=sys.stderr)
-        sys.exit(1)
-    except OSError as error:
-        if debug:
-            raise
-        print(f"ideal-robot: {shown(error)}", file=sys.stderr)
-        sys.exit(1)
     except Exception as error:
-        if debug:
-            raise
-        reason = shown(f"{type(error).__name__}: {error}")[:300]
-        print(f"ideal-robot: cannot be computed from this input ({reason}); if the input is right, report it with what "
-              "IDEAL_ROBOT_DEBUG=1 in the environment shows", file=sys.stderr)
-        sys.exit(1)
+        sys.exit(ended_by(error))
+
+
+def ended_by(error: BaseException) -> int:
+    """Says in one line why a verb ended early; with ``IDEAL_ROBOT_DEBUG`` an unexpected error is raised again.
+
+    Args:
+        error: what a verb raised.
+
+    Returns:
+        The exit code: 2 for bad input, else 1.
+    """
+    if isinstance(error, IdealRobotError):
+        text = str(error)
+    elif isinstance(error, MemoryError):
+        text = "not enough memory for this; use shorter recordings or fewer at once"
+    elif _debugging():
+        raise error
+    elif isinstance(error, OSError):
+        text = str(error)
+    else:
+        text = (f"cannot be computed from this input ({f'{type(error).__name__}: {error}'[:300]}); if the input is "
+                "right, report it with what IDEAL_ROBOT_DEBUG=1 in the environment shows")
+    print(f"ideal-robot: {shown(text)}", file=sys.stderr)
+    return 2 if isinstance(error, InputError) else 1
+
+
+def _debugging() -> bool:
+    return os.environ.get("IDEAL_ROBOT_DEBUG", "") not in ("", "0")
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
+import math
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,11 @@ from scenes.options import chosen
 from scenes.result import silent
 from scenes.scene import Scene
 from scenes.scene_file import load_scene
+from scenes.sweep_file import SweepFile, key_of
+from scenes.workers import work_off
+
+MOST = 100_000
+"""Most runs of a sweep."""
 
 
 @dataclass(frozen=True)
@@ -39,28 +45,30 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
         seeds: of all that is drawn.
     """
     own: tuple[None] = (None,)
+    count = math.prod(len(values) or 1 for values in (scenes, methods, speeds, seeds))
+    if count > MOST:
+        raise InputError(f"these are {count} runs; at most {MOST} at once", field="--seeds")
     product = itertools.product(scenes, methods or own, speeds or own, seeds or own)
     return [Job(scene, method, speed, seed) for scene, method, speed, seed in product]
 
 
 def play(job: Job) -> dict[str, Any]:
-    """Plays one job without writing anything; a failure is part of the answer, it does not end the sweep."""
-    scene = job.scene if isinstance(job.scene, Scene) else load_scene(job.scene)
-    scene = chosen(scene, speed=job.speed, seed=job.seed)
-    key = job.method if isinstance(job.method, str | None) else None
-    answer: dict[str, Any] = {"scene": scene.name, "method": key, "speed_m_s": getattr(scene, "speed", None),
-                              "seed": scene.seed, "failure": None}
+    """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep."""
+    answer = _named(job)
     try:
+        scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed)
+        answer |= {"scene": scene.name, "speed_m_s": getattr(scene, "speed", None), "seed": scene.seed}
         result = kind_of(scene).run(scene, method=job.method, out=None, progress=silent)
-    except InputError:
-        raise
+        return {**answer, **result.json(), "failure": result.failure}
     except IdealRobotError as error:
         return {**answer, "failure": str(error)}
-    return {**answer, **result.json(), "failure": result.failure}
+    except Exception as error:  # one run that cannot be computed is a row among the others
+        return {**answer, "failure": f"{type(error).__name__}: {error}"}
 
 
 def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
-          done: Callable[[int], None] = lambda count: None) -> list[dict[str, Any]]:
+          done: Callable[[int], None] = lambda count: None, file: SweepFile | None = None,
+          function: Callable[[Job], dict[str, Any]] = play) -> list[dict[str, Any]]:
     """Plays all jobs and returns their answers in the order of ``work``.
 
     Args:
@@ -68,13 +76,27 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
         processes: local processes; not used with ``dask``.
         dask: address of a running Dask scheduler, e.g. ``tcp://host:8786``.
         done: called with the number of jobs finished.
+        file: where answers are written as they come; jobs that it holds are not played again.
+        function: plays a job.
 
     Raises:
-        InputError: a job's input cannot be used, or no scheduler answers at ``dask``.
+        InputError: a scene cannot be used, or no scheduler answers at ``dask``.
     """
-    answers: list[dict[str, Any] | None] = [None] * len(work)
-    for count, (index, answer) in enumerate(_dask(work, dask) if dask else _local(work, processes), start=1):
+    scenes = {job.scene: _scene(job.scene) for job in work if isinstance(job.scene, str)}
+    described = [_described(job, scenes) for job in work]
+    known = {} if file is None else file.answers
+    answers: list[dict[str, Any] | None] = [known.get(key_of(one)) for one in described]
+    left = [index for index, answer in enumerate(answers) if answer is None]
+    tasks = [work[index] for index in left]
+    count = len(work) - len(left)
+    for place, answer in _dask(tasks, dask, function) if dask else work_off(tasks, function, max(1, processes)):
+        index = left[place]
+        if isinstance(answer, Exception):
+            answer = {**_named(work[index]), "failure": str(answer)}
         answers[index] = answer
+        if file is not None:
+            file.add(described[index], answer)
+        count += 1
         done(count)
     return [answer for answer in answers if answer is not None]
 
@@ -99,18 +121,26 @@ def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence
     return pd.json_normalize(sweep(jobs(scenes, methods, speeds, seeds), processes=processes, dask=dask))
 
 
-def _local(work: Sequence[Job], processes: int) -> Iterator[tuple[int, dict[str, Any]]]:
-    with ProcessPoolExecutor(max_workers=max(1, processes)) as pool:
-        pending = {pool.submit(play, job): index for index, job in enumerate(work)}
-        try:
-            for future in as_completed(pending):
-                yield pending[future], future.result()
-        except InputError:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+def _scene(scene: str | Scene) -> Scene:
+    return scene if isinstance(scene, Scene) else load_scene(scene)
 
 
-def _dask(work: Sequence[Job], address: str) -> Iterator[tuple[int, dict[str, Any]]]:
+def _named(job: Job) -> dict[str, Any]:
+    """What of an answer is known before anything is played."""
+    return {"scene": job.scene.name if isinstance(job.scene, Scene) else job.scene,
+            "method": job.method if isinstance(job.method, str | None) else None, "speed_m_s": job.speed,
+            "seed": job.seed, "failure": None}
+
+
+def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:
+    """The job and a digest of its scene: a scene that has changed is played again."""
+    scene = job.scene if isinstance(job.scene, Scene) else scenes[job.scene]
+    digest = hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
+    method = job.method if isinstance(job.method, str | None) else repr(job.method)
+    return {**_named(job), "method": method, "digest": digest}
+
+
+def _dask(work: Sequence[Job], address: str, function: Callable[[Job], dict[str, Any]]) -> Iterator[tuple[int, Any]]:
     try:
         from dask.distributed import Client
         from dask.distributed import as_completed as finished
@@ -122,7 +152,13 @@ def _dask(work: Sequence[Job], address: str) -> Iterator[tuple[int, dict[str, An
     except (OSError, ValueError, TimeoutError) as error:
         raise InputError(f"no Dask scheduler answers ({error})", field="--dask", value=address) from error
     with client:
-        pending = {client.submit(play, job, pure=False): index for index, job in enumerate(work)}
-        keys = {future.key: index for future, index in pending.items()}
-        for future, answer in finished(list(pending), with_results=True):
-            yield keys[future.key], answer
+        # A task whose worker is lost goes to another one; Dask gives up after its own count of losses.
+        pending = {client.submit(function, job, pure=False, retries=2): index for index, job in enumerate(work)}
+        try:
+            for future in finished(list(pending)):
+                try:
+                    yield pending[future], future.result()
+                except Exception as error:  # whatever a cluster makes of a lost worker
+                    yield pending[future], RuntimeError(f"{type(error).__name__}: {error}")
+        finally:
+            client.cancel(list(pending))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import typer
 from rich.console import Console
@@ -15,6 +16,9 @@ from rich.text import Text
 from ideal_robot.errors import InputError
 from scenes import result
 from scenes.terminal import shown
+
+N = TypeVar("N", int, float)
+_MOST_NUMBERS = 100_000
 
 
 @contextmanager
@@ -54,17 +58,32 @@ def closed(run: result.RunResult) -> None:
         raise typer.Exit(1)
 
 
-def numbers(text: str, option: str, *, ranges: bool = False) -> list[float]:
-    """Numbers from ``1,2,5`` or, with ``ranges``, ``1-10`` (both ends included); empty text gives none."""
-    found: list[float] = []
-    for part in (piece.strip() for piece in text.split(",") if piece.strip()):
-        try:
-            if ranges and "-" in part:
-                first, last = (int(end) for end in part.split("-"))
-                found.extend(range(first, last + 1))
-            else:
-                found.append(float(part))
-        except ValueError as error:
-            raise InputError("expected numbers separated by commas" + (" or a range such as 1-10" if ranges else ""),
-                             field=option, value=text) from error
+def numbers(text: str, option: str) -> list[float]:
+    """Finite numbers from ``1,2,5``; empty text gives none."""
+    found = [_number(piece.strip(), float, option, text) for piece in text.split(",") if piece.strip()]
+    if not all(map(math.isfinite, found)):
+        raise InputError("expected finite numbers separated by commas", field=option, value=text[:60])
     return found
+
+
+def whole_numbers(text: str, option: str) -> list[int]:
+    """Numbers of 0 and above from ``1,2,5`` or ``1-10`` (both ends included); empty text gives none."""
+    found: list[int] = []
+    for piece in (piece.strip() for piece in text.split(",") if piece.strip()):
+        first, dash, last = piece.partition("-")
+        low = _number(first, int, option, text)
+        high = _number(last, int, option, text) if dash else low
+        if not 0 <= low <= high < 2**63 or high - low >= _MOST_NUMBERS:
+            raise InputError(f"expected whole numbers from 0 up, at most {_MOST_NUMBERS}, or a range such as 1-10",
+                             field=option, value=text[:60])
+        found.extend(range(low, high + 1))
+    return found
+
+
+def _number(piece: str, kind: type[N], option: str, text: str) -> N:
+    try:
+        return kind(piece)
+    except ValueError as error:
+        whole = kind is int
+        raise InputError(f"expected {'whole ' if whole else ''}numbers separated by commas"
+                         + (" or a range such as 1-10" if whole else ""), field=option, value=text[:60]) from error

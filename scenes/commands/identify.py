@@ -67,7 +67,7 @@ def command(
     show_table("friction laws", ["joint", "law"],
                [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
     show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
-               [[r["source"], r["role"], *[float(value) for value in r["residual_std_percent"]]]
+               [[r["source"], r["role"], *r["residual_std_percent"]]
                 for r in content["recordings"]])
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)

@@ -15,26 +15,37 @@ def command(
     methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "",
     processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
     dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
+    lines: Annotated[Path | None, typer.Option(help="Append each answer to this file as it comes (JSON "
+                                                    "lines).")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the file of --lines: runs that it holds are not "
+                                                          "played again.")] = False,
     json: Annotated[Path | None, typer.Option(help="Write all answers as JSON to this file.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the table as CSV to this file.")] = None,
 ) -> None:
     """Plays many runs and prints one table of their errors; a run that fails is a row, not the end.
 
-    Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10`
+    Exit code 1 where no run succeeded.
+
+    Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10 --lines runs.jsonl --resume`
     """
     import pandas as pd
 
+    from ideal_robot.errors import InputError
     from ideal_robot.whole_file import write_text
-    from scenes.commands.common import numbers, progress_bar, show_table
+    from scenes.commands.common import numbers, progress_bar, show_table, whole_numbers
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.sweep import jobs, sweep
+    from scenes.sweep_file import SweepFile
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
-                numbers(speeds, "--speeds"), [int(seed) for seed in numbers(seeds, "--seeds", ranges=True)])
-    check_outputs(json=json, csv=csv)
+                numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"))
+    check_outputs(json=json, csv=csv, lines=lines)
+    if resume and lines is None:
+        raise InputError("needs --lines FILE, the file to go on with", field="--resume")
+    file = None if lines is None else SweepFile(lines, resume=resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = sweep(work, processes=processes, dask=dask,
+        answers = sweep(work, processes=processes, dask=dask, file=file,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
     if json is not None:
         write_json(json, {"runs": answers})
@@ -51,6 +62,8 @@ def command(
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
     rows = [[*row, int(count)] for row, count in zip(worst.astype(object).to_numpy().tolist(), counts, strict=True)]
     show_table("largest of each kind of run", [*kinds, *figures, "runs"], rows)
+    if all(answer.get("failure") for answer in answers):
+        raise typer.Exit(1)
 
 
 FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_error_mm.p95": "95 % mm",

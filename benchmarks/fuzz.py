@@ -1,0 +1,62 @@
+"""Fuzzed calls of the command line: ``python benchmarks/fuzz.py --count 20000 --first 0``.
+
+Each case is drawn from its seed alone (``tests/fuzz``); a case that breaks a promise — traceback, more than a minute,
+more than 2 GB, files left after a failure, exit code 0 without a required column — is printed with its seed and can be
+played again with ``--first SEED --count 1 --show``. Exit code 1 where any did.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.fuzz.cases import MAKERS, drawn
+from tests.fuzz.play import play, warm_up
+
+
+def main() -> None:
+    """Plays the cases and counts."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
+    parser.add_argument("--kinds", default=",".join(MAKERS))
+    parser.add_argument("--minutes", type=float, default=1e9, help="end after so long")
+    parser.add_argument("--show", action="store_true", help="print what each case wrote to standard error")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore")
+    warm_up()
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-originals-"))
+    counts: collections.Counter[str] = collections.Counter()
+    codes: collections.Counter[tuple[str, int]] = collections.Counter()
+    broken: collections.Counter[str] = collections.Counter()
+    longest, largest, start = 0.0, 0, time.monotonic()
+    for seed in range(options.first, options.first + options.count):
+        if time.monotonic() - start > 60.0 * options.minutes:
+            break
+        case = drawn(seed, folder, tuple(options.kinds.split(",")))
+        played = play(case)
+        counts[case.name] += 1
+        codes[case.name, played.code] += 1
+        longest, largest = max(longest, played.seconds), max(largest, played.peak)
+        if options.show:
+            print(case.words, played.code, f"{played.seconds:.2f} s", played.err, sep="\n")
+        if played.broken is not None:
+            broken[played.broken] += 1
+            print(f"seed {seed}: {case.name}: {played.broken}", flush=True)
+    for name, count in sorted(counts.items()):
+        print(f"{name:24s} {count:6d}  " + "  ".join(f"exit {code}: {n}" for (kind, code), n in sorted(codes.items())
+                                                      if kind == name))
+    print(f"{sum(counts.values())} cases from seed {options.first}, {sum(broken.values())} broken promises; longest "
+          f"{longest:.1f} s, largest {largest / 1e9:.2f} GB")
+    sys.exit(bool(broken))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""Answers of a sweep as they come, one JSON line each, so that a sweep that was ended can go on."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+from ideal_robot.errors import InputError
+from ideal_robot.whole_file import OutputError
+from scenes.report.page import plain
+
+
+class SweepFile:
+    """A file of lines ``{"job": …, "answer": …}``.
+
+    Args:
+        path: of the file.
+        resume: go on with a file that is there; without it such a file is refused.
+
+    Raises:
+        InputError: the file is there and not to be gone on with, or is none of a sweep.
+    """
+
+    def __init__(self, path: Path, *, resume: bool) -> None:
+        self.path = path
+        self.answers: dict[Hashable, dict[str, Any]] = {}
+        """Answers read from the file, by ``key_of`` their job."""
+        if path.exists():
+            if not resume:
+                raise InputError("is there already; --resume goes on with it, or give another name", field="--lines",
+                                 value=str(path))
+            self._read()
+
+    def _read(self) -> None:
+        raw = self.path.read_bytes()
+        # A sweep that was killed may have left its last line unfinished.
+        whole = raw[: raw.rfind(b"\n") + 1]
+        for number, line in enumerate(whole.splitlines(), start=1):
+            try:
+                entry = json.loads(line)
+                self.answers[key_of(entry["job"])] = dict(entry["answer"])
+            except (ValueError, KeyError, TypeError, RecursionError) as error:
+                raise InputError(f"line {number} is none of a sweep", file=self.path, field="--lines") from error
+        if len(whole) < len(raw):
+            os.truncate(self.path, len(whole))
+
+    def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
+        """Appends an answer; it is on the disk when this returns."""
+        line = json.dumps({"job": plain(job), "answer": plain(answer)}, allow_nan=False) + "\n"
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(line)
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
+
+
+def key_of(job: dict[str, Any]) -> Hashable:
+    """What tells jobs apart."""
+    return json.dumps(plain(job), sort_keys=True)

@@ -1,0 +1,143 @@
+"""Ways in which a recording comes to be broken: columns, values, times, metadata, bytes."""
+
+from __future__ import annotations
+
+import io
+import json
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tests.fuzz import mutate_text
+
+META = (b"null", b"[]", b"3", b'"x"', b"{", b"[" * 50_000, b"\xff", b'{"joints": 3}', b'{"joints": [[1], {}]}',
+        b'{"robot": ["a"]}', b'{"cycle_time": null}', b'{"camera": 3, "tool": [1]}', b'{"payload_lever": "x"}', b"{}")
+
+
+def mutated(columns: dict[str, Any], required: tuple[str, ...], rng: np.random.Generator, *, csv: bool
+            ) -> tuple[bytes, bool]:
+    """A broken recording as the bytes of a file.
+
+    Args:
+        columns: of the sound one ``(N,)``.
+        required: columns without which it cannot be used.
+        rng: draws what breaks.
+        csv: written as CSV, else as Parquet.
+
+    Returns:
+        The bytes, and whether a required column is certainly lost.
+    """
+    columns = {name: np.array(values) for name, values in columns.items()}
+    meta = json.dumps({"robot": "arm"}).encode()
+    lost = False
+    for _ in range(int(rng.integers(1, 3))):
+        kind = int(rng.integers(9))
+        if kind == 0:
+            columns, gone = _dropped(columns, required, rng)
+            lost = lost or gone
+        elif kind in (1, 2, 3):
+            columns = _values(columns, rng)
+        elif kind in (4, 5):
+            columns = _times(columns, rng)
+        elif kind == 6:
+            columns = _rows(columns, rng)
+        elif kind == 7:
+            columns = _types(columns, rng)
+        else:
+            meta = META[rng.integers(len(META))]
+    raw = _csv(columns) if csv else _parquet(columns, meta)
+    if rng.random() < 0.15:
+        raw, lost = (mutate_text.mutated(raw, rng) if csv else mutate_text._bytes(raw, rng)), False
+    if rng.random() < 0.05:
+        raw, lost = raw[: int(rng.integers(len(raw) + 1))], False
+    return raw, lost
+
+
+def _name(columns: dict[str, Any], rng: np.random.Generator) -> str:
+    names = list(columns)
+    return names[int(rng.integers(len(names)))] if names else "t"
+
+
+def _dropped(columns: dict[str, Any], required: tuple[str, ...], rng: np.random.Generator
+             ) -> tuple[dict[str, Any], bool]:
+    if rng.random() < 0.6:
+        name = required[int(rng.integers(len(required)))]
+        columns.pop(name, None)
+        return columns, True
+    name, new = _name(columns, rng), ("q_0", "q_99", "Q_1", "", "t ", "tau_7", "fx", "payload")[rng.integers(8)]
+    return {(new if key == name else key): values for key, values in columns.items()}, False
+
+
+def _values(columns: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    name = _name(columns, rng)
+    values = np.array(columns.get(name, [0.0]), dtype=float)
+    if len(values) == 0:
+        return columns
+    k = rng.integers(0, len(values), max(1, int(len(values) * rng.choice([0.0, 0.01, 0.04, 0.3, 1.0]))))
+    what = int(rng.integers(8))
+    if what == 0:
+        values[k] = rng.choice([np.nan, np.inf, -np.inf])
+    elif what == 1:
+        values[k] += rng.choice([0.5, -3.0, 1e3, 1e6, 1e300])
+    elif what == 2:
+        values[:] = rng.choice([0.0, 1.0, -1e-300, 1e12, np.nan])
+    elif what == 3:
+        values *= rng.choice([-1.0, 0.0, 1e-30, 1e-6, 57.29577951308232, 1e6, 1e200])
+    elif what == 4:
+        values = rng.permutation(values)
+    elif what == 5:
+        values = rng.normal(size=len(values)) * rng.choice([1e-6, 1.0, 1e3])
+    elif what == 6:
+        values = np.array(columns[_name(columns, rng)], dtype=float)
+    else:
+        values[len(values) // 2:] += rng.choice([0.05, 3.0, -100.0])
+    columns[name] = values
+    return columns
+
+
+def _times(columns: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    if "t" not in columns or len(columns["t"]) < 4:
+        return columns
+    t = np.array(columns["t"], dtype=float)
+    k = int(rng.integers(1, len(t)))
+    t = (lambda: np.concatenate([t[:k], t[k:] - 2.0]), lambda: np.concatenate([t[:k], t[k:] + 3600.0]),
+         lambda: np.concatenate([t[:k], t[k:] + 172_800.0]), lambda: t[::-1].copy(), lambda: 1e3 * t, lambda: 1e-3 * t,
+         lambda: 0.0 * t, lambda: t + 1.7e9, lambda: np.round(t, 1), lambda: np.sort(rng.uniform(0, t[-1], len(t))),
+         lambda: np.concatenate([t[:k], t[k:] + 30.0]), lambda: t * rng.choice([0.01, 20.0, 1e9]))[rng.integers(12)]()
+    return {**columns, "t": t}
+
+
+def _rows(columns: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    count = len(next(iter(columns.values()))) if columns else 0
+    keep = int(rng.choice([0, 1, 2, 5, 30, 99, 120, max(count - 1, 0)]))
+    if rng.random() < 0.3 and count:
+        order = rng.permutation(count)
+        return {name: values[order] for name, values in columns.items()}
+    return {name: values[:keep] for name, values in columns.items()}
+
+
+def _types(columns: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
+    name = _name(columns, rng)
+    values = columns.get(name, np.zeros(3))
+    with np.errstate(all="ignore"):
+        columns[name] = (
+            lambda: values > 0, lambda: np.nan_to_num(values).astype(np.int8), lambda: values.astype(np.float16),
+            lambda: np.array([str(v) for v in values], dtype=object),
+            lambda: np.array(["x"] * len(values), dtype=object),
+            lambda: pd.to_datetime(np.arange(len(values))), lambda: np.array([None] * len(values), dtype=object),
+            lambda: np.array([b"\xff"] * len(values), dtype=object))[rng.integers(8)]()
+    return columns
+
+
+def _csv(columns: dict[str, Any]) -> bytes:
+    return pd.DataFrame(columns).to_csv(index=False).encode()
+
+
+def _parquet(columns: dict[str, Any], meta: bytes) -> bytes:
+    table = pa.Table.from_pandas(pd.DataFrame(columns), preserve_index=False)
+    out = io.BytesIO()
+    pq.write_table(table.replace_schema_metadata({"ideal_robot": meta}), out)
+    return out.getvalue()

@@ -1,0 +1,130 @@
+"""The sound files that fuzzing breaks: a small arm, its model, recordings, paths and scenes, all quick to work on."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.dynamics import torques
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+
+URDF = b"""<?xml version="1.0"?>
+<robot name="arm">
+<link name="base"/>
+<link name="upper"><visual><geometry><box size="0.1 0.1 0.5"/></geometry></visual>
+<inertial><origin xyz="0 0 0.2" rpy="0 0 0"/><mass value="6.0"/>
+<inertia ixx="0.2" iyy="0.2" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="lower"><inertial><origin xyz="0 0.05 0.2" rpy="0 0 0"/><mass value="3.0"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="first" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3" rpy="0 0 0"/>
+<axis xyz="0 1 0"/><limit lower="-2.5" upper="2.5" effort="300" velocity="3"/></joint>
+<joint name="second" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0 0 0.5" rpy="0 0 0.1"/>
+<axis xyz="0 1 0"/><limit lower="-2.5" upper="2.5" effort="200" velocity="4"/></joint>
+</robot>
+"""
+DATA = b"""name = "arm"
+[joints]
+gear_ratio = [100.0, 80.0]
+rotor_inertia = [1e-4, 1e-4]
+torque_constant = [0.8, 0.6]
+a_max = [20.0, 30.0]
+home = [0.0, 0.5]
+[controller]
+t_ipo = 0.012
+t_position = 0.002
+t_velocity = 0.0005
+"""
+LINE = b"""kind = "line"
+title = "short"
+speed = 0.7
+method = "none"
+seed = 1
+[calibration]
+by_moving = false
+[surface]
+origin = [0.98, -0.6, 0.35]
+heading_deg = 90.0
+[line]
+formula = "0.4 + 0.02*sin(2*pi*x/0.5)"
+length = 0.2
+[displacement]
+lateral_mm = 4.0
+"""
+PATH = b"""kind = "path"
+title = "circle"
+robot = "kr15"
+speed = 0.3
+seed = 1
+method = "none"
+[path]
+shape = "circle"
+size_mm = 60.0
+centre = [1.0, 0.0, 0.9]
+tilt_deg = 20.0
+"""
+SCENES = {"line": LINE, "path": PATH}
+
+
+@cache
+def arm(folder: Path) -> Robot:
+    """The small arm, its files written into ``folder``."""
+    (folder / "arm.urdf").write_bytes(URDF)
+    (folder / "arm.toml").write_bytes(DATA)
+    return Robot.load(folder / "arm.urdf")
+
+
+@cache
+def motion(folder: Path) -> dict[str, Any]:
+    """Five seconds of the small arm moving: ``t``, ``q_c_i``, ``q_i``, ``tau_i``."""
+    robot, rng = arm(folder), np.random.default_rng(1)
+    t = 0.01 * np.arange(500)
+    w = np.array([[2.1, 3.7], [4.3, 1.9]])
+    q = 0.5 * np.sin(w[0] * t[:, None]) + 0.2 * np.sin(w[1] * t[:, None] + 1.0)
+    qd = 0.5 * w[0] * np.cos(w[0] * t[:, None]) + 0.2 * w[1] * np.cos(w[1] * t[:, None] + 1.0)
+    qdd = -0.5 * w[0] ** 2 * np.sin(w[0] * t[:, None]) - 0.2 * w[1] ** 2 * np.sin(w[1] * t[:, None] + 1.0)
+    tau = torques(robot.pinocchio, q, qd, qdd) + robot.rotor_inertia * qdd + 4.0 * np.sign(qd) + 3.0 * qd
+    tau = tau + 0.1 * rng.normal(size=tau.shape)
+    return {"t": t, **{f"{key}_{i + 1}": values[:, i] for key, values in (("q_c", q), ("q", q), ("tau", tau))
+                       for i in range(2)}}
+
+
+@cache
+def pushes(folder: Path) -> dict[str, Any]:
+    """Twelve seconds of the small arm clamped and pushed: ``t``, ``q_i``, ``current_i``, ``fx fy fz mx my mz``."""
+    robot, rng = arm(folder), np.random.default_rng(2)
+    t = 0.02 * np.arange(600)
+    levels = np.column_stack([np.sin(2 * math.pi * t / 6.0), np.sin(2 * math.pi * t / 4.0)]) * (t > 1.0)[:, None]
+    tau = 80.0 * levels + 0.1 * rng.normal(size=levels.shape)
+    q = np.array([0.3, 0.6]) + tau / 1e5
+    wrench = np.column_stack([100 * levels[:, 0], 0 * t, 120 * levels[:, 1], 0 * t, 30 * levels[:, 0], 0 * t])
+    wrench = wrench + 0.5 * rng.normal(size=wrench.shape)
+    return {"t": t, **{f"q_{i + 1}": q[:, i] for i in range(2)},
+            **{f"current_{i + 1}": tau[:, i] / robot.drive_gain[i] for i in range(2)},
+            **dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), wrench.T, strict=True))}
+
+
+@cache
+def joint_path() -> dict[str, Any]:
+    """A second of a path of the shipped six-joint arm: ``t``, ``q_d_i``."""
+    t = 0.012 * np.arange(80)
+    s = np.clip(t / t[-1], 0, 1)[:, None]
+    home = np.array([0.0, -1.2217304764, 1.8325957146, 0.0, 0.9599310886, 0.0])
+    q = home + 0.05 * (10 * s**3 - 15 * s**4 + 6 * s**5) * np.ones(6)
+    return {"t": t, **{f"q_d_{i + 1}": q[:, i] for i in range(6)}}
+
+
+@cache
+def model(folder: Path) -> bytes:
+    """A model of the small arm: what its data sheet says."""
+    return Model.nominal(arm(folder)).save(folder / "nominal.json").read_bytes()
+
+
+@cache
+def shipped_model() -> bytes:
+    """The shipped model of the six-joint arm, with its controllers."""
+    return (Path(__file__).resolve().parents[2] / "scenes" / "models" / "kr6.json").read_bytes()

@@ -1,0 +1,142 @@
+"""Plays a case in a process of its own, with limits of time and memory, and says what broke our promises."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.fuzz.cases import Case
+
+SECONDS = 60.0
+"""Longest time of a case [s]."""
+BYTES = 2 * 1024**3
+"""Memory a case may take beside what the loaded program maps [bytes]."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """How a case ended.
+
+    Attributes:
+        code: exit code; negative: the signal that ended it.
+        seconds: of the clock.
+        peak: largest resident memory [bytes].
+        err: standard error.
+        broken: the promise that was broken, or None.
+    """
+
+    code: int
+    seconds: float
+    peak: int
+    err: str
+    broken: str | None
+
+
+def warm_up() -> None:
+    """Loads the program once, so that cases do not."""
+    import scenes.cli
+
+    scenes.cli._register()
+
+
+def play(case: Case, seconds: float = SECONDS) -> Played:
+    """Plays a case in a forked process in an empty folder of its own.
+
+    Args:
+        case: what is called.
+        seconds: after which it is killed.
+    """
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
+    try:
+        for name, raw in case.files.items():
+            (folder / name).write_bytes(raw)
+        start = time.monotonic()
+        code, peak = _forked(case, folder, seconds)
+        took = time.monotonic() - start
+        err = (folder / ".err").read_text(errors="replace") if (folder / ".err").exists() else ""
+        return Played(code, took, peak, err, _broken(case, folder, code, took, peak, err, seconds))
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _forked(case: Case, folder: Path, seconds: float) -> tuple[int, int]:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    child = os.fork()
+    if child == 0:
+        _child(case, folder)
+    deadline = time.monotonic() + seconds + 2.0
+    while True:
+        done, status, usage = os.wait4(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss
+        if time.monotonic() > deadline:
+            os.killpg(child, signal.SIGKILL)
+            _, status, usage = os.wait4(child, 0)
+            return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss
+        time.sleep(0.005)
+
+
+def _child(case: Case, folder: Path) -> None:
+    code = 70
+    try:
+        os.setsid()
+        os.chdir(folder)
+        for number, name in ((1, ".out"), (2, ".err")):
+            os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+        # Not those of who watches the tests.
+        sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+        mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (mapped + BYTES, mapped + BYTES))
+        os.environ["IDEAL_ROBOT_DEBUG"] = "1"
+        sys.argv = ["ideal-robot", *case.words]
+        import scenes.cli
+
+        try:
+            scenes.cli.app()
+        except SystemExit as ended:
+            code = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
+        except BaseException as error:
+            code = scenes.cli.ended_by(error)
+    except BaseException:
+        import traceback
+
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+
+
+def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: str, seconds: float) -> str | None:
+    if code < 0:
+        return "over time" if took >= seconds else f"killed by signal {-code}"
+    if took > seconds:
+        return "over time"
+    if "Traceback (most recent call last)" in err:
+        places = re.findall(r'File "[^"]*/((?:ideal_robot|scenes|sensing|planning|sim)/[^"]*)", line (\d+)', err)
+        last = [line for line in err.strip().splitlines() if line.strip()][-1]
+        return f"traceback at {':'.join(places[-1]) if places else '?'}: {last[:160]}"
+    if code not in (0, 1, 2):
+        return f"exit code {code}"
+    if code == 0 and case.must_fail:
+        return "exit code 0 without a required column"
+    if code and "not enough memory" in err:
+        return "memory"
+    lines = [line for line in err.splitlines() if line.strip()]
+    if code == 2 and "Usage:" not in err and len(lines) != 1:
+        return f"{len(lines)} lines on standard error"
+    left = {path.name for path in folder.iterdir()} - set(case.files) - {".out", ".err"}
+    if code and left:
+        return f"left {', '.join(sorted(left))} after a failure"
+    if any(name.startswith(".") for name in left):
+        return f"left {', '.join(sorted(left))}"
+    return None

@@ -1,0 +1,98 @@
+"""Broken files and words, a few hundred of them: no traceback, no hang, no half-written result.
+
+Thousands are played by ``benchmarks/fuzz.py``. Here the readers and checks get most of them, whole verbs a few.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.identification.checks import checked
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.scene import library, load_scene
+from scenes.svg_file import first_path
+from tests.fuzz import mutate_table, mutate_text, originals
+from tests.fuzz.cases import drawn
+from tests.fuzz.play import play, warm_up
+
+T = TypeVar("T")
+SVG = b'<svg xmlns="http://www.w3.org/2000/svg"><g><path d="M 0 0 C 50 10 80 -20 100 0 L 200 10"/></g></svg>'
+
+
+def unless_refused(call: Callable[[], T]) -> T | None:
+    """What the call returns, or None where the input is refused in one line."""
+    try:
+        return call()
+    except InputError as error:
+        if "\n" in str(error):
+            pytest.fail(f"more than one line: {error}")
+        return None
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("sound")
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", range(90))
+def test_a_broken_recording_is_read_and_checked_or_refused(seed: int, sound: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    raw, lost = mutate_table.mutated(originals.motion(sound), ("t", "q_1", "q_2", "tau_1"), rng, csv=seed % 2 == 0)
+    path = tmp_path / ("r.csv" if seed % 2 == 0 else "r.parquet")
+    path.write_bytes(raw)
+    found = unless_refused(lambda: checked([Recording.read(path)], originals.arm(sound)))
+    if found is None:
+        return
+    assert not lost
+    ((usable,), _) = found
+    assert np.all(np.isfinite(usable.joints("q")))
+    assert np.all(np.isfinite(usable.joints("tau")))
+    assert np.all(np.diff(usable.t) > 0)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_broken_model_is_read_or_refused(seed: int, sound: Path, tmp_path: Path) -> None:
+    path = tmp_path / "m.json"
+    path.write_bytes(mutate_text.mutated(originals.model(sound), np.random.default_rng(seed)))
+    unless_refused(lambda: Model.load(path))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_broken_robot_is_read_or_refused(seed: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(seed)
+    (tmp_path / "arm.urdf").write_bytes(mutate_text.mutated(originals.URDF, rng) if seed % 2 else originals.URDF)
+    (tmp_path / "arm.toml").write_bytes(originals.DATA if seed % 2 else mutate_text.mutated(originals.DATA, rng))
+    unless_refused(lambda: Robot.load(tmp_path / "arm.urdf"))
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_broken_scene_is_read_or_refused(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    files = sorted(library().glob("*.toml"))
+    path = tmp_path / "s.toml"
+    path.write_bytes(mutate_text.mutated(files[rng.integers(len(files))].read_bytes(), rng))
+    unless_refused(lambda: load_scene(path))
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seed", range(20))
+def test_a_broken_svg_file_is_read_or_refused(seed: int, tmp_path: Path) -> None:
+    (tmp_path / "a.svg").write_bytes(mutate_text.mutated(SVG, np.random.default_rng(seed)))
+    unless_refused(lambda: first_path("a.svg", tmp_path))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_verb_keeps_its_promises(seed: int, sound: Path) -> None:
+    warm_up()
+    case = drawn(seed, sound, ("stiffness", "precorrect_model", "rsi_arm", "robot"))
+    assert play(case).broken is None, f"{case.words}"

@@ -1,0 +1,146 @@
+"""A sweep goes on whatever happens to one run or one process, leaves nothing behind, and can be gone on with."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ideal_robot.errors import InputError
+from scenes.commands.common import numbers, whole_numbers
+from scenes.sweep import Job, jobs, play, sweep
+from scenes.sweep_file import SweepFile
+from scenes.workers import LostError, work_off
+
+WORK = jobs(["line", "straight"], seeds=[1, 2])
+
+
+def answer(job: Job) -> dict[str, Any]:
+    return {"scene": job.scene, "seed": job.seed, "failure": None}
+
+
+def _killed_once(folder: str) -> str:
+    """Kills its process the first time it is called for a folder."""
+    mark = Path(folder) / "begun"
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+def _always_killed(task: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_lost_process_is_replaced_and_its_task_done_by_another(tmp_path: Path) -> None:
+    folders = [str(tmp_path / str(i)) for i in range(4)]
+    for folder in folders:
+        Path(folder).mkdir()
+    assert dict(work_off(folders, _killed_once, 2)) == dict.fromkeys(range(4), "done")
+
+
+def test_a_task_that_ends_every_process_is_an_answer_among_the_others() -> None:
+    ((index, lost),) = work_off(["x"], _always_killed, 2)
+    assert index == 0
+    assert isinstance(lost, LostError)
+    assert "-9" in str(lost)
+    (row,) = sweep(WORK[:1], processes=1, function=_always_killed)  # type: ignore[arg-type]
+    assert row["scene"] == "line"
+    assert "lost" in row["failure"]
+
+
+def test_a_scene_that_cannot_be_played_is_a_row_with_its_reason() -> None:
+    row = play(Job("line", None, 50.0, None))
+    assert row["scene"] == "line"
+    assert "speed" in row["failure"]
+    row = play(Job("line", "magic", None, None))
+    assert "method" in row["failure"]
+
+
+def test_an_ended_sweep_goes_on_where_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "runs.jsonl"
+    sweep(WORK[:3], function=answer, file=SweepFile(path, resume=False))
+    with path.open("a") as file:
+        file.write('{"job": {"scene": "str')  # killed while writing
+    with pytest.raises(InputError, match="--resume"):
+        SweepFile(path, resume=False)
+    played: list[int] = []
+    rows = sweep(WORK, function=answer, file=SweepFile(path, resume=True), done=played.append)
+    assert played == [4]
+    assert rows == [answer(job) for job in WORK]
+    assert len([json.loads(line) for line in path.read_text().splitlines()]) == 4
+
+
+def test_a_file_that_is_none_of_a_sweep_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "runs.jsonl"
+    for text in ("3\n", "{}\n", "[" * 100_000 + "\n", '{"job": 1}\n', "\0\n"):
+        path.write_text(text)
+        with pytest.raises(InputError, match="none of a sweep"):
+            SweepFile(path, resume=True)
+
+
+SLEEPING = """
+import sys, time
+from pathlib import Path
+from scenes.workers import work_off
+def rest(task):
+    Path(sys.argv[1], str(task)).touch()
+    while True:
+        time.sleep(0.01)
+for _ in work_off([1, 2], rest, 2):
+    pass
+"""
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_no_process_outlives_its_parent(how: signal.Signals, tmp_path: Path) -> None:
+    parent = subprocess.Popen([sys.executable, "-c", SLEEPING, str(tmp_path)], stderr=subprocess.DEVNULL)
+    while len(list(tmp_path.iterdir())) < 2:
+        time.sleep(0.01)
+    children = Path(f"/proc/{parent.pid}/task/{parent.pid}/children").read_text().split()
+    assert len(children) == 2
+    parent.send_signal(how)
+    parent.wait(timeout=20)
+    for _ in range(1000):
+        if not any(Path(f"/proc/{child}").exists() for child in children):
+            return
+        time.sleep(0.02)
+    pytest.fail("a worker is left")
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "1,nan", "x", "1e400", "--"])
+def test_speeds_that_are_no_numbers_are_refused(text: str) -> None:
+    with pytest.raises(InputError):
+        numbers(text, "--speeds")
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "1.5", "-3", "5-2", "1-99999999999", "9" * 30, "1-nan", "x"])
+def test_seeds_that_are_no_whole_numbers_are_refused(text: str) -> None:
+    with pytest.raises(InputError) as refused:
+        whole_numbers(text, "--seeds")
+    assert refused.value.field == "--seeds"
+    assert whole_numbers("1-3, 7", "--seeds") == [1, 2, 3, 7]
+
+
+@pytest.mark.slow
+def test_dask_goes_on_when_a_worker_is_killed(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    folders = [tmp_path / str(i) for i in range(4)]
+    for folder in folders:
+        folder.mkdir()
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        work = [Job("line", str(folder), None, None) for folder in folders]
+        rows = sweep(work, dask=cluster.scheduler_address, function=_killed_once_job)
+    assert [row["failure"] for row in rows] == [None] * 4
+
+
+def _killed_once_job(job: Job) -> dict[str, Any]:
+    """Kills its worker the first time it is called for the folder that stands in place of the method."""
+    return {"scene": job.scene, "failure": None if _killed_once(str(job.method)) == "done" else "?"}
