@@ -127,7 +127,7 @@ def _scene(rng: np.random.Generator, folder: Path) -> Case:
 
 
 def _view(rng: np.random.Generator, folder: Path) -> Case:
-    from scenes.scene import library
+    from scenes.scene_file import library
 
     files = sorted(library().glob("*.toml"))
     text = files[rng.integers(len(files))].read_bytes()

@@ -17,7 +17,7 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.scene import library, load_scene
+from scenes.scene_file import library, load_scene
 from scenes.svg_file import first_path
 from tests.fuzz import mutate_table, mutate_text, originals
 from tests.fuzz.cases import drawn
