@@ -29,6 +29,9 @@ VERBS = {
     "precorrect": "precorrect",
     "rsi": "rsi",
     "detect": "detect",
+    "export": "export",
+    "list": "list",
+    "new": "new",
     "view": "view",
 }
 """Verb on the command line → module in ``scenes/commands`` whose function ``command`` it calls."""

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.errors import InputError
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.units import require_joint_units, require_metres
@@ -42,6 +42,10 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     if recording.n != n:
         raise InputError(f"the recording has {recording.n} joints (q_1 to q_{recording.n}), the robot {robot.name} "
                          f"has {n}", file=source, field="q_i")
+    said = recording.meta.get("robot")
+    if said in SHIPPED and robot.name in SHIPPED and said != robot.name:
+        raise InputError(f"the recording is of {said}, not of {robot.name}; give --urdf {said}", file=source,
+                         field="robot", value=said)
     recording = _in_robot_order(recording, robot)
     if not recording.has("tau"):
         recording, text = _with_torque(recording, robot)

@@ -1,0 +1,122 @@
+"""Recordings as ROS 2 bags and MCAP files, through ``rosbags``; no ROS needed. Foxglove and ROS tools read them.
+
+Topics: ``/joint_states`` (measured position and torque), ``/joint_commands`` and ``/joint_desired`` (positions),
+``/arm_states`` (arm angles), ``/tcp`` (pose of the TCP) and ``/wrench``, each where the recording has the columns.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+
+JOINT_STATE, POSE, WRENCH = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped",
+                             "geometry_msgs/msg/WrenchStamped")
+_POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_WRENCH_COLUMNS = ("fx", "fy", "fz", "mx", "my", "mz")
+_ANGLES = {"/joint_commands": "q_c", "/joint_desired": "q_d", "/arm_states": "qa"}
+
+
+def write_mcap(recording: Recording, path: str | Path) -> Path:
+    """Writes one MCAP file; what was there before stays until the new one is whole.
+
+    Args:
+        recording: what is written; times start at its own.
+        path: ending in ``.mcap``.
+
+    Raises:
+        InputError: another ending, or a recording without joints.
+    """
+    path = Path(path)
+    if path.suffix != ".mcap":
+        raise InputError("expected a name ending in .mcap", field="path", value=str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mcap_") as folder:
+        bag = _write(recording, Path(folder) / "bag", mcap=True)
+        next(bag.glob("*.mcap")).replace(path)
+    return path
+
+
+def write_rosbag2(recording: Recording, path: str | Path) -> Path:
+    """Writes the folder of a ROS 2 bag (SQLite).
+
+    Args:
+        recording: what is written; times start at its own.
+        path: the folder; it must not exist.
+
+    Raises:
+        InputError: something of that name exists, or a recording without joints.
+    """
+    path = Path(path)
+    if path.exists():
+        raise InputError("a bag is a new folder; choose a name that does not exist", field="path", value=str(path))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".bag_") as folder:
+        shutil.move(_write(recording, Path(folder) / path.name, mcap=False), path)
+    return path
+
+
+def _write(recording: Recording, folder: Path, *, mcap: bool) -> Path:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    if recording.n == 0:
+        raise InputError("the recording has no joints q_1, q_2, …", file=recording.source, field="q_1")
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    stamps = np.round(recording.t * 1e9).astype(np.int64)
+    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
+    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+        for topic, kind, message in _topics(recording, store):
+            connection = writer.add_connection(topic, kind, typestore=store)
+            for k, stamp in enumerate(stamps):
+                made = message(k, int(stamp))
+                if made is not None:
+                    writer.write(connection, int(stamp), store.serialize_cdr(made, kind))
+    return folder
+
+
+def _topics(recording: Recording, store: Any) -> Iterator[tuple[str, str, Callable[[int, int], Any]]]:
+    """Topic, message type and the maker of message k."""
+    types = store.types
+    Time, Header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    names = [str(name) for name in recording.meta.get("joints", [])]
+    if len(names) != recording.n:
+        names = [f"joint_{i + 1}" for i in range(recording.n)]
+
+    def header(stamp: int, frame: str) -> Any:
+        return Header(stamp=Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000), frame_id=frame)
+
+    def joints(position: Array, effort: Array | None) -> Callable[[int, int], Any]:
+        nothing = np.empty(0)
+
+        def message(k: int, stamp: int) -> Any:
+            return types[JOINT_STATE](header=header(stamp, "base"), name=names, position=position[k], velocity=nothing,
+                                      effort=nothing if effort is None else effort[k])
+
+        return message
+
+    yield ("/joint_states", JOINT_STATE,
+           joints(recording.joints("q"), recording.joints("tau") if recording.has("tau") else None))
+    for topic, prefix in _ANGLES.items():
+        if recording.has(prefix):
+            yield topic, JOINT_STATE, joints(recording.joints(prefix), None)
+    if all(name in recording.columns for name in _POSE_COLUMNS):
+        pose = np.column_stack([recording.columns[name] for name in _POSE_COLUMNS])
+        yield "/tcp", POSE, lambda k, stamp: None if np.isnan(pose[k]).any() else types[POSE](
+            header=header(stamp, "base"), pose=types["geometry_msgs/msg/Pose"](
+                position=types["geometry_msgs/msg/Point"](*pose[k, :3].tolist()),
+                orientation=types["geometry_msgs/msg/Quaternion"](*pose[k, 3:].tolist())))
+    if all(name in recording.columns for name in _WRENCH_COLUMNS):
+        wrench = np.column_stack([recording.columns[name] for name in _WRENCH_COLUMNS])
+        vector = types["geometry_msgs/msg/Vector3"]
+        yield "/wrench", WRENCH, lambda k, stamp: None if np.isnan(wrench[k]).any() else types[WRENCH](
+            header=header(stamp, "force_sensor"), wrench=types["geometry_msgs/msg/Wrench"](
+                force=vector(*wrench[k, :3].tolist()), torque=vector(*wrench[k, 3:].tolist())))

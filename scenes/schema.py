@@ -1,0 +1,241 @@
+"""Every key of every kind of scene: for the documentation, for editors (JSON Schema), and for a commented first file.
+
+What a key means is the sentence that stands under it in the scene's class; it is read from the source, so that no
+second list can differ from the first.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import itertools
+import json
+import re
+import textwrap
+from collections.abc import Iterator
+from functools import cache
+from typing import Any, get_args
+
+import pydantic
+from pydantic_core import PydanticUndefined
+
+from scenes.kind import KINDS
+from sim.arm.world import World
+
+
+@dataclasses.dataclass(frozen=True)
+class Key:
+    """One key of a scene file.
+
+    Attributes:
+        table: the table it stands in, e.g. ``camera``; empty for the top.
+        name: the key.
+        default: as it is written in TOML; None where it must be given or nothing is the default.
+        required: whether it must be given.
+        allowed: type and limits, for people.
+        meaning: one sentence; empty where name and unit say it.
+        many: whether the table may stand several times (``[[feature]]``).
+    """
+
+    table: str
+    name: str
+    default: str | None
+    required: bool
+    allowed: str
+    meaning: str
+    many: bool = False
+
+
+def scene_keys(kind: str) -> tuple[Key, ...]:
+    """All keys of a kind of scene, tables after the keys at the top.
+
+    Args:
+        kind: one of ``scenes.kind.KINDS``.
+    """
+    keys = tuple(_keys(KINDS.get(kind).scene, "", False))
+    return tuple(sorted(keys, key=lambda key: bool(key.table)))
+
+
+def world_keys() -> tuple[Key, ...]:
+    """All keys of the table ``world``; their defaults are the robot's (``World.default``)."""
+    meanings: dict[str, str] = {}
+    section = (inspect.getdoc(World) or "").partition("Attributes:")[2]
+    for names, text in re.findall(r"^ {4}([a-z_, ]+):((?:.|\n(?! {4}\S))*)", section, flags=re.M):
+        meanings |= {name.strip(): " ".join(text.split()) for name in names.split(",")}
+    fields = [field for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque")]
+    for field in fields:
+        # A number that belongs to another is explained there.
+        explained = next((text for text in meanings.values() if f"``{field.name}``" in text), "")
+        meanings.setdefault(field.name, explained)
+    return tuple(Key("world", field.name, None, False, _plain_type(str(field.type)), meanings[field.name])
+                 for field in fields)
+
+
+def json_schema(kind: str) -> dict[str, Any]:
+    """The JSON Schema of a kind of scene, with descriptions, for editors.
+
+    Args:
+        kind: one of ``scenes.kind.KINDS``.
+    """
+    schema = KINDS.get(kind).scene.model_json_schema()
+    meanings = {(key.table, key.name): key.meaning for key in scene_keys(kind)}
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = f"scene of kind {kind}"
+    for name, entry in schema["properties"].items():
+        if meanings.get(("", name)):
+            entry["description"] = meanings["", name]
+    for model in _tables(KINDS.get(kind).scene):
+        said = _sentences(model)
+        for name, entry in schema["$defs"].get(model.__name__, {}).get("properties", {}).items():
+            if said.get(name):
+                entry["description"] = said[name]
+    return schema
+
+
+def commented_scene(name: str, kind: str, example: str) -> str:
+    """A scene file to start from: a shipped example's text, then every other key with its default, as comments.
+
+    Args:
+        name: of the new scene, for its title.
+        kind: one of ``scenes.kind.KINDS``.
+        example: text of a shipped scene of that kind.
+    """
+    given = re.sub(r'^title = .*$', f"title = {json.dumps(name, ensure_ascii=False)}", example, flags=re.M)
+    lines = ["# Play it: ideal-robot run FILE. Every key there is stands below; behind a # it has that value anyway.",
+             given.rstrip()]
+    present = set(re.findall(r"^([a-z_]+) *=", given, flags=re.M))
+    top = [key for key in scene_keys(kind) if not key.table and key.name not in present | {"name", "kind", "world"}]
+    rest = [key for key in scene_keys(kind) if key.table]
+    tables = list(dict.fromkeys((key.table, key.many) for key in rest))
+    if top:
+        # A key after a table's header would belong to that table, so these stand before the first one.
+        head, mark, tail = lines[1].partition("\n[")
+        lines[1] = "\n".join([head.rstrip(), *(_comment(key) for key in top)]) + ("\n" + mark + tail if mark else "")
+    for table, many in tables:
+        header = f"[[{table}]]" if many else f"[{table}]"
+        missing = [key for key in rest if key.table == table and not _stands(lines[1], header, key.name)]
+        if not missing:
+            continue
+        comments = [_comment(key) for key in missing]
+        if re.search(rf"^{re.escape(header)}", lines[1], flags=re.M):
+            head, found, tail = re.split(rf"^({re.escape(header)}.*)$", lines[1], maxsplit=1, flags=re.M)
+            lines[1] = head + "\n".join([found, *comments]) + tail
+        else:
+            lines += ["", f"# {header}", *comments]
+    lines += ["", "# The simulated world; defaults belong to the robot (docs: World).", "# [world]"]
+    lines += [_comment(key) for key in world_keys()]
+    return "\n".join(lines) + "\n"
+
+
+def keys_page() -> str:
+    """The page of all keys, in Markdown."""
+    parts = ["# Keys of scene files", "A scene is a TOML file; `ideal-robot new NAME --kind line` writes a commented "
+             "one, `ideal-robot list keys --kind line --json FILE` a JSON Schema for editors. This page is made from "
+             "the program's own checks.", ""]
+    for kind in KINDS.names():
+        about = (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0]
+        parts += [f"## {kind}", about, "", _table(scene_keys(kind))]
+    parts += ["## world", "What is simulated, in every kind of scene. Defaults are the robot's.", "",
+              _table(world_keys())]
+    return "\n".join(parts) + "\n"
+
+
+def _table(keys: tuple[Key, ...]) -> str:
+    rows = ["| table | key | default | allowed | meaning |", "| --- | --- | --- | --- | --- |"]
+    for key in keys:
+        default = "**required**" if key.required else f"`{key.default}`" if key.default is not None else "–"
+        cells = (f"`{key.table}`" if key.table else "", f"`{key.name}`", default, key.allowed, key.meaning)
+        rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
+    return "\n".join(rows) + "\n"
+
+
+def _keys(model: type[pydantic.BaseModel], table: str, many: bool) -> Iterator[Key]:
+    said = _sentences(model)
+    for name, field in model.model_fields.items():
+        inner, several = _table_of(field.annotation)
+        if inner is not None:
+            yield from _keys(inner, f"{table}.{name}" if table else name, several)
+            continue
+        default = None if field.is_required() else _toml(field.get_default(call_default_factory=True))
+        yield Key(table, name, default, field.is_required(), _allowed(field), said.get(name, ""), many)
+
+
+def _table_of(annotation: Any) -> tuple[type[pydantic.BaseModel] | None, bool]:
+    """The class of a nested table, and whether there may be several of it."""
+    if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+        return annotation, False
+    for part in get_args(annotation):
+        if isinstance(part, type) and issubclass(part, pydantic.BaseModel):
+            return part, "tuple" in str(annotation)
+    return None, False
+
+
+def _tables(model: type[pydantic.BaseModel]) -> Iterator[type[pydantic.BaseModel]]:
+    for field in model.model_fields.values():
+        inner, _ = _table_of(field.annotation)
+        if inner is not None:
+            yield inner
+            yield from _tables(inner)
+
+
+@cache
+def _sentences(model: type[pydantic.BaseModel]) -> dict[str, str]:
+    """The sentence under each field in the class and those it inherits from."""
+    found: dict[str, str] = {}
+    for owner in reversed(model.__mro__):
+        if not (isinstance(owner, type) and issubclass(owner, pydantic.BaseModel)) or owner is pydantic.BaseModel:
+            continue
+        body = ast.parse(textwrap.dedent(inspect.getsource(owner))).body[0]
+        statements = body.body if isinstance(body, ast.ClassDef) else []
+        for statement, following in itertools.pairwise(statements):
+            if (isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name)
+                    and isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant)):
+                found[statement.target.id] = " ".join(str(following.value.value).split())
+    return found
+
+
+def _allowed(field: Any) -> str:
+    kind = _plain_type(str(field.annotation))
+    limits = {"gt": "above", "ge": "from", "lt": "below", "le": "to"}
+    said = [f"{limits[name]} {getattr(rule, name):g}" for rule in field.metadata for name in limits
+            if getattr(rule, name, None) is not None]
+    return ", ".join([kind, *said])
+
+
+def _plain_type(text: str) -> str:
+    text = re.sub(r"typing\.|<class '|'>|scenes\.[\w.]+\.", "", text)
+    text = re.sub(r"Literal\[(.*?)\]", lambda found: " or ".join(found[1].split(", ")), text)
+    words = {"float": "number", "int": "whole number", "str": "text", "bool": "true or false", "None": "nothing",
+             "PerJoint": "number or one per joint", "dict[text, Any]": "table", "pathlib.Path": "path"}
+    for word, plain in words.items():
+        text = re.sub(rf"\b{re.escape(word)}(?!\w)", plain, text)
+    return re.sub(r"tuple\[(.*?)\]", lambda found: f"list ({found[1]})", text).replace(" | ", " or ")
+
+
+def _toml(value: Any) -> str | None:
+    if value is None or value is PydanticUndefined:
+        return None
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float, str)):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, (tuple, list)):
+        return "[" + ", ".join(_toml(one) or "" for one in value) + "]"
+    return "{}" if isinstance(value, dict) else None
+
+
+def _stands(text: str, header: str, name: str) -> bool:
+    """Whether a key is given under a table's header."""
+    _, found, rest = text.partition(f"\n{header}")
+    return bool(found) and re.search(rf"^{name} *=", re.split(r"^\[", rest[1:], maxsplit=1, flags=re.M)[0],
+                                     flags=re.M) is not None
+
+
+def _comment(key: Key) -> str:
+    said = f"  # {key.meaning}" if key.meaning else ""
+    value = key.default if key.default is not None else f"…  ({key.allowed})"
+    return f"# {key.name} = {value}{said}"
+
+
+
