@@ -12,15 +12,15 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "trials", "benchmarks", "examples", "tests", "docs"}
 IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
-               "import-linter": "importlinter", "pillow": "PIL"}
+               "import-linter": "importlinter", "pillow": "PIL", "rerun-sdk": "rerun"}
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
 """Where files import without circles, and at their top."""
-IMPORTED_LATE = {"rosbags", "matplotlib", "dask", "viser", "trimesh", "svgpathtools"}
+IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "svgpathtools"}
 """Heavy packages that few users need, imported where they are used."""
 STARTS_FAST = "scenes.commands."
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""
-RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter"}
+RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material", "mkdocstrings"}
 """Tools of development that are started as programs."""
 
 
