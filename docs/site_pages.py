@@ -1,11 +1,10 @@
-"""Pages of the documentation site that are made from the code: the API, and every key of every kind of scene.
+"""Pages of the documentation site that are made from the code: the API, room by room.
 
 A hook of MkDocs (``mkdocs.yml``); nothing is written into the source folder.
 """
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,6 @@ PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
 
 def on_files(files: Files, config: Any) -> Files:
     """Adds the generated pages."""
-    sys.path.insert(0, str(ROOT))
-    try:
-        from scenes.schema import keys_page
-
-        files.append(File.generated(config, "scene_keys.md", content=keys_page()))
-    finally:
-        sys.path.remove(str(ROOT))
     for room, modules in rooms().items():
         summary = (ROOT / room.replace(".", "/") / "__init__.py").read_text(encoding="utf-8").strip("\"\n ")
         first = summary.partition("\n")[0].strip('"') if summary.startswith(tuple("ABCDEFGHIJKLMNOPQRSTUVWXYZ")) else ""

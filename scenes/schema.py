@@ -1,7 +1,7 @@
 """Every key of every kind of scene: for the documentation, for editors (JSON Schema), and for a commented first file.
 
 What a key means is the sentence that stands under it in the scene's class; it is read from the source, so that no
-second list can differ from the first.
+second list can differ from the first. ``python -m scenes.schema > docs/scene_keys.md`` writes the page anew.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from functools import cache
 from typing import Any, get_args
 
 import pydantic
-from pydantic_core import PydanticUndefined
 
 from scenes.kind import KINDS
 from sim.arm.world import World
@@ -214,7 +213,7 @@ def _plain_type(text: str) -> str:
 
 
 def _toml(value: Any) -> str | None:
-    if value is None or value is PydanticUndefined:
+    if value is None:
         return None
     if isinstance(value, bool):
         return str(value).lower()
@@ -238,4 +237,5 @@ def _comment(key: Key) -> str:
     return f"# {key.name} = {value}{said}"
 
 
-
+if __name__ == "__main__":
+    print(keys_page(), end="")

@@ -20,7 +20,8 @@ IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "
 """Heavy packages that few users need, imported where they are used."""
 STARTS_FAST = "scenes.commands."
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""
-RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material", "mkdocstrings"}
+RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
+                    "mkdocstrings[python]"}
 """Tools of development that are started as programs."""
 
 

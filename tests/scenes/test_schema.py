@@ -60,6 +60,8 @@ def test_every_commented_default_is_accepted(kind: str, tmp_path: Path) -> None:
 
 def test_the_page_names_every_kind_and_key() -> None:
     page = keys_page()
+    written = Path(__file__).resolve().parents[2] / "docs" / "scene_keys.md"
+    assert written.read_text(encoding="utf-8") == page, "python -m scenes.schema > docs/scene_keys.md"
     for kind in KINDS.names():
         assert f"## {kind}" in page
         for key in scene_keys(kind):
