@@ -104,17 +104,22 @@ class PacketLink:
         refused = f"; the last of {self.counts.refused} refused packets: {self.counts.last_refused}"
         raise RsiError(f"no packet from the controller within {patience:.3g} s{refused if self.counts.refused else ''}")
 
-    def newest(self, message: RobMessage, stamps: Stamps) -> tuple[RobMessage, int]:
+    def newest(self, message: RobMessage, stamps: Stamps, most: int = _QUEUE) -> tuple[RobMessage, int]:
         """The newest of ``message`` and those that wait, and how many were passed over for it.
 
         Whoever answers the oldest of a queue is late for ever.
+
+        Args:
+            message: a message that came before them.
+            stamps: which of two is newer.
+            most: packets that are looked through at most.
 
         Raises:
             RsiError: the system closed the port.
         """
         self._socket.settimeout(0.0)
         passed_over = 0
-        for _ in range(_QUEUE):
+        for _ in range(most):
             try:
                 other = self._read()
             except BlockingIOError:

@@ -30,6 +30,8 @@ from ideal_robot.rsi.stamps import Stamps
 
 _APART = 1.0
 """How far measured and commanded axes may be apart before anything moves [deg]."""
+_QUEUED = 100_000
+"""Packets that may have queued up before the first answer."""
 _AHEAD = 3
 """Packets in a row whose time stamp lies too far ahead, after which it is believed."""
 _PACE = 25
@@ -127,7 +129,8 @@ class RsiRobot:
             RsiError: no packet within ``patience`` [s]; the measured arm is elsewhere than its controller says.
         """
         # Packets may have queued up since the port was opened.
-        first, _ = self._link.newest(self._link.next(time.perf_counter() + patience, patience), self.stamps)
+        oldest = self._link.next(time.perf_counter() + patience, patience)
+        first, _ = self._link.newest(oldest, self.stamps, _QUEUED)
         held = first.actual if first.setpoint is None else first.setpoint
         apart = np.abs(held - first.actual)
         if (apart > _APART).any():

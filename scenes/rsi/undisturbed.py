@@ -6,7 +6,7 @@ import gc
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 _PRIORITY = 50
 """Real-time priority that is asked for, of 1 to 99."""
@@ -26,7 +26,7 @@ def undisturbed(core: int | None = None) -> Iterator[list[str]]:
     """
     granted = ["garbage collection out of the cycle"]
     interval, enabled = sys.getswitchinterval(), gc.isenabled()
-    cores, scheduler = _cores(), None
+    cores, before = _cores(), {}
     gc.collect()
     gc.freeze()
     gc.disable()
@@ -35,23 +35,39 @@ def undisturbed(core: int | None = None) -> Iterator[list[str]]:
         if core is not None:
             granted.append(_kept_to(core))
         if hasattr(os, "sched_setscheduler"):
-            before = os.sched_getscheduler(0), os.sched_getparam(0)
-            try:
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-                scheduler = before
-                granted.append(f"real-time priority {_PRIORITY}")
-            except OSError:
-                granted.append("no real-time priority (not permitted)")
+            before = _schedulers()
+            granted.append(f"real-time priority {_PRIORITY}" if before else "no real-time priority (not permitted)")
         yield granted
     finally:
-        if scheduler is not None:
-            os.sched_setscheduler(0, *scheduler)
+        for thread, (policy, priority) in before.items():
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(thread, policy, priority)
         if core is not None and cores:
             os.sched_setaffinity(0, cores)
         sys.setswitchinterval(interval)
         gc.unfreeze()
         if enabled:
             gc.enable()
+
+
+def _schedulers() -> dict[int, tuple[int, os.sched_param]]:
+    """Gives every thread of this process real-time priority; returns what they had, nothing if it is not permitted.
+
+    Every one: a thread that draws the progress bar holds Python's lock for a moment, and without priority it could be
+    kept from running in that moment by any other program, and us with it.
+    """
+    threads = [int(name) for name in os.listdir("/proc/self/task")] if os.path.isdir("/proc/self/task") else [0]
+    had = {}
+    for thread in threads:
+        try:
+            before = os.sched_getscheduler(thread), os.sched_getparam(thread)
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+            had[thread] = before
+        except ProcessLookupError:
+            continue
+        except OSError:
+            break
+    return had
 
 
 def _cores() -> set[int]:

@@ -149,11 +149,11 @@ def test_of_packets_from_before_the_newest_is_the_first() -> None:
     with RsiRobot(ROBOT, port=0) as link:
         controller = Controller(link)
         with controller.socket:
-            for k in range(3):
+            for k in range(100):
                 controller.send(k)
             assert link.connect(5.0).t == 0.0
             link.send(ROBOT.home)
-            assert f"<IPOC>{(START + 24) % 2**32}</IPOC>" in controller.answer()
+            assert f"<IPOC>{(START + 99 * 12) % 2**32}</IPOC>" in controller.answer()
 
 
 def test_of_several_packets_the_newest_is_answered(pair) -> None:
