@@ -124,8 +124,14 @@ class PacketLink:
                 other = self._read()
             except BlockingIOError:
                 break
-            if other is not None and stamps.newer(message.ipoc, other.ipoc):
+            if other is None:
+                continue
+            if stamps.newer(message.ipoc, other.ipoc):
                 message, passed_over = other, passed_over + 1
+            elif other.ipoc == message.ipoc:
+                self.counts.repeated += 1
+            else:
+                self.counts.outdated += 1
         return message, passed_over
 
     def send(self, answer: bytes) -> None:
