@@ -11,11 +11,15 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import LimitError
+from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.robots.interface import RobotInterface
+from ideal_robot.robots.robot import Robot
 from planning.planning_error import PlanningError
 from scenes.result import Progress
 
+PARTED = 0.02
+"""A wanted command so far from the one that keeps the limits ends the play, on the path [rad, or m]."""
 STANDSTILL = 1e-9
 """Change of the desired angles within a horizon below which the arm rests [rad]."""
 
@@ -75,6 +79,7 @@ class CycleLog:
         q_d: desired position of each cycle ``(n,)`` [rad].
         q_c: command of each cycle ``(n,)`` [rad].
         cycles: computing time of each cycle, sensors' simulation not included [s].
+        limited: cycles whose command had to be changed to keep the arm's limits.
         failure: why the play ended early, or None.
     """
 
@@ -82,6 +87,7 @@ class CycleLog:
     q_d: list[Array] = field(default_factory=list)
     q_c: list[Array] = field(default_factory=list)
     cycles: list[float] = field(default_factory=list)
+    limited: int = 0
     failure: str | None = None
 
 
@@ -104,11 +110,13 @@ class CycleSettings:
     text: str
 
 
-def play_cycles(robot: RobotInterface, task: Task, log: CycleLog, settings: CycleSettings, progress: Progress) -> None:
+def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
+                progress: Progress) -> None:
     """Cycle by cycle until the task is done, or the arm has come to rest because it could not go on.
 
     Args:
         robot: the arm, at rest at the task's start.
+        limits: what commands must keep.
         task: what to do.
         log: is written to.
         settings: how the play ends.
@@ -119,6 +127,7 @@ def play_cycles(robot: RobotInterface, task: Task, log: CycleLog, settings: Cycl
     q_d = np.tile(q, (task.n_d, 1))
     stopping: Iterator[Array] | None = None
     still = 0
+    governor = CommandGovernor(limits, q, t_ipo=T)
     for k in range(int(settings.longest / T)):
         t = k * T
         begin = time.perf_counter()
@@ -133,7 +142,14 @@ def play_cycles(robot: RobotInterface, task: Task, log: CycleLog, settings: Cycl
             rows = next(stopping)
             q_d = np.concatenate([rows, rows[-1:]])
         try:
-            q_c = task.command(t, q_d)
+            wanted = task.command(t, q_d)
+            q_c = governor.allowed(wanted)
+            if stopping is None and not np.all(np.abs(q_c - wanted) < PARTED):
+                j = int(np.argmin(np.abs(q_c - wanted) < PARTED))
+                log.failure = (f"joint {j + 1}: the command {wanted[j]:.4g} leaves the arm's limits at {t:.3f} s; "
+                               "stopped on the path")
+                stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+            log.limited += not np.array_equal(q_c, wanted)
             log.cycles.append(time.perf_counter() - begin)
             log.t.append(t)
             log.q_d.append(q_d[0].copy())

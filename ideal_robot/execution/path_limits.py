@@ -33,7 +33,8 @@ def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> N
     for quantity, values, low, high, remedy in checks:
         if len(values) == 0:
             continue
-        outside = np.argwhere((values < low) | (values > high))
+        # NaN is within no limits.
+        outside = np.argwhere(~((values >= low) & (values <= high)))
         if len(outside):
             row, joint = (int(index) for index in outside[0])
             value = float(values[row, joint])
@@ -59,28 +60,3 @@ def require_within_limits(q_d: Array, arm: Robot, *, start: float = 0.0, file: s
         check_limits(q_d, arm, arm.t_ipo, start=start)
     except LimitError as error:
         raise InputError(str(error), file=file, field=f"{column}_{error.joint}") from error
-
-
-def nearest_allowed(q_c: Array, last: Array, arm: Robot, t_ipo: float) -> Array:
-    """A command ``(n,)`` [rad] within the limits, near ``q_c``.
-
-    All joints go the same share of their way where that can be, so that the arm stays on its path; else each joint
-    goes as far as its own limits let it.
-
-    Args:
-        q_c: the wanted command ``(n,)`` [rad].
-        last: the two commands before ``(2, n)`` [rad], older first.
-        arm: the limits.
-        t_ipo: the cycle [s].
-    """
-    step, way = last[1] - last[0], q_c - last[1]
-    bend, fastest = 2.0 * arm.a_max * t_ipo**2, arm.v_max * t_ipo
-    low = np.maximum(np.maximum(step - bend, -fastest), arm.q_min - last[1])
-    high = np.minimum(np.minimum(step + bend, fastest), arm.q_max - last[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = np.where(way > 0, high / way, np.where(way < 0, low / way, 1.0))
-    share = min(1.0, float(np.min(shares)))
-    if share >= 0.0 and np.all(share * way >= low) and np.all(share * way <= high):
-        return np.asarray(last[1] + share * way)
-    moved = np.clip(np.clip(way, step - bend, step + bend), -fastest, fastest)
-    return np.asarray(np.clip(last[1] + moved, arm.q_min, arm.q_max))

@@ -11,7 +11,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
-from ideal_robot.execution.path_limits import check_limits, nearest_allowed
+from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.plain import plain
@@ -110,6 +111,7 @@ class _Player:
         self.ahead = held(path, after=feedforward.n_d + 2)
         self.state = feedforward.init(path[0])
         self.last = np.tile(path[0], (2, 1))
+        self.governor = None if robot is None else CommandGovernor(robot, path[0], t_ipo=driver.t_ipo)
         self.q_d: list[Array] = []
         self.q_c: list[Array] = []
         self.measured: list[RobotState] = []
@@ -119,11 +121,12 @@ class _Player:
         """One cycle; raises LimitError before anything is handed over, except while braking."""
         T, begun = self.driver.t_ipo, time.perf_counter()
         q_c, after = self.feedforward.step(self.state, horizon)
-        if self.robot is not None:
+        if self.robot is not None and self.governor is not None:
             if braking:
-                q_c = nearest_allowed(q_c, self.last, self.robot, T)
+                q_c = self.governor.allowed(q_c)
             else:
                 check_limits(np.vstack([self.last, q_c]), self.robot, T, start=(len(self.q_c) - 2) * T)
+                self.governor.passed(q_c)
         taken = time.perf_counter() - begun
         measured = self.driver.cycle(q_c)
         begun = time.perf_counter()

@@ -60,7 +60,7 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
         camera = None if task.vision is None else CarriedCamera(task.vision.rendered, arm)
         task.connect(sensor, camera)
         started = time.perf_counter()
-        play_cycles(EquippedArm(arm, [sensor] if camera is None else [camera, sensor]), task, task.log,
+        play_cycles(EquippedArm(arm, [sensor] if camera is None else [camera, sensor]), cell.robot, task, task.log,
                     CycleSettings(BRAKING, REST * arm.t_ipo, LONGEST, cell.profile.duration + 2.0, method.key),
                     progress)
         wall = time.perf_counter() - started

@@ -67,7 +67,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         model = model_for(scene, cell.robot) if method.knows_model else None
         task = LineTask(cell, method, camera, model, gains, log, sensors)
         started = time.perf_counter()
-        play_cycles(EquippedArm(arm, [camera]), task, log,
+        play_cycles(EquippedArm(arm, [camera]), cell.robot, task, log,
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),
                     progress)
         wall = time.perf_counter() - started

@@ -11,7 +11,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, LimitError
-from ideal_robot.execution.path_limits import check_limits, nearest_allowed
+from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.rsi import RsiRobot
@@ -115,6 +116,7 @@ class RsiServer:
         """Desired position and command of every cycle; braking from where a limit or ``stop`` ends the path."""
         law, T, robot = self.feedforward, self.link.t_ipo, self.link.robot
         state, last = law.init(q_d[0]), np.tile(q_d[0], (2, 1))
+        governor = CommandGovernor(robot, q_d[0], t_ipo=T)
         ahead = held(q_d, after=law.n_d + 2)
         for k in range(len(q_d)):
             if self._reason is not None:
@@ -125,6 +127,7 @@ class RsiServer:
             except LimitError as error:
                 self.stop(f"stopped on the path at {k * T:.3f} s: {error}")
                 break
+            governor.passed(q_c)
             state, last = after, np.vstack([last[1], q_c])
             yield ahead[k], q_c
         else:
@@ -139,9 +142,7 @@ class RsiServer:
         cycles = int(np.ceil((min(1.5 * braking, _BRAKING_MAX) + _STANDING) / T))
         for planned in islice(stopping_rows(ahead[k : k + cycles + law.n_d], T, braking, 1.0), cycles):
             q_c, state = law.step(state, planned[: law.n_d])
-            q_c = nearest_allowed(q_c, last, robot, T)
-            last = np.vstack([last[1], q_c])
-            yield planned[0], q_c
+            yield planned[0], governor.allowed(q_c)
 
     def _run(self, log: CycleLog, granted: list[str]) -> RsiRun:
         robot, counts = self.link.robot, asdict(self.link.counts)

@@ -1,0 +1,124 @@
+r"""Commands that keep every limit, whatever is asked for: position, speed, acceleration and jerk.
+
+Between a feedforward, which may ask for anything, and the positional interface. A command that keeps the limits, and
+from which the arm can still come to rest within them, passes unchanged; otherwise the nearest one is taken for which
+that holds. In each cycle ``T``, with ``v`` and ``a`` of the commands' own differences,
+
+.. math::
+    |a' - a| \le j_{max} T, \quad |a'| \le a_{max}, \quad v' = v + a' T, \quad |v'| \le v_{max}, \quad p' = p + v' T ,
+
+and the braking motion from ``(p', v', a')`` stays within ``p_min … p_max`` as well. Since braking on was possible in
+the cycle before, there is always such a command.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+
+ACCELERATION = 2.0
+"""Acceleration limit of commands, as a multiple of the arm's: a linear interpolator's acceleration is what the speed
+changes over a cycle, and controllers trip at about twice the limit."""
+_STEPS = 2000
+"""Cycles in which a braking motion has to end."""
+_HALVINGS = 20
+_SLACK = 1e-9
+"""Relative slack of the comparisons, for rounding."""
+
+
+@njit(cache=True)
+def _braking(v: float, a: float, T: float, A: float, J: float) -> float:
+    """Acceleration of the next cycle of a braking motion."""
+    most = min(A, math.sqrt(2.0 * J * abs(v)))
+    wanted = min(max(-v / T, -most), most)
+    return min(max(wanted, a - J * T), a + J * T)
+
+
+@njit(cache=True)
+def _can_rest(p: float, v: float, a: float, T: float, low: float, high: float, V: float, A: float, J: float) -> bool:
+    """Whether the braking motion from here keeps all limits and ends."""
+    room = _SLACK * (1.0 + abs(p))
+    for _ in range(_STEPS):
+        if p < low - room or p > high + room or abs(v) > V * (1.0 + _SLACK):
+            return False
+        if abs(v) * T < 1e-15 and abs(a) * T * T < 1e-15:
+            return True
+        a = _braking(v, a, T, A, J)
+        v += a * T
+        p += v * T
+    return False
+
+
+@njit(cache=True)
+def _governed(q: Array, last: Array, T: float, low: Array, high: Array, V: Array, A: Array, J: Array) -> Array:
+    """The commands of the next cycle; ``last (3, n)``, oldest first."""
+    result = np.empty(q.size)
+    for j in range(q.size):
+        p, v = last[2, j], (last[2, j] - last[1, j]) / T
+        a = (v - (last[1, j] - last[0, j]) / T) / T
+        brake = min(max(_braking(v, a, T, A[j], J[j]), -A[j]), A[j])
+        if not math.isfinite(q[j]):
+            result[j] = p + (v + brake * T) * T
+            continue
+        wanted = ((q[j] - p) / T - v) / T
+        wanted = min(max(wanted, a - J[j] * T, -A[j], (-V[j] - v) / T), a + J[j] * T, A[j], (V[j] - v) / T)
+        good, bad = brake, wanted
+        speed = v + wanted * T
+        if _can_rest(p + speed * T, speed, wanted, T, low[j], high[j], V[j], A[j], J[j]):
+            # Within rounding of what was asked for it is what was asked for.
+            at = p + speed * T
+            result[j] = q[j] if abs(at - q[j]) <= _SLACK * (1.0 + abs(q[j])) * 1e-3 else at
+            continue
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (good + bad)
+            speed = v + middle * T
+            if _can_rest(p + speed * T, speed, middle, T, low[j], high[j], V[j], A[j], J[j]):
+                good = middle
+            else:
+                bad = middle
+        result[j] = p + (v + good * T) * T
+    return result
+
+
+class CommandGovernor:
+    """Keeps the commands of one motion within an arm's limits.
+
+    Args:
+        robot: limits of position, speed and acceleration; where unknown (infinite) there is none.
+        q: where the arm rests before the first command ``(n,)`` [rad, or m where a joint slides].
+        t_ipo: interpolation cycle [s]; the robot's if None.
+        j_max: jerk limit ``(n,)`` [rad/s³, m/s³]; by default what lets the acceleration change from one limit to the
+            other in one cycle.
+
+    Raises:
+        InputError: a start outside the position limits.
+    """
+
+    def __init__(self, robot: Robot, q: Array, *, t_ipo: float | None = None, j_max: Array | None = None) -> None:
+        self._T = robot.t_ipo if t_ipo is None else t_ipo
+        self._low, self._high = np.array(robot.q_min, dtype=float), np.array(robot.q_max, dtype=float)
+        self._V, self._A = np.array(robot.v_max, dtype=float), ACCELERATION * np.array(robot.a_max, dtype=float)
+        jerk = 2.0 * self._A / self._T if j_max is None else np.asarray(j_max, dtype=float)
+        self._J = np.broadcast_to(jerk, (robot.n,)).copy()
+        start = np.array(q, dtype=float)
+        if start.shape != (robot.n,) or not np.all((start >= self._low) & (start <= self._high)):
+            raise InputError("expected a start within the joint limits", field="q", value=start.tolist())
+        self._last = np.tile(start, (3, 1))
+
+    def allowed(self, q_c: Array) -> Array:
+        """The command nearest to ``q_c (n,)`` that keeps every limit, and remembers it; NaN asks for braking."""
+        command = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._low, self._high, self._V, self._A,
+                            self._J)
+        self.passed(command)
+        return command
+
+    def passed(self, q_c: Array) -> None:
+        """Remembers a command ``(n,)`` that was handed over as it is, having been checked elsewhere."""
+        self._last[:2] = self._last[1:]
+        self._last[2] = q_c
