@@ -27,6 +27,8 @@ _WORTH = 0.02
 _PRESLIDING = (1e-5, 0.1)
 _CLEARLY = 0.9
 """Once presliding lowers the held-out error to this share, laws without it are not tried any more."""
+_VARIES = 0.1
+"""Least share of its size by which a load must vary; else its friction is dry friction by another name."""
 _RIDGE = 1e-9
 
 
@@ -48,12 +50,32 @@ class Candidate:
         """Number of parameters."""
         return len(self.law.coefficient_names) + self.loaded + len(self.bounds)
 
+    @property
+    def braking(self) -> np.ndarray:
+        """Mask of the coefficients that may not be negative: they would drive the joint instead of braking it."""
+        return braking(self.make([1.0] * len(self.bounds)))
+
     def make(self, shape: Sequence[float], coefficients: Array | None = None) -> FrictionModel:
         """A law of one joint; unit coefficients unless given."""
         rows = len(self.law.coefficient_names) + self.loaded
         c = np.ones(rows) if coefficients is None else coefficients
         return self.law(c[:, None], np.array(shape, dtype=float)[:, None], presliding=self.presliding,
                         loaded=self.loaded)
+
+
+def braking(law: FrictionModel) -> np.ndarray:
+    """Mask ``(m,)`` of a law's coefficients that brake by themselves and so may not be negative.
+
+    Those of the degressive laws are not among them, one by one: only their sum has to brake (``brakes``).
+    """
+    return np.array([name.startswith(("Fv", "Fc", "a_load")) for name, _ in law.names])
+
+
+def brakes(law: FrictionModel, fastest: float) -> bool:
+    """Whether a one-joint law takes energy away at all speeds up to a little more than the fastest that was seen."""
+    speed = np.linspace(0.02, 1.2, 60) * fastest
+    speed = np.concatenate([-speed, speed])[:, None]
+    return bool(np.all(law.torque(speed) * speed >= 0.0))
 
 
 def candidates(laws: Sequence[type[FrictionModel]], refine: bool) -> list[Candidate]:
@@ -71,17 +93,26 @@ class FrictionChoice:
         y: decimated torque ``(M, n)``.
         load: torque the gears transmit, per recording ``(N, n)``; what loaded laws look at.
         noise: noise level per joint ``(n,)`` for the weights.
+        information: what is known of the rigid parameters beforehand, as an inverse covariance ``(b, b)``; ``y`` is
+            what is left when the values it belongs to are subtracted.
     """
 
     def __init__(self, signals: Sequence[FilteredSignals], rigid: Array, y: Array, load: Sequence[Array],
-                 noise: Array) -> None:
+                 noise: Array, information: Array) -> None:
         self._signals, self._load = signals, load
-        self._rigid, self._y, self._noise = rigid / noise[:, None], y / noise, noise
+        self._live = ~np.isnan(y).all(axis=0)
+        noise = np.where(self._live, noise, 1.0)
+        self._rigid, self._noise = rigid * self._live[:, None] / noise[:, None], noise
+        self._y = np.where(self._live, y, 0.0) / noise
+        self._fastest = np.max([np.max(np.abs(s.qd), axis=0) for s in signals], axis=0)
+        size = np.abs(np.concatenate(load))
+        self._load_varies = np.std(size, axis=0) > _VARIES * np.sqrt(np.mean(size**2, axis=0))
         self._folds = np.arange(len(y)) * _FOLDS // len(y)
         self._filtered: dict[tuple[int, int], Array] = {}
         self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}
         self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
         self._rigid /= self._size
+        self._information = information / np.outer(self._size, self._size)
         self._gram = [self._gram_of(self._folds == fold) for fold in range(_FOLDS)]
 
     def columns(self, joint: int, candidate: Candidate, shape: tuple[float, ...]) -> Array:
@@ -121,17 +152,22 @@ class FrictionChoice:
         n = self._y.shape[1]
         chosen = [(options[0], self._start(options[0])) for _ in range(n)]
         scores: list[dict[str, float]] = [{} for _ in range(n)]
-        for sweep, j in itertools.product(range(sweeps), range(n)):
+        for sweep, j in itertools.product(range(sweeps), np.flatnonzero(self._live).tolist()):
             projection = self._projection(chosen, j)
             known: dict[str, float] = {}
             best: tuple[float, Candidate] | None = None
             rigid = np.inf
             # A second look at a joint, now that the others fit better, needs to consider the leaders only.
             for option in options if sweep == 0 else _leaders(options, scores[j]):
+                if option.loaded and not self._load_varies[j]:
+                    continue
                 if best is not None and best[1].presliding and not option.presliding and best[0] < _CLEARLY * rigid:
                     continue
                 shape = self._shape(projection, j, option, known, polish=False)
-                score = projection.held_out(self.columns(j, option, shape))
+                columns = self.columns(j, option, shape)
+                if not brakes(option.make(shape, projection.coefficients(columns, option.braking)), self._fastest[j]):
+                    continue
+                score = projection.held_out(columns, option.braking)
                 scores[j][option.make(shape).label] = score
                 if not option.presliding:
                     rigid = min(rigid, score)
@@ -160,7 +196,7 @@ class FrictionChoice:
 
         def error(x: Array) -> float:
             shape = tuple(float(v) for v in 10.0 ** np.clip(x, low, high))
-            return projection.error(self.columns(joint, option, shape))
+            return projection.error(self.columns(joint, option, shape), option.braking)
 
         at = np.log10([known.get(name, start) for name, start in zip(names, self._start(option), strict=True)])
         for i, name in enumerate(names):
@@ -185,7 +221,7 @@ class FrictionChoice:
     def _projection(self, chosen: Sequence[tuple[Candidate, tuple[float, ...]]], joint: int) -> _Projection:
         """Everything but this joint's friction, as normal equations of each fold."""
         others = [(j, self.columns(j, *chosen[j])) for j in range(self._y.shape[1]) if j != joint]
-        return _Projection.of(self._gram, self._rigid, self._y, others, joint, self._folds)
+        return _Projection.of(self._gram, self._information, self._rigid, self._y, others, joint, self._folds)
 
 
 @dataclass(frozen=True)
@@ -193,15 +229,18 @@ class _Projection:
     """Normal equations of all parameters but one joint's friction, fold by fold, and that joint's own rows."""
 
     grams: list[tuple[Array, Array, float]]
+    known: Array
     own: Array
     y: Array
     folds: np.ndarray
 
     @classmethod
-    def of(cls, rigid_grams: Sequence[tuple[Array, Array, float]], rigid: Array, y: Array,
+    def of(cls, rigid_grams: Sequence[tuple[Array, Array, float]], information: Array, rigid: Array, y: Array,
            others: Sequence[tuple[int, Array]], joint: int, folds: np.ndarray) -> _Projection:
         b = rigid.shape[2]
         total = b + sum(columns.shape[1] for _, columns in others)
+        known = np.zeros((total, total))
+        known[:b, :b] = information
         grams = []
         for fold, (A, r, yy) in enumerate(rigid_grams):
             mask = folds == fold
@@ -219,11 +258,11 @@ class _Projection:
             grams.append((full, rhs, yy))
         own = np.zeros((len(y), total))
         own[:, :b] = rigid[:, joint]
-        return cls(grams, own, y[:, joint], folds)
+        return cls(grams, known, own, y[:, joint], folds)
 
     def _bordered(self, F: Array, use: Callable[[int], bool]) -> tuple[Array, Array, float, Array]:
         keep = np.array([use(fold) for fold in range(len(self.grams))])[self.folds]
-        A = sum(gram[0] for fold, gram in enumerate(self.grams) if use(fold))
+        A = self.known + sum(gram[0] for fold, gram in enumerate(self.grams) if use(fold))
         r = sum(gram[1] for fold, gram in enumerate(self.grams) if use(fold))
         yy = sum(gram[2] for fold, gram in enumerate(self.grams) if use(fold))
         size = np.maximum(np.linalg.norm(F, axis=0), 1e-12)
@@ -233,19 +272,38 @@ class _Projection:
         full[np.diag_indices_from(full)] += _RIDGE * np.maximum(np.diag(full), 1e-9)
         return full, np.concatenate([r, scaled.T @ self.y[keep]]), float(yy), size
 
-    def error(self, F: Array) -> float:
-        """Sum of squares of the full fit with this friction regressor."""
-        full, rhs, yy, _ = self._bordered(F, lambda _: True)
-        return float(yy - rhs @ np.linalg.solve(full, rhs))
+    def _solved(self, F: Array, use: Callable[[int], bool], bounded: np.ndarray) -> tuple[Array, Array, float, Array]:
+        """Parameters, right-hand side, ``yᵀy`` and column sizes; bounded coefficients of F that want to be negative
+        are zero, worst first."""
+        full, rhs, yy, size = self._bordered(F, use)
+        free = np.ones(len(rhs), dtype=bool)
+        first = self.own.shape[1]
+        while True:
+            p = np.zeros(len(rhs))
+            p[free] = np.linalg.solve(full[np.ix_(free, free)], rhs[free])
+            wrong = np.where(bounded, p[first:], 0.0)
+            if np.all(wrong >= 0.0):
+                return p, rhs, yy, size
+            free[first + int(np.argmin(wrong))] = False
 
-    def held_out(self, F: Array) -> float:
+    def error(self, F: Array, bounded: np.ndarray) -> float:
+        """Sum of squares of the full fit with this friction regressor; ``bounded (m,)`` marks what may not brake
+        backwards."""
+        p, rhs, yy, _ = self._solved(F, lambda _: True, bounded)
+        return float(yy - rhs @ p)
+
+    def coefficients(self, F: Array, bounded: np.ndarray) -> Array:
+        """Those of this joint's law ``(m,)`` in the full fit."""
+        p, _, _, size = self._solved(F, lambda _: True, bounded)
+        return np.asarray(p[self.own.shape[1] :] / size)
+
+    def held_out(self, F: Array, bounded: np.ndarray) -> float:
         """Standard deviation of the joint's residual on folds that the fit has not seen."""
         total = 0.0
+        split = self.own.shape[1]
         for fold in range(len(self.grams)):
-            full, rhs, _, size = self._bordered(F, lambda other, fold=fold: other != fold)  # type: ignore[misc]
-            p = np.linalg.solve(full, rhs)
+            p, _, _, size = self._solved(F, lambda other, fold=fold: other != fold, bounded)  # type: ignore[misc]
             mask = self.folds == fold
-            split = self.own.shape[1]
             total += float(np.sum((self.y[mask] - self.own[mask] @ p[:split] - (F[mask] / size) @ p[split:]) ** 2))
         return float(np.sqrt(total / len(self.y)))
 

@@ -20,12 +20,12 @@ from ideal_robot.dynamics import (
     torques,
     with_link_parameters,
 )
-from ideal_robot.dynamics.consistency import Consistency, consistent_parameters
+from ideal_robot.dynamics.consistency import Consistency, consistent_parameters, parameter_scales
 from ideal_robot.errors import InputError
 from ideal_robot.friction import Asymmetric, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.excitation_warnings import excitation_warnings
-from ideal_robot.identification.friction_choice import AUTO, FrictionChoice, candidates, with_coefficients
+from ideal_robot.identification.friction_choice import AUTO, FrictionChoice, braking, candidates, with_coefficients
 from ideal_robot.identification.weighted_least_squares import Solution, weighted_least_squares
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import shape_columns
@@ -95,17 +95,20 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     segments = np.concatenate([np.full(s.keep.sum(), i) for i, s in enumerate(signals)])
     nominal = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(robot.n)])
     start = base.of(nominal)
+    known = known_beforehand(base, nominal, y, signals, robot)
 
-    laws, scores, load = _friction(signals, W, y, segments, base, nominal, robot, friction)
+    laws, scores, load = _friction(signals, W, y, segments, base, nominal, robot, friction, known)
     for j, law in enumerate(laws):
         if isinstance(law, Asymmetric):
             # An offset is the difference of the two dry frictions; the law has it, so it is no parameter of its own.
             W[:, :, base.names.index(f"offset_{j + 1}")] = 0.0
     joined = np.concatenate([W, _friction_columns(signals, laws, load)], axis=2)
+    nonnegative = np.concatenate([np.zeros(base.count, dtype=bool), *[braking(law) for law in laws]])
     solution = weighted_least_squares(joined, y, np.concatenate([start, np.zeros(joined.shape[2] - base.count)]),
-                                      segments=segments)
+                                      segments=segments, information=_padded(known, joined.shape[2]),
+                                      nonnegative=nonnegative)
     fitted = with_coefficients(laws, solution.value[base.count :])
-    solution = _with_shape(solution, joined, signals, fitted, load, segments)
+    solution = _with_shape(solution, joined, signals, fitted, load, segments, known)
     values = solution.value[: base.count]
     consistency = consistent_parameters(base, values, solution.covariance[: base.count, : base.count], nominal)
     model = Model(
@@ -142,7 +145,7 @@ def _cutoff_of(recording: Recording) -> float:
 
 
 def _friction(signals: Sequence[FilteredSignals], W: Array, y: Array, segments: Array, base: BaseParameters,
-              nominal: Array, robot: Robot, wanted: str,
+              nominal: Array, robot: Robot, wanted: str, known: Array,
               ) -> tuple[list[FrictionModel], list[dict[str, float]], list[Array]]:
     """Friction laws with their shape, the scores of those tried, and the load they look at."""
     options = candidates(AUTO, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
@@ -151,13 +154,14 @@ def _friction(signals: Sequence[FilteredSignals], W: Array, y: Array, segments: 
     none = [np.zeros_like(s.q) for s in signals]
     columns = _friction_columns(signals, first, none)
     rough = weighted_least_squares(np.concatenate([W, columns], axis=2), y,
-                                   np.concatenate([base.of(nominal), np.zeros(columns.shape[2])]), segments=segments)
+                                   np.concatenate([base.of(nominal), np.zeros(columns.shape[2])]), segments=segments,
+                                   information=_padded(known, base.count + columns.shape[2]))
     if len(options) == 1 and not options[0].bounds:
         return [options[0].make(()) for _ in range(robot.n)], [{} for _ in range(robot.n)], none
     full = base.nearest_full(rough.value[: base.count], nominal)
     links = with_link_parameters(robot.pinocchio, full[: 10 * robot.n])
     load = [torques(links, s.q, s.qd, s.qdd) for s in signals]
-    choice = FrictionChoice(signals, W, y, load, rough.noise_std)
+    choice = FrictionChoice(signals, W, y - W @ base.of(nominal), load, rough.noise_std, known)
     laws, scores = choice.choose(options)
     return laws, scores, load
 
@@ -178,7 +182,7 @@ def _friction_columns(signals: Sequence[FilteredSignals], laws: Sequence[Frictio
 
 
 def _with_shape(solution: Solution, W: Array, signals: Sequence[FilteredSignals], friction: PerJointFriction,
-                load: Sequence[Array], segments: Array) -> Solution:
+                load: Sequence[Array], segments: Array, known: Array) -> Solution:
     """The solution with the shape parameters' share of the covariance, by linearisation about the optimum."""
     shape = np.concatenate([law.shape[:, 0] for law in friction.laws])
     if not len(shape):
@@ -193,8 +197,34 @@ def _with_shape(solution: Solution, W: Array, signals: Sequence[FilteredSignals]
         parts.append(block)
     joined = np.concatenate([W, np.concatenate(parts)], axis=2)
     # At the optimum the linearised problem has the residual for its measurement and no step as its solution.
-    linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), segments=segments)
+    joined[:, :, : W.shape[2]][:, :, solution.at_bound] = 0.0
+    linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), segments=segments,
+                                    information=_padded(known, joined.shape[2]))
     return replace(linear, value=np.concatenate([solution.value, shape]), residual=solution.residual,
                    condition_number=solution.condition_number,
                    condition_number_scaled=solution.condition_number_scaled,
-                   unexcited=np.concatenate([solution.unexcited, np.zeros(len(shape), dtype=bool)]))
+                   unexcited=np.concatenate([solution.unexcited, np.zeros(len(shape), dtype=bool)]),
+                   at_bound=np.concatenate([solution.at_bound, np.zeros(len(shape), dtype=bool)]))
+
+
+def known_beforehand(base: BaseParameters, nominal: Array, y: Array, signals, robot: Robot) -> Array:
+    """What is known of the base parameters before any data, as an inverse covariance ``(b, b)``.
+
+    Link parameters are nominal to their own size, offsets zero to a fifth of the torque that was measured. A motion
+    that excites is not moved by it; what a motion leaves open is not filled with noise.
+    """
+    n = len(nominal) // 12
+    scale = parameter_scales(nominal, n)
+    import os
+    scale *= float(os.environ.get("PRIOR", "1"))
+    acceleration = np.std(np.concatenate([s.decimate(s.qdd) for s in signals]), axis=0)
+    torque = np.maximum(np.nan_to_num(np.std(y, axis=0)), 1e-6)
+    scale[10 * n : 11 * n] = np.maximum(scale[10 * n : 11 * n], torque / np.maximum(acceleration, 1e-6))
+    scale[11 * n :] = float(os.environ.get("OFFS","0.2")) * torque
+    return np.asarray(np.linalg.pinv((base.grouping * scale**2) @ base.grouping.T, hermitian=True))
+
+
+def _padded(information: Array, size: int) -> Array:
+    padded = np.zeros((size, size))
+    padded[: len(information), : len(information)] = information
+    return padded

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy import optimize
 
 from ideal_robot.arrays import Array
 
@@ -27,6 +28,8 @@ class Solution:
         condition_number_scaled: of the same with columns scaled to unit length.
         unexcited: mask ``(P,)`` of parameters that the data say nothing about; they keep their starting value.
         residual: ``(M, n)``.
+        at_bound: mask ``(P,)`` of parameters that the data want negative and that may not be: they are zero, a limit
+            without a standard deviation.
     """
 
     value: Array
@@ -37,56 +40,114 @@ class Solution:
     condition_number_scaled: float
     unexcited: np.ndarray
     residual: Array
+    at_bound: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
 
 
-def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int = 4,
-                           segments: Array | None = None) -> Solution:
+def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int = 4, segments: Array | None = None,
+                           information: Array | None = None, nonnegative: np.ndarray | None = None,
+                           variance: Array | None = None) -> Solution:
     """Solves ``y = W p + e`` with one noise level per channel, estimated from the residual (IDIM-WLS).
 
     Args:
         W: ``(M, n, P)`` observation matrix per sample.
-        y: ``(M, n)`` measurements.
+        y: ``(M, n)`` measurements; a channel that is NaN throughout takes no part.
         start: ``(P,)`` values that directions without excitation keep.
         iterations: re-estimations of the weights.
         segments: ``(M,)`` number of the recording each sample comes from, so that correlation of residuals is not
             counted across recordings.
+        information: ``(P, P)`` what is known of the parameters beforehand, about ``start``: an inverse covariance.
+        nonnegative: ``(P,)`` parameters that may not be negative.
+        variance: ``(M, n)`` variance that each sample is known to have beside its channel's noise level, in the square
+            of y's unit.
     """
+    live = ~np.isnan(y).all(axis=0)
+    y = np.where(live, y, 0.0)
+    W = W * live[:, None]
     count, n, size = W.shape
     scale_y = np.maximum(np.std(y, axis=0), 1e-12)
     noise = scale_y
+    known = np.zeros((size, size)) if information is None else information
+    bounded = np.zeros(size, dtype=bool) if nonnegative is None else nonnegative
+    at_bound = np.zeros(size, dtype=bool)
+    extra = np.zeros_like(y) if variance is None else variance
     for _ in range(iterations):
-        value, inverse, conditions, unexcited = _solve(W / noise[:, None], (y - W @ start) / noise)
+        std = np.sqrt(noise**2 + extra)
+        value, inverse, conditions, unexcited = _solve(W / std[:, :, None], (y - W @ start) / std, known)
+        value, inverse, at_bound = _bounded(value, inverse, start, bounded, unexcited)
         value = value + start
         residual = y - W @ value
-        # [J] (15) channel by channel; each channel is charged its share of the parameters.
-        freedom = max(1.0, count - (size - unexcited.sum()) / n)
-        noise = np.maximum(np.sqrt(np.sum(residual**2, axis=0) / freedom), 1e-9 * scale_y)
-    std_white = np.sqrt(np.diag(inverse))
-    inflation = _correlation_inflation(W / noise[:, None], residual / noise, inverse, segments)
+        # [J] (15) channel by channel; each channel is charged its share of the parameters. Samples whose own variance
+        # is large say little about the noise level.
+        share = (noise / std) ** 2
+        freedom = np.maximum(1.0, np.sum(share, axis=0) * (1.0 - (size - unexcited.sum()) / n / count))
+        level = np.sum(share * (residual**2 - extra), axis=0) / freedom
+        noise = np.sqrt(np.maximum(level, (1e-9 * scale_y) ** 2))
+    std = np.sqrt(noise**2 + extra)
+    std_white = np.sqrt(np.maximum(np.diag(inverse), 0.0))
+    inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
     covariance = inverse * np.outer(inflation, inflation)
-    return Solution(value, covariance, std_white, noise, *conditions, unexcited, residual)
+    return Solution(value, covariance, std_white, np.where(live, noise, 0.0), *conditions, unexcited,
+                    np.where(live, residual, np.nan), at_bound)
 
 
-def _solve(W: Array, y: Array) -> tuple[Array, Array, tuple[float, float], np.ndarray]:
+def _bounded(value: Array, inverse: Array, start: Array, bounded: np.ndarray, unexcited: np.ndarray,
+             ) -> tuple[Array, Array, np.ndarray]:
+    """The solution nearest in its own metric in which bounded parameters are not negative.
+
+    With the free solution and its covariance C known, the bounded one is a small problem: the multipliers of the active
+    bounds ``λ ≥ 0`` minimise ``½ λᵀ C_bb λ + λᵀ (start + value)_b``, and the parameters move by ``C λ``.
+    """
+    here = np.flatnonzero(bounded & ~unexcited & (np.diag(inverse) > 0))
+    none = np.zeros(len(value), dtype=bool)
+    if not len(here) or np.all(value[here] + start[here] >= 0.0):
+        return value, inverse, none
+    C = inverse[np.ix_(here, here)]
+    scale = 1.0 / np.sqrt(np.diag(C))
+    correlation = C * np.outer(scale, scale) + 1e-12 * np.eye(len(here))
+    root = np.linalg.cholesky(correlation).T
+    z = (value + start)[here] * scale
+    multipliers = optimize.nnls(root, np.linalg.solve(root.T, -z))[0]
+    value = value + inverse[:, here] @ (multipliers * scale)
+    active = here[multipliers > 0]
+    value[active] = -start[active]
+    # What is held at its bound has no variance, and the others none that comes from it.
+    gain = inverse[:, active] @ np.linalg.pinv(inverse[np.ix_(active, active)], hermitian=True)
+    reduced = inverse - gain @ inverse[active]
+    reduced[active] = 0.0
+    reduced[:, active] = 0.0
+    none[active] = True
+    return value, 0.5 * (reduced + reduced.T), none
+
+
+def _solve(W: Array, y: Array, information: Array) -> tuple[Array, Array, tuple[float, float], np.ndarray]:
     """Minimum-norm solution over scaled columns, ``(WᵀW)⁻¹`` on what is excited, condition numbers."""
     flat = W.reshape(-1, W.shape[2])
     size = np.linalg.norm(flat, axis=0)
     seen = size > 1e-10 * size.max()
     # R of the QR decomposition has the singular values of W but only P rows.
     R, rhs = _triangular(flat[:, seen] / size[seen], y.reshape(-1))
-    u, s, vt = np.linalg.svd(R)
+    raw = np.linalg.svd(R * size[seen], compute_uv=False)
+    data = np.linalg.svd(R, compute_uv=False)
+    root = _root(information[np.ix_(seen, seen)]) / size[seen]
+    u, s, vt = np.linalg.svd(np.vstack([R, root]), full_matrices=False)
     strong = s > _RANK * s[0]
     inverse_s = np.where(strong, 1.0 / np.where(strong, s, 1.0), 0.0)
     value = np.zeros(W.shape[2])
-    value[seen] = (vt.T @ (inverse_s * (u.T @ rhs))) / size[seen]
+    value[seen] = (vt.T @ (inverse_s * (u.T @ np.concatenate([rhs, np.zeros(len(root))])))) / size[seen]
     inverse = np.zeros((W.shape[2],) * 2)
     scaled = (vt.T * inverse_s**2) @ vt / np.outer(size[seen], size[seen])
     inverse[np.ix_(seen, seen)] = scaled
+    # A parameter with a visible share of a direction that the data leave open cannot be told.
+    _, s, vt = np.linalg.svd(R)
     unexcited = ~seen
-    # A parameter with a visible share of a dropped direction cannot be told.
-    unexcited[np.flatnonzero(seen)[np.sum(vt[~strong] ** 2, axis=0) > 1e-3]] = True
-    raw = np.linalg.svd(R * size[seen], compute_uv=False)
-    return value, inverse, (float(raw[0] / max(raw[-1], 1e-300)), float(s[0] / max(s[-1], 1e-300))), unexcited
+    unexcited[np.flatnonzero(seen)[np.sum(vt[s <= _RANK * s[0]] ** 2, axis=0) > 1e-3]] = True
+    return value, inverse, (float(raw[0] / max(raw[-1], 1e-300)), float(data[0] / max(data[-1], 1e-300))), unexcited
+
+
+def _root(information: Array) -> Array:
+    """A matrix whose rows, as pseudo-measurements of zero with unit noise, carry the information."""
+    value, vector = np.linalg.eigh(information)
+    return np.asarray(np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T)
 
 
 def _triangular(W: Array, y: Array) -> tuple[Array, Array]:
