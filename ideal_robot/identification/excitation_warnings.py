@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from ideal_robot.friction import Asymmetric
 from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 
 
-def excitation_warnings(model: Model, solution: Solution) -> list[str]:
-    """What the data do not show, from the solution's statistics."""
+def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[int] = ()) -> list[str]:
+    """What the data do not show, from the solution's statistics.
+
+    Args:
+        model: what was identified.
+        solution: and how well.
+        wrong_sign: joints, counted from 0, that behave as if their torque had the wrong sign.
+    """
     warnings = []
     parameters = model.parameters
     asymmetric = {f"offset_{j + 1}" for j, law in enumerate(model.friction.laws) if isinstance(law, Asymmetric)}
@@ -23,8 +31,10 @@ def excitation_warnings(model: Model, solution: Solution) -> list[str]:
     if solution.condition_number_scaled > 200.0:
         warnings.append(f"ill-conditioned: condition number {solution.condition_number_scaled:.3g} with scaled "
                         "columns; a motion from plan-identification excites better")
-    for parameter in parameters:
-        if parameter.name.startswith(("Fv", "Fc")) and parameter.value < -3.0 * parameter.std:
-            warnings.append(f"negative-friction: {parameter.name} = {parameter.value:.3g} {parameter.unit}; the torque "
-                            f"of joint {parameter.joint} may have the wrong sign")
+    bounds = [p.name for p, held in zip(parameters, solution.at_bound, strict=False) if held]
+    if bounds:
+        warnings.append(f"friction-at-bound: {', '.join(bounds)} would be negative and is held at zero; the motion has too "
+                        "few speeds to tell friction apart, or something that is not friction acts like it")
+    warnings += [f"wrong-sign: the torque of joint {j + 1} has the wrong sign: friction would drive the joint and its "
+                 f"inertia be negative; multiply tau_{j + 1} by -1" for j in wrong_sign]
     return warnings

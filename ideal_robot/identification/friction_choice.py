@@ -95,10 +95,11 @@ class FrictionChoice:
         noise: noise level per joint ``(n,)`` for the weights.
         information: what is known of the rigid parameters beforehand, as an inverse covariance ``(b, b)``; ``y`` is
             what is left when the values it belongs to are subtracted.
+        barred: joints, counted from 0, whose load is not known well enough for friction to follow it.
     """
 
     def __init__(self, signals: Sequence[FilteredSignals], rigid: Array, y: Array, load: Sequence[Array],
-                 noise: Array, information: Array) -> None:
+                 noise: Array, information: Array, barred: frozenset[int] = frozenset()) -> None:
         self._signals, self._load = signals, load
         self._live = ~np.isnan(y).all(axis=0)
         noise = np.where(self._live, noise, 1.0)
@@ -107,6 +108,7 @@ class FrictionChoice:
         self._fastest = np.max([np.max(np.abs(s.qd), axis=0) for s in signals], axis=0)
         size = np.abs(np.concatenate(load))
         self._load_varies = np.std(size, axis=0) > _VARIES * np.sqrt(np.mean(size**2, axis=0))
+        self._load_varies[list(barred)] = False
         self._folds = np.arange(len(y)) * _FOLDS // len(y)
         self._filtered: dict[tuple[int, int], Array] = {}
         self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}

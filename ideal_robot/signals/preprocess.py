@@ -175,11 +175,11 @@ def decimated(values: Array, factor: int) -> Array:
     """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
     if factor == 1:
         return np.asarray(values, dtype=float)
-    return np.asarray(signal.resample_poly(values, 1, factor, axis=0, window=_taps(factor)))
+    return np.asarray(signal.resample_poly(values, 1, factor, axis=0, window=decimation_taps(factor)))
 
 
 @cache
-def _taps(factor: int) -> Array:
+def decimation_taps(factor: int) -> Array:
     """Hamming-windowed low-pass with half power at the new half sampling rate: what ``scipy.signal.decimate`` uses."""
     return np.asarray(signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
 

@@ -1,0 +1,224 @@
+"""Rigid body, rotors, offsets and friction of all joints in one weighted least-squares fit ([J] 3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics import BaseParameters, full_regressor, torques, with_link_parameters
+from ideal_robot.dynamics.consistency import Consistency, consistent_parameters
+from ideal_robot.friction import Asymmetric, FrictionModel, PerJointFriction, law_of
+from ideal_robot.identification.friction_choice import (
+    AUTO,
+    FrictionChoice,
+    braking,
+    brakes,
+    candidates,
+    with_coefficients,
+)
+from ideal_robot.identification.prior import Prior
+from ideal_robot.identification.weighted_least_squares import Solution, weighted_least_squares
+from ideal_robot.model.parametrisation import shape_columns
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.error_budget import ErrorBudget
+from ideal_robot.signals.preprocess import FilteredSignals
+
+_ATTEMPTS = 3
+_OTHER_LOAD = 0.1
+"""A load that changes by this share of its size once the arm is known was a guess, and friction cannot follow it."""
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """Result of the fit.
+
+    Attributes:
+        solution: base parameters, friction coefficients, friction shapes, with their statistics.
+        friction: the laws with their coefficients.
+        consistency: physically possible parameters.
+        scores: per joint, held-out residual of each friction law tried.
+        counted: per joint, what the samples weighed in the end, as a share of all samples ``(n,)``.
+        wrong_sign: joints, counted from 0, whose torque would drive friction and have a negative inertia.
+    """
+
+    solution: Solution
+    friction: PerJointFriction
+    consistency: Consistency
+    scores: tuple[dict[str, float], ...]
+    counted: Array
+    wrong_sign: tuple[int, ...]
+
+
+class JointProblem:
+    """Decimated data of all recordings.
+
+    Args:
+        robot: kinematics.
+        base: grouping of its parameters.
+        prior: what is known of them.
+        signals, budgets: one per recording; a dead channel's torque is NaN.
+    """
+
+    def __init__(self, robot: Robot, base: BaseParameters, prior: Prior, signals: Sequence[FilteredSignals],
+                 budgets: Sequence[ErrorBudget]) -> None:
+        self._robot, self._base, self._prior, self._signals = robot, base, prior, signals
+        independent = list(base.independent)
+        self._W = np.concatenate([s.decimate_of(lambda rows, s=s: full_regressor(  # type: ignore[misc]
+            robot.pinocchio, s.q[rows], s.qd[rows], s.qdd[rows])[:, :, independent]) for s in signals])
+        self._y = np.concatenate([s.decimate(s.tau) for s in signals])
+        self._segments = np.concatenate([np.full(s.keep.sum(), i) for i, s in enumerate(signals)])
+        self._velocity, self._sigma_v, self._sigma_a = (np.concatenate(parts) for parts in (
+            [s.qd[:: s.factor][s.keep] for s in signals], [b.velocity for b in budgets],
+            [b.acceleration for b in budgets]))
+
+    def fit(self, wanted: str) -> JointFit:
+        """Fits with a friction law for all joints, or with ``auto`` the best one for each."""
+        rough = self._rough()
+        values = rough.value[: self._base.count]
+        load = self._load(self._base.nearest_full(values, self._prior.nominal))
+        variance = self._variance(rough)
+        barred: set[int] = set()
+        for _ in range(_ATTEMPTS):
+            laws, scores = self._laws(wanted, load, rough.noise_std, frozenset(barred))
+            solution, friction = self._final(laws, load, variance)
+            base_values = solution.value[: self._base.count]
+            b = self._base.count
+            consistency = consistent_parameters(self._base, base_values, solution.covariance[:b, :b],
+                                                self._prior.nominal)
+            known = self._load(self._base.nearest_full(base_values, consistency.full))
+            vague = self._follows_a_guess(laws, load, known)
+            load = known
+            if not vague:
+                break
+            barred |= vague
+        noise = np.maximum(solution.noise_std, 1e-12)
+        weight = np.mean(noise**2 / (noise**2 + variance), axis=0)
+        kept = len(self._y) / sum(len(s.keep) for s in self._signals)
+        live = ~np.isnan(self._y).all(axis=0)
+        return JointFit(solution, friction, consistency, tuple(scores), np.where(live, kept * weight, 0.0),
+                        self._wrong_sign(rough))
+
+    def _rough(self) -> Solution:
+        laws = [candidates([law_of("viscous_coulomb")], refine=False)[0].make(()) for _ in range(self._robot.n)]
+        none = [np.zeros_like(s.q) for s in self._signals]
+        return self._solved(np.concatenate([self._W, self._columns(laws, none)], axis=2), None, None)
+
+    def _solved(self, W: Array, nonnegative: np.ndarray | None, variance: Array | None) -> Solution:
+        start = np.concatenate([self._prior.start, np.zeros(W.shape[2] - self._base.count)])
+        return weighted_least_squares(W, self._y, start, segments=self._segments, nonnegative=nonnegative,
+                                      variance=variance, information=self._prior.padded(W.shape[2]))
+
+    def _laws(self, wanted: str, load: Sequence[Array], noise: Array, barred: frozenset[int],
+              ) -> tuple[list[FrictionModel], list[dict[str, float]]]:
+        options = candidates(AUTO, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
+        if len(options) == 1 and not options[0].bounds:
+            return [options[0].make(()) for _ in range(self._robot.n)], [{} for _ in range(self._robot.n)]
+        choice = FrictionChoice(self._signals, self._W, self._y - self._W @ self._prior.start, load, noise,
+                                self._prior.information, barred)
+        return choice.choose(options)
+
+    def _final(self, laws: Sequence[FrictionModel], load: Sequence[Array],
+               variance: Array) -> tuple[Solution, PerJointFriction]:
+        rigid = self._W.copy()
+        for j, law in enumerate(laws):
+            if isinstance(law, Asymmetric):
+                # An offset is the difference of the two dry frictions; the law has it, so it is no parameter itself.
+                rigid[:, :, self._base.names.index(f"offset_{j + 1}")] = 0.0
+        W = np.concatenate([rigid, self._columns(laws, load)], axis=2)
+        nonnegative = np.concatenate([np.zeros(self._base.count, dtype=bool), *[braking(law) for law in laws]])
+        solution = self._solved(W, nonnegative, variance)
+        friction = with_coefficients(laws, solution.value[self._base.count :])
+        fastest = np.max(np.abs(self._velocity), axis=0)
+        wrong = [j for j, law in enumerate(friction.laws) if not brakes(law, fastest[j])]
+        if wrong:
+            # Of a degressive law only the sum has to brake, which no bound of a coefficient can hold.
+            plain = candidates([law_of("viscous_coulomb")], refine=False)[0].make(())
+            return self._final([plain if j in wrong else law for j, law in enumerate(laws)], load, variance)
+        return self._with_shape(solution, W, friction, load), friction
+
+    def _columns(self, laws: Sequence[FrictionModel], load: Sequence[Array]) -> Array:
+        """Decimated regressor of all joints' friction coefficients ``(M, n, Σm)``."""
+        n, total = len(laws), sum(len(law.coefficients) for law in laws)
+        parts = []
+        for s, load_s in zip(self._signals, load, strict=True):
+            block, at = np.zeros((int(s.keep.sum()), n, total)), 0
+            for j, law in enumerate(laws):
+                span = slice(at, at + len(law.coefficients))
+                block[:, j, span] = s.decimate(law.regressor(s.qd[:, [j]], load_s[:, [j]], s.q[:, [j]])[:, 0])
+                at = span.stop
+            parts.append(block)
+        return np.concatenate(parts)
+
+    def _with_shape(self, solution: Solution, W: Array, friction: PerJointFriction,
+                    load: Sequence[Array]) -> Solution:
+        """The solution with the shape parameters' share of the covariance, by linearisation about the optimum."""
+        shape = np.concatenate([law.shape[:, 0] for law in friction.laws])
+        if not len(shape):
+            return solution
+        parts = []
+        for s, load_s in zip(self._signals, load, strict=True):
+            block, at = np.zeros((int(s.keep.sum()), W.shape[1], len(shape))), 0
+            for j, law in enumerate(friction.laws):
+                span = slice(at, at + len(law.shape))
+                block[:, j, span] = s.decimate(shape_columns(law, s.qd[:, [j]], load_s[:, [j]], s.q[:, [j]]))
+                at = span.stop
+            parts.append(block)
+        joined = np.concatenate([W * ~solution.at_bound, np.concatenate(parts)], axis=2)
+        # At the optimum the linearised problem has the residual for its measurement and no step as its solution.
+        linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), segments=self._segments,
+                                        information=self._prior.padded(joined.shape[2]))
+        none = np.zeros(len(shape), dtype=bool)
+        return replace(solution, value=np.concatenate([solution.value, shape]), covariance=linear.covariance,
+                       std_white=linear.std_white, unexcited=np.concatenate([solution.unexcited, none]),
+                       at_bound=np.concatenate([solution.at_bound, none]))
+
+    def _load(self, full: Array) -> list[Array]:
+        """Torque of the links alone, which the gears transmit, per recording ``(N, n)``."""
+        links = with_link_parameters(self._robot.pinocchio, full[: 10 * self._robot.n])
+        links.armature = np.zeros(self._robot.n)
+        return [torques(links, s.q, s.qd, s.qdd) for s in self._signals]
+
+    def _follows_a_guess(self, laws: Sequence[FrictionModel], before: Sequence[Array],
+                         after: Sequence[Array]) -> set[int]:
+        """Joints whose friction grows with a load that turned out to be another one."""
+        old, new = np.concatenate(before), np.concatenate(after)
+        change = np.sqrt(np.mean((new - old) ** 2, axis=0)) / np.maximum(np.sqrt(np.mean(old**2, axis=0)), 1e-12)
+        return {j for j, law in enumerate(laws) if law.loaded and change[j] > _OTHER_LOAD}
+
+    def _variance(self, rough: Solution) -> Array:
+        """Variance of the torque that errors of velocity and acceleration make at each sample ``(M, n)``.
+
+        Acceleration counts with the joint's inertia. Near a reversal dry friction has one sign or the other, with the
+        variance of a coin whose odds the velocity's error gives.
+        """
+        n, b = self._robot.n, self._base.count
+        friction = np.abs(rough.value[b:].reshape(n, 2))
+        speed = np.abs(self._velocity) / np.maximum(self._sigma_v, 1e-12)
+        # 4 p (1 - p) with the odds p of the wrong sign, to a few per cent.
+        coin = np.exp(-0.5 * np.minimum(speed, 30.0) ** 2)
+        return np.asarray((np.abs(self._inertia(rough)) * self._sigma_a) ** 2 + (friction[:, 0] * self._sigma_v) ** 2
+                          + friction[:, 1] ** 2 * coin)
+
+    def _inertia(self, rough: Solution) -> Array:
+        """Inertia that each joint's drive feels, mean over the motion ``(n,)``."""
+        q = np.concatenate([s.q[:: max(1, len(s.q) // 50)] for s in self._signals])
+        n, independent, still = self._robot.n, list(self._base.independent), np.zeros_like(q)
+        at_rest = full_regressor(self._robot.pinocchio, q, still, still)
+        felt = np.empty(n)
+        for j in range(n):
+            pushed = full_regressor(self._robot.pinocchio, q, still, still + np.eye(n)[j])
+            rows = (pushed - at_rest)[:, j][:, independent]
+            felt[j] = float(np.mean(rows @ rough.value[: self._base.count]))
+        return felt
+
+    def _wrong_sign(self, rough: Solution) -> tuple[int, ...]:
+        """Joints whose torque has the wrong sign: free to choose, friction drives them and their inertia is negative."""
+        b = self._base.count
+        inertia = self._inertia(rough)
+        std = np.sqrt(np.diag(rough.covariance))[b:].reshape(-1, 2)
+        friction = rough.value[b:].reshape(-1, 2)
+        drives = np.all(friction < 0.0, axis=1) & np.any(friction < -3.0 * std, axis=1)
+        return tuple(int(j) for j in np.flatnonzero(drives & (inertia < 0.0)))

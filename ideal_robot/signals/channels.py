@@ -1,0 +1,134 @@
+"""What a channel is before anything is fitted to it: dead, stepped, clipped, filtered before it was logged.
+
+Each finding says what was seen and what to do about it. None changes the data; a dead channel is left out of fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from ideal_robot.arrays import Array
+from ideal_robot.signals.preprocess import resampled, uniform_time
+from ideal_robot.signals.recording import Recording
+
+DEAD, STEPPED, CLIPPED, FILTERED, IRREGULAR = "dead", "stepped", "clipped", "filtered", "irregular-stamps"
+
+_ZEROS = 0.6
+"""A torque that is exactly zero in more of its samples than this does not measure the joint."""
+_COARSE = 0.05
+"""Steps of the torque count from this share of its standard deviation on."""
+_COARSE_POSITION = 1e-4
+"""Steps of a position count from here on [rad or m]."""
+_AT_LIMIT = 0.005
+_SILENT = 1e-12
+"""Power above a third of the sampling rate, relative to the largest, that no measured channel falls below by itself."""
+_JITTER = 0.02
+
+
+@dataclass(frozen=True)
+class ChannelFinding:
+    """Something about one column.
+
+    Attributes:
+        kind: ``dead``, ``stepped``, ``clipped``, ``filtered`` or ``irregular-stamps``.
+        column: e.g. ``tau_3``.
+        joint: counted from 0; -1 for the time stamps.
+        text: what was seen and what to do, one sentence.
+    """
+
+    kind: str
+    column: str
+    joint: int
+    text: str
+
+    @property
+    def warning(self) -> str:
+        """The named warning."""
+        return f"{self.kind if self.joint < 0 else self.kind + '-channel'}: {self.text}"
+
+
+def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
+    """What is to be said about the stamps, positions and torques of a recording with ``t``, ``q_i`` and ``tau_i``."""
+    found = [*_stamps(recording)]
+    tau, q = recording.joints("tau"), recording.joints("q")
+    grid, _ = uniform_time(recording)
+    rate = 1.0 / float(grid[1] - grid[0])
+    for j in range(recording.n):
+        name, values = f"tau_{j + 1}", tau[:, j]
+        zeros = float(np.mean(values == 0.0))
+        if zeros > _ZEROS:
+            found.append(ChannelFinding(DEAD, name, j, f"{name} is exactly zero in {100 * zeros:.0f} % of the samples; "
+                                        f"joint {j + 1} is left out, its friction and rotor stay unknown"))
+            continue
+        step = lattice(values)
+        if step > _COARSE * np.std(values):
+            found.append(ChannelFinding(STEPPED, name, j, f"{name} comes in steps of {step:.3g}, "
+                                        f"{100 * step / np.std(values):.0f} % of its standard deviation"))
+        clipped = at_limits(values)
+        if clipped > _AT_LIMIT:
+            found.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} % "
+                                        "of the samples; the drive was at its limit there, a slower motion avoids it"))
+        edge = filtered_above(resampled(recording.t, values[:, None], grid)[:, 0], rate)
+        if edge is not None:
+            found.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds nothing "
+                                        f"above {edge:.2g} Hz; a lag of that filter would be taken for friction"))
+        step = lattice(q[:, j])
+        if step > _COARSE_POSITION:
+            found.append(ChannelFinding(STEPPED, f"q_{j + 1}", j, f"q_{j + 1} comes in steps of {step:.3g}; velocity and "
+                                        "acceleration are as good as the position filter makes them"))
+    return tuple(found)
+
+
+def dead_joints(findings: tuple[ChannelFinding, ...]) -> list[int]:
+    """Joints, counted from 0, whose torque channel is dead."""
+    return sorted({f.joint for f in findings if f.kind == DEAD})
+
+
+def lattice(values: Array) -> float:
+    """The step between the levels that values come in, 0 if they come in no steps ``(N,)``."""
+    levels = np.unique(values)
+    span = levels[-1] - levels[0]
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * span] if span > 0 else gaps[:0]
+    if len(gaps) < 5 or len(levels) > 0.5 * len(values):
+        return 0.0
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    places = gaps / step
+    return step if np.mean(np.abs(places - np.round(places)) < 0.1) > 0.95 else 0.0
+
+
+def at_limits(values: Array) -> float:
+    """Share of samples within runs of three or more at the largest or the smallest value ``(N,)``."""
+    at = (values >= values.max()) | (values <= values.min())
+    runs = at[:-2] & at[1:-1] & at[2:] & (values[:-2] == values[2:])
+    return float(np.mean(runs)) if np.ptp(values) > 0 else 0.0
+
+
+def filtered_above(values: Array, rate: float) -> float | None:
+    """The frequency above which a channel holds nothing, not even noise [Hz]; None if it holds something.
+
+    Args:
+        values: uniformly sampled ``(N,)``.
+        rate: sampling rate [Hz].
+    """
+    f, power = signal.welch(values, fs=rate, window="blackmanharris", nperseg=min(len(values), 1024))
+    largest = float(np.max(power[1:]))
+    if largest <= 0.0 or np.median(power[f > 0.35 * rate]) > _SILENT * largest:
+        return None
+    return float(f[np.flatnonzero(power > 1e-8 * largest)[-1]])
+
+
+def _stamps(recording: Recording) -> list[ChannelFinding]:
+    steps = np.diff(recording.t)
+    usual = float(np.median(steps))
+    ordinary = steps[steps < 1.5 * usual]
+    spread, lost = float(np.std(ordinary)), int(np.sum(steps > 1.5 * usual))
+    if spread < _JITTER * usual and not lost:
+        return []
+    text = f"stamps are {1e3 * usual:.3g} ms apart with a spread of {1e3 * spread:.2g} ms"
+    if lost:
+        text += f"; {lost} steps are longer than one and a half"
+    return [ChannelFinding(IRREGULAR, "t", -1, text + "; positions are brought to a uniform grid")]

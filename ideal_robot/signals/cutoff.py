@@ -1,0 +1,196 @@
+"""Filters by held-out error: which cut-off lets a model that is linear in its parameters predict torque best.
+
+Every candidate filters positions at its cut-off and is fitted to the torque below half of it. All are judged alike: in
+one band of the torque that does not depend on the candidate, on blocks of time that the fit has not seen. Encoder steps
+and jittering stamps, which look like motion in a spectrum, are worth nothing to such a prediction; they only cost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import signal
+
+from ideal_robot.arrays import Array
+from ideal_robot.signals.preprocess import FilteredSignals, decimated, lowpass, preprocess, resampled, uniform_time
+from ideal_robot.signals.recording import Recording
+
+CANDIDATES = (4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 80.0, 120.0)
+"""Cut-offs that are tried [Hz]; those above a fifth of the sampling rate are left out."""
+
+Columns = Callable[[FilteredSignals], Array]
+"""Makes the observation matrix ``(N, n, P)`` of a recording's samples."""
+
+_FOLDS = 8
+_LONGEST = 60.0
+"""Seconds of all recordings together that the choice looks at."""
+_FINE = 10.0
+"""Samples a period of the cut-off that are enough for motion below it."""
+_WORSE = 1.15
+"""Candidates beyond one whose error is this many times the best are not tried any more."""
+_AS_GOOD = 1.01
+_BANDWIDTHS = 10.0
+"""The band of judgement in bandwidths of the motion: what reversals of friction add lies within."""
+_SLOW, _FAST = 2.0, 10.0
+"""Limits of the band of judgement [Hz]."""
+
+
+@dataclass(frozen=True)
+class CutoffChoice:
+    """The filters that predict best, and how the others did.
+
+    Attributes:
+        cutoff: of the positions [Hz].
+        cutoff_decimation: of torque and columns in the fit [Hz].
+        band: in which all candidates were judged [Hz].
+        errors: held-out error of each candidate, geometric mean over joints of std(residual) / std(torque).
+        limit: ``lower`` or ``upper`` where the choice is the first or last candidate, empty otherwise.
+    """
+
+    cutoff: float
+    cutoff_decimation: float
+    band: float
+    errors: dict[float, float]
+    limit: str = ""
+
+    @property
+    def warning(self) -> str:
+        """A named warning where the choice stands at a limit, empty otherwise."""
+        if not self.limit:
+            return ""
+        why = ("still slower filters might predict better; the motion may be too slow to tell" if self.limit == "lower"
+               else "a faster one might predict better; a higher sampling rate would be needed, or give --cutoff")
+        return f"cutoff-at-limit: the position filter of {self.cutoff:g} Hz is the {self.limit} limit of the choice; {why}"
+
+
+def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array, information: Array,
+                  candidates: Sequence[float] = CANDIDATES) -> CutoffChoice:
+    """The cut-off with the least held-out error, in the middle of those that are as good.
+
+    Args:
+        recordings: with ``q_i`` and ``tau_i``; a channel whose torque is NaN throughout does not count.
+        columns: the model's observation matrix.
+        start: parameters before any data ``(P,)``.
+        information: what is known of them, as an inverse covariance ``(P, P)``.
+        candidates: cut-offs to try [Hz], rising.
+    """
+    parts = [_first(r, _LONGEST / len(recordings)) for r in recordings]
+    rate = min(1.0 / _step(r) for r in parts)
+    usable = [c for c in candidates if c <= 0.2 * rate] or [0.2 * rate]
+    band = min(float(np.median([motion_band(r) for r in parts])), 0.1 * rate)
+    errors: dict[float, float] = {}
+    for cutoff in usable:
+        fits, judged = zip(*[_rows(r, columns, cutoff, band, usable[0]) for r in parts], strict=True)
+        errors[cutoff] = _held_out(fits, judged, start, information)
+        if errors[cutoff] > _WORSE * min(errors.values()):
+            break
+    best = min(errors.values())
+    good = [c for c, error in errors.items() if error <= _AS_GOOD * best]
+    cutoff = min(good, key=lambda c: abs(np.log(c) - np.mean(np.log(good))))
+    limit = ""
+    if len(usable) > 1 and len(good) < len(usable):
+        limit = "lower" if good[-1] == usable[0] else "upper" if good[0] == usable[-1] else ""
+    return CutoffChoice(cutoff, 0.5 * cutoff, band, errors, limit)
+
+
+def motion_band(recording: Recording) -> float:
+    """The band of judgement [Hz]: ten times the frequency that holds nine tenths of the velocity's power.
+
+    Nine tenths, not more: the noise of a position, differentiated, is a good part of the rest.
+    """
+    grid, _ = uniform_time(recording)
+    dt = float(grid[1] - grid[0])
+    q = resampled(recording.t, recording.joints("q"), grid, smooth=True)
+    slow = lowpass(q, dt, min(_FAST, 0.2 / dt))
+    f, power = signal.welch(np.gradient(slow, dt, axis=0), fs=1.0 / dt, nperseg=min(len(q), int(8.0 / dt)), axis=0)
+    moves = np.ptp(slow, axis=0) > 1e-2 * np.max(np.ptp(slow, axis=0))
+    share = np.cumsum(power[:, moves], axis=0) / np.maximum(np.sum(power[:, moves], axis=0), 1e-300)
+    return float(np.clip(_BANDWIDTHS * np.median(f[np.argmax(share > 0.9, axis=0)]), _SLOW, _FAST))
+
+
+def _step(recording: Recording) -> float:
+    grid, _ = uniform_time(recording)
+    return float(grid[1] - grid[0])
+
+
+def _first(recording: Recording, seconds: float) -> Recording:
+    here = recording.t <= recording.t[0] + seconds
+    if here.all():
+        return recording
+    return replace(recording, columns={name: np.ascontiguousarray(values[here])
+                                       for name, values in recording.columns.items()})
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Observation matrix ``(M, n, P)``, torque ``(M, n)`` and times relative to the recording ``(M,)`` in [0, 1]."""
+
+    W: Array
+    y: Array
+    when: Array
+
+
+def _rows(recording: Recording, columns: Columns, cutoff: float, band: float, slowest: float) -> tuple[_Rows, _Rows]:
+    """Rows to fit, below half the cut-off, and rows to judge, below the band."""
+    s = preprocess(recording, cutoff=cutoff)
+    thin = thinned(s, max(1, int(1.0 / (s.dt * _FINE * max(cutoff, band)))))
+    W, duration = columns(thin), s.t[-1] - s.t[0]
+    fit = _Rows(thin.decimate(W), thin.decimate(thin.tau), (thin.t_decimated - s.t[0]) / duration)
+    # The same instants for all candidates: clear of the ends and of holes for the slowest filter.
+    edge = 1.0 / min(band, slowest)
+    times = np.arange(s.t[0] + edge, s.t[-1] - edge, 0.25 / band)
+    _, hole = uniform_time(recording)
+    for at in s.t[hole]:
+        times = times[np.abs(times - at) > edge]
+    below = lowpass(np.concatenate([W, thin.tau[:, :, None]], axis=2), thin.dt, band)
+    place = (times - thin.t[0]) / thin.dt
+    index = np.minimum(place.astype(int), len(below) - 2)
+    share = (place - index)[:, None, None]
+    rows = (1.0 - share) * below[index] + share * below[index + 1]
+    return fit, _Rows(rows[:, :, :-1], rows[:, :, -1], (times - s.t[0]) / duration)
+
+
+def thinned(s: FilteredSignals, stride: int) -> FilteredSignals:
+    """Every ``stride``-th sample: the motion has nothing above its cut-off, the torque is filtered first."""
+    if stride == 1:
+        return s
+    stride = min(stride, s.factor)
+    factor = max(1, s.factor // stride)
+    kept = np.interp(s.t[:: stride][:: factor], s.t[:: s.factor], s.keep.astype(float)) > 0.999
+    return replace(s, t=s.t[::stride], q=s.q[::stride], qd=s.qd[::stride], qdd=s.qdd[::stride],
+                   tau=decimated(s.tau, stride), factor=factor, keep=kept, columns={})
+
+
+def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], start: Array, information: Array) -> float:
+    """Geometric mean over joints of the error on blocks of time that were left out."""
+    W, y, when = (np.concatenate([getattr(rows, name) for rows in fits]) for name in ("W", "y", "when"))
+    judged_W, judged_y, judged_when = (np.concatenate([getattr(rows, name) for rows in judged])
+                                       for name in ("W", "y", "when"))
+    live = ~np.isnan(judged_y).any(axis=0) & (np.std(judged_y, axis=0) > 0)
+    rest, judged_rest = (y - W @ start)[:, live], (judged_y - judged_W @ start)[:, live]
+    W, judged_W = W[:, live], judged_W[:, live]
+    block, judged_block = ((_FOLDS * np.clip(values, 0.0, 1.0 - 1e-9)).astype(int) for values in (when, judged_when))
+    noise = np.maximum(np.std(rest, axis=0), 1e-12)
+    for _ in range(3):
+        A = W / noise[:, None]
+        b = rest / noise
+        grams = [(np.tensordot(A[block == k], A[block == k], axes=([0, 1], [0, 1])),
+                  np.einsum("knp,kn->p", A[block == k], b[block == k])) for k in range(_FOLDS)]
+        p = _solved(sum(g[0] for g in grams) + information, sum(g[1] for g in grams))
+        noise = np.maximum(np.std(rest - W @ p, axis=0), 1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
+    error = np.empty_like(judged_rest)
+    for k in range(_FOLDS):
+        here = judged_block == k
+        p = _solved(sum(g[0] for i, g in enumerate(grams) if i != k) + information,
+                    sum(g[1] for i, g in enumerate(grams) if i != k))
+        error[here] = judged_rest[here] - judged_W[here] @ p
+    ratio = np.sqrt(np.mean(error**2, axis=0)) / np.std(judged_y[:, live], axis=0)
+    return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-9)))))
+
+
+def _solved(A: Array, b: Array) -> Array:
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    scaled = A / np.outer(size, size)
+    return np.asarray(np.linalg.lstsq(scaled, b / size, rcond=1e-12)[0] / size)
