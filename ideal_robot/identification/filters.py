@@ -16,7 +16,7 @@ from ideal_robot.signals.recording import Recording
 
 _PROBE = 8.0
 """Cut-off at which the size of the torque and of the acceleration is looked at beforehand [Hz]."""
-_TURNS = 0.01
+_TURNS = 0.003
 """Dry friction turns over within this share of a joint's top speed."""
 
 

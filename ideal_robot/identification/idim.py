@@ -30,6 +30,7 @@ from ideal_robot.signals.cutoff import CutoffChoice
 from ideal_robot.signals.error_budget import ErrorBudget, error_budget
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stamps import on_its_clock
 
 
 @dataclass(frozen=True)
@@ -84,6 +85,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     live, found = zip(*[without_dead_channels(r) for r in usable], strict=True)
     warnings += [f"{finding.warning} [{r.source}]" for r, findings in zip(usable, found, strict=True)
                  for finding in findings]
+    live = [on_its_clock(r) for r in live]
     filters = None if cutoff is not None else chosen_filters(live, robot, amperes=amperes)
     if filters is not None:
         cutoff = filters.cutoff
@@ -91,7 +93,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     signals = [preprocess(r, cutoff=cutoff, cutoff_decimation=cutoff_decimation) for r in live]
     base = base_parameters(robot.pinocchio)
     prior = prior_of(robot, base, signals, amperes=amperes)
-    budgets = [error_budget(r, s) for r, s in zip(live, signals, strict=True)]
+    budgets = [error_budget(r, s) for r, s in zip(usable, signals, strict=True)]
     fit = JointProblem(robot, base, prior, signals, budgets).fit(friction)
     solution = fit.solution
     model = Model(

@@ -13,6 +13,8 @@ _RANK = 1e-8
 """Directions of the scaled regressor weaker than this share of the strongest count as not excited."""
 
 _BLOCKS = 10
+_OWN = 0.25
+"""Least share of a channel's residual variance that is its own noise, whatever errors its samples are known to have."""
 
 
 @dataclass(frozen=True)
@@ -76,17 +78,16 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         value, inverse, at_bound = _bounded(value, inverse, start, bounded, unexcited)
         value = value + start
         residual = y - W @ value
-        # [J] (15) channel by channel; each channel is charged its share of the parameters. Samples whose own variance
-        # is large say little about the noise level.
-        share = (noise / std) ** 2
-        freedom = np.maximum(1.0, np.sum(share, axis=0) * (1.0 - (size - unexcited.sum()) / n / count))
-        level = np.sum(share * (residual**2 - extra), axis=0) / freedom
-        noise = np.sqrt(np.maximum(level, (1e-9 * scale_y) ** 2))
+        # [J] (15) channel by channel; each channel is charged its share of the parameters.
+        freedom = max(1.0, count - (size - unexcited.sum()) / n)
+        level = np.sum(residual**2, axis=0) / freedom
+        # What is known of single samples is a bound rather than a measurement: it explains three quarters at most.
+        noise = np.maximum(np.sqrt(np.maximum(level - np.mean(extra, axis=0), _OWN * level)), 1e-9 * scale_y)
     std = np.sqrt(noise**2 + extra)
     std_white = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
     covariance = inverse * np.outer(inflation, inflation)
-    return Solution(value, covariance, std_white, np.where(live, noise, 0.0), *conditions, unexcited,
+    return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
 
 

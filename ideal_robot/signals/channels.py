@@ -13,6 +13,7 @@ from scipy import signal
 from ideal_robot.arrays import Array
 from ideal_robot.signals.preprocess import resampled, uniform_time
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stamps import regular_stamps
 
 DEAD, STEPPED, CLIPPED, FILTERED, IRREGULAR = "dead", "stepped", "clipped", "filtered", "irregular-stamps"
 
@@ -130,5 +131,8 @@ def _stamps(recording: Recording) -> list[ChannelFinding]:
         return []
     text = f"stamps are {1e3 * usual:.3g} ms apart with a spread of {1e3 * spread:.2g} ms"
     if lost:
-        text += f"; {lost} steps are longer than one and a half"
-    return [ChannelFinding(IRREGULAR, "t", -1, text + "; positions are brought to a uniform grid")]
+        text += f", {lost} steps are longer than one and a half"
+    _, jitter = regular_stamps(recording.t, recording.joints("q"))
+    text += (f"; the positions were sampled regularly and stamped late: {1e3 * jitter:.2g} ms of jitter are taken out"
+             if jitter else "; the positions agree with them and are brought to a uniform grid")
+    return [ChannelFinding(IRREGULAR, "t", -1, text)]

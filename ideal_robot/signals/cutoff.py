@@ -18,7 +18,8 @@ from ideal_robot.signals.preprocess import FilteredSignals, decimated, lowpass, 
 from ideal_robot.signals.recording import Recording
 
 CANDIDATES = (4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 80.0, 120.0)
-"""Cut-offs that are tried [Hz]; those above a fifth of the sampling rate are left out."""
+"""Cut-offs that are tried [Hz]; those above a fifth of the sampling rate, or far above the band of judgement, are
+left out."""
 
 Columns = Callable[[FilteredSignals], Array]
 """Makes the observation matrix ``(N, n, P)`` of a recording's samples."""
@@ -30,7 +31,9 @@ _FINE = 10.0
 """Samples a period of the cut-off that are enough for motion below it."""
 _WORSE = 1.15
 """Candidates beyond one whose error is this many times the best are not tried any more."""
-_AS_GOOD = 1.01
+_BEYOND = 8.0
+"""What a filter lets pass this many times above the band of judgement does not show in it."""
+_AS_GOOD = 1.02
 _BANDWIDTHS = 10.0
 """The band of judgement in bandwidths of the motion: what reversals of friction add lies within."""
 _SLOW, _FAST = 2.0, 10.0
@@ -67,7 +70,7 @@ class CutoffChoice:
 
 def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array, information: Array,
                   candidates: Sequence[float] = CANDIDATES) -> CutoffChoice:
-    """The cut-off with the least held-out error, in the middle of those that are as good.
+    """The cut-off with the least held-out error; of those that are as good, the one below their middle.
 
     Args:
         recordings: with ``q_i`` and ``tau_i``; a channel whose torque is NaN throughout does not count.
@@ -78,8 +81,8 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
     """
     parts = [_first(r, _LONGEST / len(recordings)) for r in recordings]
     rate = min(1.0 / _step(r) for r in parts)
-    usable = [c for c in candidates if c <= 0.2 * rate] or [0.2 * rate]
     band = min(float(np.median([motion_band(r) for r in parts])), 0.1 * rate)
+    usable = [c for c in candidates if c <= min(0.2 * rate, _BEYOND * band)] or [0.2 * rate]
     errors: dict[float, float] = {}
     for cutoff in usable:
         fits, judged = zip(*[_rows(r, columns, cutoff, band, usable[0]) for r in parts], strict=True)
@@ -88,7 +91,7 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
             break
     best = min(errors.values())
     good = [c for c, error in errors.items() if error <= _AS_GOOD * best]
-    cutoff = min(good, key=lambda c: abs(np.log(c) - np.mean(np.log(good))))
+    cutoff = max(c for c in good if np.log(c) <= np.mean(np.log(good)) + 1e-9)
     limit = ""
     if len(usable) > 1 and len(good) < len(usable):
         limit = "lower" if good[-1] == usable[0] else "upper" if good[0] == usable[-1] else ""

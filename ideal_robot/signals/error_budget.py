@@ -9,12 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import interpolate, signal
+from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.channels import lattice
-from ideal_robot.signals.preprocess import ORDER, FilteredSignals, decimation_taps, resampled, uniform_time
+from ideal_robot.signals.preprocess import ORDER, FilteredSignals, decimation_taps, resampled
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stamps import WINDOW, regular_stamps
 
 
 @dataclass(frozen=True)
@@ -38,44 +39,14 @@ class ErrorBudget:
 def error_budget(recording: Recording, s: FilteredSignals) -> ErrorBudget:
     """The error budget of a recording's filtered signals ``s``."""
     q = recording.joints("q")
-    grid, _ = uniform_time(recording)
-    jitter = stamp_jitter(recording.t, q)
+    t, jitter = regular_stamps(recording.t, q)
     step = np.array([lattice(q[:, j]) for j in range(q.shape[1])])
-    floor = _white_level(resampled(recording.t, q, grid, smooth=True), s.dt)
-    speed = np.sqrt(np.mean(s.qd**2, axis=0))
-    noise = np.maximum(np.sqrt(np.maximum(floor**2 - (jitter * speed) ** 2, 0.0)), step / np.sqrt(12.0))
-    position = np.sqrt(noise**2 + (jitter * s.qd[:: s.factor][s.keep]) ** 2)
+    noise = np.maximum(_white_level(resampled(t, q, s.t, smooth=True), s.dt), step / np.sqrt(12.0))
+    # The clock behind the stamps is known from many of them.
+    left = jitter / np.sqrt(WINDOW)
+    position = np.sqrt(noise**2 + (left * s.qd[:: s.factor][s.keep]) ** 2)
     first, second = _gains(s)
     return ErrorBudget(step, noise, jitter, first * position, second * position)
-
-
-def stamp_jitter(t: Array, q: Array) -> float:
-    """Standard deviation of the stamps about regular instants [s], 0 if the positions say that the stamps are right.
-
-    Sampled regularly and stamped late, positions are smooth over their number and rough over their stamps; sampled
-    irregularly it is the other way round. The rougher one has the larger third differences.
-    """
-    steps = np.diff(t)
-    usual = float(np.median(steps))
-    late = steps > 1.5 * usual
-    if np.std(steps[~late]) < 1e-3 * usual:
-        return 0.0
-    # Between long steps: the stamps' distance from a straight line, and which time base the positions prefer.
-    spread, rough = [], np.zeros(2)
-    for part in np.split(np.arange(len(t)), np.flatnonzero(late) + 1):
-        if len(part) < 50:
-            continue
-        number = np.arange(len(part), dtype=float)
-        for rows in np.array_split(np.arange(len(part)), max(1, len(part) // 200)):
-            line = np.polyval(np.polyfit(number[rows], t[part][rows], 1), number[rows])
-            spread.append(float(np.mean((t[part][rows] - line) ** 2)))
-        uniform = np.linspace(t[part][0], t[part][-1], len(part))
-        for i, base in enumerate((t[part], uniform)):
-            smooth = interpolate.CubicSpline(base[::2], q[part][::2], axis=0)(base[1::2])
-            rough[i] += float(np.sum((q[part][1::2] - smooth)[2:-2] ** 2))
-    if not spread or rough[0] <= rough[1]:
-        return 0.0
-    return float(np.sqrt(np.median(spread)))
 
 
 def _white_level(q: Array, dt: float) -> Array:

@@ -17,6 +17,7 @@ from scipy import interpolate, signal
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stamps import on_its_clock
 
 ORDER = 4
 """Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
@@ -98,6 +99,8 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
     Raises:
         InputError: too few samples, or a cut-off the sampling rate does not allow.
     """
+    if len(recording.t) > 1 and np.all(np.diff(recording.t) > 0):
+        recording = on_its_clock(recording)
     t, hole = uniform_time(recording)
     if len(t) < _MINIMUM_SAMPLES:
         raise InputError(f"too short: at least {_MINIMUM_SAMPLES} samples are needed", file=recording.source, field="t",
