@@ -33,8 +33,8 @@ def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[i
                         "columns; a motion from plan-identification excites better")
     bounds = [p.name for p, held in zip(parameters, solution.at_bound, strict=False) if held]
     if bounds:
-        warnings.append(f"friction-at-bound: {', '.join(bounds)} would be negative and is held at zero; the motion has too "
-                        "few speeds to tell friction apart, or something that is not friction acts like it")
+        warnings.append(f"friction-at-bound: {', '.join(bounds)} would be negative and is held at zero; the motion has "
+                        "too few speeds to tell friction apart, or something that is not friction acts like it")
     warnings += [f"wrong-sign: the torque of joint {j + 1} has the wrong sign: friction would drive the joint and its "
                  f"inertia be negative; multiply tau_{j + 1} by -1" for j in wrong_sign]
     return warnings

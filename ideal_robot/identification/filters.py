@@ -36,7 +36,8 @@ def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bo
         W[:, :, : base.count] = full_regressor(robot.pinocchio, s.q, s.qd, s.qdd)[:, :, independent]
         joints = np.arange(n)
         W[:, joints, base.count + joints] = s.qd
-        W[:, joints, base.count + n + joints] = np.tanh(s.qd / (_TURNS * np.maximum(np.max(np.abs(s.qd), axis=0), 1e-9)))
+        slow = _TURNS * np.maximum(np.max(np.abs(s.qd), axis=0), 1e-9)
+        W[:, joints, base.count + n + joints] = np.tanh(s.qd / slow)
         return W
 
     probes = [preprocess(r, cutoff=min(_PROBE, 0.1 * len(r.t) / float(r.t[-1] - r.t[0]))) for r in recordings]

@@ -101,7 +101,7 @@ class FrictionChoice:
     def __init__(self, signals: Sequence[FilteredSignals], rigid: Array, y: Array, load: Sequence[Array],
                  noise: Array, information: Array, barred: frozenset[int] = frozenset()) -> None:
         self._signals, self._load = signals, load
-        self._live = ~np.isnan(y).all(axis=0)
+        self._live = np.asarray(~np.isnan(y).all(axis=0))
         noise = np.where(self._live, noise, 1.0)
         self._rigid, self._noise = rigid * self._live[:, None] / noise[:, None], noise
         self._y = np.where(self._live, y, 0.0) / noise

@@ -82,10 +82,11 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     unseen, more = checked(validation, robot) if validation else ([], [])
     warnings += [f"{text} (validation)" for text in more]
     amperes = any(text.startswith("unknown-drive-gain") for text in warnings)
-    live, found = zip(*[without_dead_channels(r) for r in usable], strict=True)
-    warnings += [f"{finding.warning} [{r.source}]" for r, findings in zip(usable, found, strict=True)
-                 for finding in findings]
-    live = [on_its_clock(r) for r in live]
+    live = []
+    for recording in usable:
+        alive, found = without_dead_channels(recording)
+        live.append(on_its_clock(alive))
+        warnings += [f"{finding.warning} [{recording.source}]" for finding in found]
     filters = None if cutoff is not None else chosen_filters(live, robot, amperes=amperes)
     if filters is not None:
         cutoff = filters.cutoff
@@ -96,9 +97,12 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     budgets = [error_budget(r, s) for r, s in zip(usable, signals, strict=True)]
     fit = JointProblem(robot, base, prior, signals, budgets).fit(friction)
     solution = fit.solution
+    # Of a joint without a torque nothing is known: all of what is logged there is noise to the model.
+    logged = np.std(np.concatenate([r.joints("tau") for r in usable]), axis=0)
+    noise = np.where(fit.counted > 0.0, solution.noise_std, logged)
     model = Model(
         robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, solution.value[: base.count],
-        fit.friction, solution.covariance, fit.consistency.full, solution.noise_std,
+        fit.friction, solution.covariance, fit.consistency.full, noise,
         provenance={
             "method": "joint",
             "recordings": [{"source": r.source, "hash": r.hash} for r in usable],

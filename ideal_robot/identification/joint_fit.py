@@ -14,8 +14,8 @@ from ideal_robot.friction import Asymmetric, FrictionModel, PerJointFriction, la
 from ideal_robot.identification.friction_choice import (
     AUTO,
     FrictionChoice,
-    braking,
     brakes,
+    braking,
     candidates,
     with_coefficients,
 )
@@ -215,7 +215,7 @@ class JointProblem:
         return felt
 
     def _wrong_sign(self, rough: Solution) -> tuple[int, ...]:
-        """Joints whose torque has the wrong sign: free to choose, friction drives them and their inertia is negative."""
+        """Joints whose torque has the wrong sign: left free, friction drives them and their inertia is negative."""
         b = self._base.count
         inertia = self._inertia(rough)
         std = np.sqrt(np.diag(rough.covariance))[b:].reshape(-1, 2)

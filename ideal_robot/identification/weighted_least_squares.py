@@ -62,7 +62,7 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         variance: ``(M, n)`` variance that each sample is known to have beside its channel's noise level, in the square
             of y's unit.
     """
-    live = ~np.isnan(y).all(axis=0)
+    live = np.asarray(~np.isnan(y).all(axis=0))
     y = np.where(live, y, 0.0)
     W = W * live[:, None]
     count, n, size = W.shape

@@ -68,18 +68,18 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
         if step > _COARSE * np.std(values):
             found.append(ChannelFinding(STEPPED, name, j, f"{name} comes in steps of {step:.3g}, "
                                         f"{100 * step / np.std(values):.0f} % of its standard deviation"))
-        clipped = at_limits(values)
+        clipped = at_limits(values, step)
         if clipped > _AT_LIMIT:
-            found.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} % "
-                                        "of the samples; the drive was at its limit there, a slower motion avoids it"))
+            found.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} "
+                                        "% of the samples; the drive was at its limit there, a slower motion avoids it"))
         edge = filtered_above(resampled(recording.t, values[:, None], grid)[:, 0], rate)
         if edge is not None:
-            found.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds nothing "
-                                        f"above {edge:.2g} Hz; a lag of that filter would be taken for friction"))
+            found.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds "
+                                        f"nothing above {edge:.2g} Hz; a lag of that filter would be taken for friction"))
         step = lattice(q[:, j])
         if step > _COARSE_POSITION:
-            found.append(ChannelFinding(STEPPED, f"q_{j + 1}", j, f"q_{j + 1} comes in steps of {step:.3g}; velocity and "
-                                        "acceleration are as good as the position filter makes them"))
+            found.append(ChannelFinding(STEPPED, f"q_{j + 1}", j, f"q_{j + 1} comes in steps of {step:.3g}; velocity "
+                                        "and acceleration are as good as the position filter makes them"))
     return tuple(found)
 
 
@@ -94,18 +94,27 @@ def lattice(values: Array) -> float:
     span = levels[-1] - levels[0]
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * span] if span > 0 else gaps[:0]
-    if len(gaps) < 5 or len(levels) > 0.5 * len(values):
+    if len(gaps) < 5:
         return 0.0
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
     places = gaps / step
     return step if np.mean(np.abs(places - np.round(places)) < 0.1) > 0.95 else 0.0
 
 
-def at_limits(values: Array) -> float:
-    """Share of samples within runs of three or more at the largest or the smallest value ``(N,)``."""
-    at = (values >= values.max()) | (values <= values.min())
-    runs = at[:-2] & at[1:-1] & at[2:] & (values[:-2] == values[2:])
-    return float(np.mean(runs)) if np.ptp(values) > 0 else 0.0
+def at_limits(values: Array, step: float) -> float:
+    """Share of samples in runs of three or more at the largest or the smallest value ``(N,)``.
+
+    Args:
+        values: of the channel.
+        step: between its levels; an extreme level that is not fuller than the one before it is no limit.
+    """
+    share = 0.0
+    for side in (values, -values):
+        top = side >= side.max()
+        below = ~top & (side >= side.max() - 1.5 * step)
+        if top.sum() > 2 * below.sum():
+            share += float(np.mean(top[:-2] & top[1:-1] & top[2:]))
+    return share if np.ptp(values) > 0 else 0.0
 
 
 def filtered_above(values: Array, rate: float) -> float | None:

@@ -17,7 +17,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.signals.preprocess import FilteredSignals, decimated, lowpass, preprocess, resampled, uniform_time
 from ideal_robot.signals.recording import Recording
 
-CANDIDATES = (4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 80.0, 120.0)
+CANDIDATES = (4.0, 5.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 80.0)
 """Cut-offs that are tried [Hz]; those above a fifth of the sampling rate, or far above the band of judgement, are
 left out."""
 
@@ -65,7 +65,8 @@ class CutoffChoice:
             return ""
         why = ("still slower filters might predict better; the motion may be too slow to tell" if self.limit == "lower"
                else "a faster one might predict better; a higher sampling rate would be needed, or give --cutoff")
-        return f"cutoff-at-limit: the position filter of {self.cutoff:g} Hz is the {self.limit} limit of the choice; {why}"
+        return (f"cutoff-at-limit: the position filter of {self.cutoff:g} Hz is the {self.limit} limit of the choice; "
+                f"{why}")
 
 
 def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array, information: Array,
