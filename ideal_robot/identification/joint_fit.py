@@ -191,16 +191,16 @@ class JointProblem:
     def _variance(self, rough: Solution) -> Array:
         """Variance of the torque that errors of velocity and acceleration make at each sample ``(M, n)``.
 
-        Acceleration counts with the joint's inertia. Near a reversal dry friction has one sign or the other, with the
-        variance of a coin whose odds the velocity's error gives.
+        Acceleration counts with the joint's inertia. Where the velocity's error leaves the direction open, dry friction
+        is anywhere between its two values.
         """
         n, b = self._robot.n, self._base.count
         friction = np.abs(rough.value[b:].reshape(n, 2))
         speed = np.abs(self._velocity) / np.maximum(self._sigma_v, 1e-12)
         # 4 p (1 - p) with the odds p of the wrong sign, to a few per cent.
-        coin = np.exp(-0.5 * np.minimum(speed, 30.0) ** 2)
+        undecided = np.exp(-0.5 * np.minimum(speed, 30.0) ** 2)
         return np.asarray((np.abs(self._inertia(rough)) * self._sigma_a) ** 2 + (friction[:, 0] * self._sigma_v) ** 2
-                          + friction[:, 1] ** 2 * coin)
+                          + friction[:, 1] ** 2 / 3.0 * undecided)
 
     def _inertia(self, rough: Solution) -> Array:
         """Inertia that each joint's drive feels, mean over the motion ``(n,)``."""

@@ -71,11 +71,11 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
         clipped = at_limits(values, step)
         if clipped > _AT_LIMIT:
             found.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} "
-                                        "% of the samples; the drive was at its limit there, a slower motion avoids it"))
+                                        "% of the samples; the drive was at its limit, a slower motion avoids it"))
         edge = filtered_above(resampled(recording.t, values[:, None], grid)[:, 0], rate)
         if edge is not None:
             found.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds "
-                                        f"nothing above {edge:.2g} Hz; a lag of that filter would be taken for friction"))
+                                        f"nothing above {edge:.2g} Hz; its lag would be taken for friction"))
         step = lattice(q[:, j])
         if step > _COARSE_POSITION:
             found.append(ChannelFinding(STEPPED, f"q_{j + 1}", j, f"q_{j + 1} comes in steps of {step:.3g}; velocity "

@@ -34,6 +34,8 @@ _WORSE = 1.15
 _BEYOND = 8.0
 """What a filter lets pass this many times above the band of judgement does not show in it."""
 _AS_GOOD = 1.02
+_FLAT = 3.0
+"""A filter with its cut-off this many times above the band is flat in it; what it lets pass beyond is of no use."""
 _BANDWIDTHS = 10.0
 """The band of judgement in bandwidths of the motion: what reversals of friction add lies within."""
 _SLOW, _FAST = 2.0, 10.0
@@ -71,7 +73,7 @@ class CutoffChoice:
 
 def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: Array, information: Array,
                   candidates: Sequence[float] = CANDIDATES) -> CutoffChoice:
-    """The cut-off with the least held-out error; of those that are as good, the one below their middle.
+    """The cut-off with the least held-out error; of those that are as good, the one that is just flat in the band.
 
     Args:
         recordings: with ``q_i`` and ``tau_i``; a channel whose torque is NaN throughout does not count.
@@ -92,7 +94,7 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
             break
     best = min(errors.values())
     good = [c for c, error in errors.items() if error <= _AS_GOOD * best]
-    cutoff = max(c for c in good if np.log(c) <= np.mean(np.log(good)) + 1e-9)
+    cutoff = min(good, key=lambda c: abs(np.log(c / (_FLAT * band))))
     limit = ""
     if len(usable) > 1 and len(good) < len(usable):
         limit = "lower" if good[-1] == usable[0] else "upper" if good[0] == usable[-1] else ""
