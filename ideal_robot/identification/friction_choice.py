@@ -275,8 +275,10 @@ class _Projection:
         return full, np.concatenate([r, scaled.T @ self.y[keep]]), float(yy), size
 
     def _solved(self, F: Array, use: Callable[[int], bool], bounded: np.ndarray) -> tuple[Array, Array, float, Array]:
-        """Parameters, right-hand side, ``yᵀy`` and column sizes; bounded coefficients of F that want to be negative
-        are zero, worst first."""
+        """Parameters, right-hand side, ``yᵀy`` and column sizes.
+
+        Bounded coefficients of F that want to be negative are zero, worst first.
+        """
         full, rhs, yy, size = self._bordered(F, use)
         free = np.ones(len(rhs), dtype=bool)
         first = self.own.shape[1]
@@ -289,8 +291,7 @@ class _Projection:
             free[first + int(np.argmin(wrong))] = False
 
     def error(self, F: Array, bounded: np.ndarray) -> float:
-        """Sum of squares of the full fit with this friction regressor; ``bounded (m,)`` marks what may not brake
-        backwards."""
+        """Sum of squares of the full fit with this friction regressor; ``bounded (m,)`` may not be negative."""
         p, rhs, yy, _ = self._solved(F, lambda _: True, bounded)
         return float(yy - rhs @ p)
 

@@ -33,7 +33,7 @@ _WORSE = 1.15
 """Candidates beyond one whose error is this many times the best are not tried any more."""
 _BEYOND = 8.0
 """What a filter lets pass this many times above the band of judgement does not show in it."""
-_AS_GOOD = 1.02
+_AS_GOOD = 1.04
 _FLAT = 3.0
 """A filter with its cut-off this many times above the band is flat in it; what it lets pass beyond is of no use."""
 _BANDWIDTHS = 10.0
