@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, stats
 
 from ideal_robot.arrays import Array
 
@@ -176,7 +176,11 @@ def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: 
     variance = np.maximum(variance * count / max(1, count - scores.shape[1]), _jackknife(W, residual, inverse))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.sqrt(np.maximum(variance, 0.0) / white)
-    return np.maximum(1.0, np.nan_to_num(ratio, nan=1.0, posinf=1.0))
+    # A variance from so few independent stretches is itself uncertain: three of these standard deviations hold the
+    # truth as often as three exact ones would (Student's t; degrees of freedom of Bartlett's window, Priestley 1981).
+    freedom = max(3.0 * count / max(lags, 1), 3.0)
+    student = float(stats.t.isf(stats.norm.sf(3.0), freedom) / 3.0)
+    return student * np.maximum(1.0, np.nan_to_num(ratio, nan=1.0, posinf=1.0))
 
 
 def _jackknife(W: Array, residual: Array, inverse: Array) -> Array:
