@@ -34,6 +34,8 @@ class CameraTable(Table):
     stamp_offset: float = pydantic.Field(default=0.0, ge=-1, le=1)
     stamp_noise: float = pydantic.Field(default=0.00005, ge=0, le=0.1)
     loss: float = pydantic.Field(default=0.0, ge=0, lt=1)
+    detector: str = pydantic.Field(default="edge_pairs", max_length=80)
+    """What finds the line's points in a field: ``edge_pairs``, ``opencv`` or one of another package."""
     resolution: float = pydantic.Field(default=0.00025, gt=0, le=0.01)
 
 

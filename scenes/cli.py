@@ -21,6 +21,7 @@ VERBS = {
     "run": "run",
     "compare": "compare",
     "sweep": "sweep",
+    "prepare": "prepare",
     "identify": "identify",
     "plan-identification": "plan_identification",
     "stiffness": "stiffness",

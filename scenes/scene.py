@@ -17,6 +17,11 @@ NAME = re.compile(r"[^\W_](?:[\w .+()-]{0,78}[\w+()-])?")
 """What a scene may be called."""
 
 
+SHIPPED = "shipped"
+OWN = "own"
+"""What a scene's ``model`` may be besides a path."""
+
+
 class Table(pydantic.BaseModel):
     """A table of a scene file: no unknown keys, no changes."""
 
@@ -34,9 +39,10 @@ class Scene(pydantic.BaseModel):
     description: str = ""
     robot: str = "kr6"
     seed: int = pydantic.Field(default=1, ge=0)
-    model: str = "shipped"
+    model: str = SHIPPED
     """Where the ideal robot's model comes from: ``shipped`` (identified beforehand on recordings of the robot's
-    default world, ``make models``) or the path of a model file."""
+    default world, ``make models``), ``own`` (identified on recordings of the very arm of the scene, ``ideal-robot
+    prepare``) or the path of a model file."""
     world: dict[str, Any] = pydantic.Field(default_factory=dict)
     _folder: Path | None = pydantic.PrivateAttr(default=None)
 
@@ -66,6 +72,11 @@ class Scene(pydantic.BaseModel):
         if len(text) > 500 or not text.isprintable():
             raise ValueError("expected one line of up to 500 printable characters")
         return text
+
+    def played(self) -> dict[str, Any]:
+        """What every ``--json`` says of what was played: the scene, its seed, world and arm, and whose model it was."""
+        return {"scene": self.name, "seed": self.seed, "individual": self.world.get("individual", 1),
+                "model": self.model}
 
     def changed(self, **changes: Any) -> Self:
         """A checked copy with some keys changed; nested tables are given as dictionaries and merged."""

@@ -26,16 +26,17 @@ MOST = 100_000
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a sweep; ``speed``, ``seed`` and ``method`` None mean the scene's own."""
+    """One run of a sweep; ``speed``, ``seed``, ``method`` and ``individual`` None mean the scene's own."""
 
     scene: str | Scene
     method: Any
     speed: float | None
     seed: int | None
+    individual: int | None = None
 
 
 def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Sequence[float] = (),
-         seeds: Sequence[int] = ()) -> list[Job]:
+         seeds: Sequence[int] = (), individuals: Sequence[int] = ()) -> list[Job]:
     """All combinations, in the order given; an empty list stands for the scene's own value.
 
     Args:
@@ -43,20 +44,21 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
         methods: keys, or what ``run_scene`` takes besides; with more than one process it has to be importable.
         speeds: [m/s].
         seeds: of all that is drawn.
+        individuals: arms of the type, each with the model of its own identification motions.
     """
     own: tuple[None] = (None,)
-    count = math.prod(len(values) or 1 for values in (scenes, methods, speeds, seeds))
+    count = math.prod(len(values) or 1 for values in (scenes, methods, speeds, seeds, individuals))
     if count > MOST:
         raise InputError(f"these are {count} runs; at most {MOST} at once", field="--seeds")
-    product = itertools.product(scenes, methods or own, speeds or own, seeds or own)
-    return [Job(scene, method, speed, seed) for scene, method, speed, seed in product]
+    product = itertools.product(scenes, methods or own, speeds or own, seeds or own, individuals or own)
+    return [Job(*one) for one in product]
 
 
 def play(job: Job) -> dict[str, Any]:
     """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep."""
     answer = _named(job)
     try:
-        scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed)
+        scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed, individual=job.individual)
         answer |= {"scene": scene.name, "speed_m_s": getattr(scene, "speed", None), "seed": scene.seed}
         result = kind_of(scene).run(scene, method=job.method, out=None, progress=silent)
         return {**answer, **result.json(), "failure": result.failure}
@@ -102,8 +104,8 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
 
 
 def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence[Any] = (),
-                speeds: Sequence[float] = (), seeds: Sequence[int] = (), processes: int = 2,
-                dask: str | None = None) -> pd.DataFrame:
+                speeds: Sequence[float] = (), seeds: Sequence[int] = (), individuals: Sequence[int] = (),
+                processes: int = 2, dask: str | None = None) -> pd.DataFrame:
     """Plays many runs and returns a table with one row each; a run that fails is a row with its ``failure``.
 
     Args:
@@ -111,6 +113,7 @@ def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence
         methods: keys; the scene's own if empty.
         speeds: [m/s]; the scene's own if empty.
         seeds: of all that is drawn; the scene's own if empty.
+        individuals: arms of the type, each with a model of its own; the scene's own if empty.
         processes: local processes.
         dask: address of a running Dask scheduler instead.
 
@@ -118,7 +121,7 @@ def sweep_scene(scene: str | Scene | Sequence[str | Scene], *, methods: Sequence
         InputError: a run's input cannot be used.
     """
     scenes = [scene] if isinstance(scene, str | Scene) else scene
-    return pd.json_normalize(sweep(jobs(scenes, methods, speeds, seeds), processes=processes, dask=dask))
+    return pd.json_normalize(sweep(jobs(scenes, methods, speeds, seeds, individuals), processes=processes, dask=dask))
 
 
 def _scene(scene: str | Scene) -> Scene:
@@ -129,7 +132,7 @@ def _named(job: Job) -> dict[str, Any]:
     """What of an answer is known before anything is played."""
     return {"scene": job.scene.name if isinstance(job.scene, Scene) else job.scene,
             "method": job.method if isinstance(job.method, str | None) else None, "speed_m_s": job.speed,
-            "seed": job.seed, "failure": None}
+            "seed": job.seed, **({} if job.individual is None else {"individual": job.individual}), "failure": None}
 
 
 def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:

@@ -66,7 +66,7 @@ class IdealRobot(Feedforward):
     Args:
         loop: the identified closed loop; see :func:`ideal_robot.loop.from_model.loop_model`.
         n_d: length of the horizon it is given; with fewer than ``n_d_needed`` rows the path is continued with constant
-            velocity.
+            acceleration.
         elastic: whether gear deflection is compensated. Then the command at rest differs from the desired position
             by the deflection under gravity; without, by nothing.
         cutoff: frequencies of the desired path above this are not asked of the arm [Hz].
@@ -136,7 +136,7 @@ class IdealRobot(Feedforward):
         if q_d.ndim != 2 or q_d.shape[1] != loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():
             raise InputError(f"expected finite desired positions of shape (n_d, {loop.n})", field="q_d",
                              value=q_d.shape)
-        rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d[-1])])
+        rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d)])
         q, qd, qdd = (operator @ rows for operator in self._coarse)
         load = inverse_dynamics(loop.chain, q, qd, qdd)
         if tau_ext_d is not None:
@@ -166,9 +166,10 @@ class IdealRobot(Feedforward):
     def _horizon(self, q_d: Array, before: Array) -> Array:
         if len(q_d) >= self.n_d_needed:
             return q_d[: self.n_d_needed]
-        speed = q_d[-1] - (q_d[-2] if len(q_d) > 1 else before)
+        last = np.concatenate([before, q_d])[-3:]
+        speed, bend = last[2] - last[1], last[2] - 2.0 * last[1] + last[0]
         ahead = np.arange(1, self.n_d_needed - len(q_d) + 1)[:, None]
-        return np.concatenate([q_d, q_d[-1] + ahead * speed])
+        return np.concatenate([q_d, q_d[-1] + ahead * speed + 0.5 * ahead * (ahead + 1) * bend])
 
     def _external(self, tau_ext_d: Array) -> Array:
         """The contact torque on the torque grid, linear in between and constant beyond the horizon."""

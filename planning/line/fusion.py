@@ -20,13 +20,15 @@ class Measurement:
 
     Attributes:
         t: instant of measurement, not of arrival [s].
-        s: arc lengths of the reference that the values belong to ``(m,)`` [m].
-        value: deviations ``(m,)`` [m]: components of Δx_r along ``direction``.
-        covariance: of the values ``(m, m)`` [m²].
+        s: arc lengths of the reference that were looked at ``(m,)`` [m].
+        value: deviations ``(m,)`` [m]: components of Δx_r along ``direction``; or ``(k,)`` combinations of them.
+        covariance: of the values ``(m, m)`` [m²], or ``(k, k)``.
         direction: sensed directions as components along the path's normal and up, ``(m, directions)``; they need not be
             orthogonal to each other. None for purely lateral.
         sensor: name of the sensor, for its own errors and statistics.
         bias: how much each error of the sensor adds to the values, ``(m, b)``; see ``DeviationFilter``.
+        combination: how the values follow from the deviations at ``s``, ``(k, m)``, such as value and slope of a
+            polynomial through them; they then count as one, all or none. None where each deviation is a value.
     """
 
     t: float
@@ -36,6 +38,7 @@ class Measurement:
     direction: Array | None = None
     sensor: str = "camera"
     bias: Array | None = None
+    combination: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -43,8 +46,8 @@ class Fused:
     """What became of a measurement.
 
     Attributes:
-        used: which values went in ``(m,)``.
-        innovation: values minus their predictions ``(m,)`` [m].
+        used: which values went in ``(m,)``, or ``(k,)`` where they are combinations.
+        innovation: values minus their predictions ``(m,)`` or ``(k,)`` [m].
         nis: normalised innovation squared of the values that went in; ``dof`` on average if all is consistent.
         dof: number of values that went in.
         reason: why values were left out; empty if none were.
@@ -80,9 +83,10 @@ class DeviationFilter:
 
     .. math:: z_i = g_i^T \left(\Delta x_r(s_i) \right) + b_i^T \beta + v_i
 
-    with :math:`\Delta x_r` linear in the model's state, errors :math:`\beta` of the sensor itself (constant, e.g. a
-    wrong mounting angle) and noise :math:`v` with the covariance stated by the measurement. A point of the path that is
-    seen several times from different places separates :math:`\beta` from :math:`\Delta x_r`.
+    or a linear combination of such values, with :math:`\Delta x_r` linear in the model's state, errors :math:`\beta`
+    of the sensor itself (constant, e.g. a wrong mounting angle) and noise :math:`v` with the covariance stated by the
+    measurement. A point of the path that is seen several times from different places separates :math:`\beta` from
+    :math:`\Delta x_r`.
 
     A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if most of its
     values are, or if its normalised innovation squared is beyond the ``significance`` bound. Measurements left out feed
@@ -154,7 +158,8 @@ class DeviationFilter:
             return self._fuse(measurement)
         late = [past for past in self._memory if past.t > measurement.t]
         if self._memory and measurement.t < self._memory[0].t and len(late) == len(self._memory):
-            return Fused(np.zeros(len(measurement.s), dtype=bool), np.zeros(len(measurement.s)), 0.0, 0, "too late")
+            nothing = np.zeros(len(measurement.value))
+            return Fused(nothing.astype(bool), nothing, 0.0, 0, "too late")
         if late:
             # Back to before the first one that is younger, then all again in the right order.
             self._memory = self._memory[: len(self._memory) - len(late)]
@@ -224,18 +229,15 @@ class DeviationFilter:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
             self._track, self._rival = self._rival, None
-            return Fused(
-                np.ones(len(measurement.s), dtype=bool), fused.innovation, fused.nis, len(measurement.s), "map replaced"
-            )
+            count = len(measurement.value)
+            return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
         return fused
 
     def _rows(self, measurement: Measurement) -> Array:
         basis = self.model.basis(measurement.s)
-        H = np.zeros((len(measurement.s), self._size))
-        if measurement.direction is None:
-            H[:, : self.model.size] = basis[:, 0]
-        else:
-            H[:, : self.model.size] = np.einsum("md,mdn->mn", measurement.direction, basis)
+        rows = basis[:, 0] if measurement.direction is None else np.einsum("md,mdn->mn", measurement.direction, basis)
+        H = np.zeros((len(measurement.value), self._size))
+        H[:, : self.model.size] = rows if measurement.combination is None else measurement.combination @ rows
         if measurement.bias is not None and measurement.sensor in self._bias_at:
             H[:, self._bias_at[measurement.sensor]] = measurement.bias
         return H
@@ -246,6 +248,8 @@ class DeviationFilter:
         innovation = measurement.value - H @ kf.x
         S = H @ kf.P @ H.T + R
         used = innovation**2 <= self._gate**2 * np.diag(S)
+        if measurement.combination is not None and not used.all():
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate")
         if 2 * used.sum() < len(used):
             # Among many wrong values a few pass by chance.
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate")
@@ -263,8 +267,12 @@ class DeviationFilter:
 
 
 def _check(measurement: Measurement, directions: int) -> None:
-    m = len(measurement.s)
-    shapes = {"value": (measurement.value.shape, (m,)), "covariance": (measurement.covariance.shape, (m, m))}
+    m = k = len(measurement.s)
+    shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
+    if measurement.combination is not None:
+        k = len(measurement.value)
+        shapes["combination"] = (measurement.combination.shape, (k, m))
+    shapes |= {"value": (measurement.value.shape, (k,)), "covariance": (measurement.covariance.shape, (k, k))}
     if measurement.direction is not None:
         shapes["direction"] = (measurement.direction.shape, (m, directions))
     for key, (given, expected) in shapes.items():

@@ -12,6 +12,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.line.line_measurement import polynomial_measurement
 from planning.line.line_view import LineAhead, SeenLine
 from planning.path.desired_path import DesiredPath
 from planning.path.pose_history import PoseHistory
@@ -20,6 +21,7 @@ from planning.path.speed_profile import JointPath, SpeedProfile
 from planning.path.vectors import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
+MEASUREMENTS = ("polynomial", "points")
 SILENCE = 0.25
 """Time without any field after which the line counts as not seen [s]."""
 
@@ -41,6 +43,8 @@ class FollowerSettings:
         max_blind: distance that may be travelled without seeing the line [m].
         max_search: distance that may be travelled before the line is seen first [m].
         follow_tangent: whether the tool turns with the line seen, not only with the reference.
+        measurement: what of a field goes into the map: ``polynomial``, value and slope of the polynomial through its
+            points ([L] 5), or ``points``, each of them.
     """
 
     frozen: int = 1
@@ -55,8 +59,11 @@ class FollowerSettings:
     max_blind: float = 0.15
     max_search: float = 0.3
     follow_tangent: bool = False
+    measurement: str = "polynomial"
 
     def __post_init__(self) -> None:
+        if self.measurement not in MEASUREMENTS:
+            raise InputError(f"expected one of {', '.join(MEASUREMENTS)}", field="measurement", value=self.measurement)
         for key in ("cutoff", "correction", "max_blind", "max_search"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
@@ -199,13 +206,18 @@ class LineFollower:
         used = np.asarray(line.used, dtype=bool) & np.isfinite(line.points_tcp).all(axis=1)
         if not used.any():
             return None
-        measurement = self.measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
-        fused = self.fuse(measurement)
+        points = self.measurement(line.t, line.points_tcp[used], line.sigma[used], pose)
+        front = float(points.s.max())
+        if self.settings.measurement == "points" or len(points.s) < 2:
+            fused = self.fuse(points)
+            front = float(points.s[fused.used].max()) if fused.dof else front
+        else:
+            fused = self.fuse(polynomial_measurement(points)[0])
         if fused.dof:
             self.fields_used += 1
             seen = (line.t, self.profile.at(line.t - self.t_start)[0])
             self._last_seen = max(self._last_seen or seen, seen)
-            self._front = max(self._front, float(measurement.s[fused.used].max()))
+            self._front = max(self._front, front)
         return fused
 
     def fuse(self, measurement: Measurement) -> Fused:

@@ -12,6 +12,8 @@ def command(
     scene: Annotated[str, typer.Argument(help="Scene of kind path or line that holds an effect that its model was "
                                               "not told of, e.g. close_elastic, close_stribeck, close_latency.")],
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
+    individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
+                                                        "prepare).", min=0)] = None,
     speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of recording, model and report; default out/SCENE.")] = None,
@@ -28,7 +30,7 @@ def command(
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed)
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual)
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:

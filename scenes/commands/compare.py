@@ -12,6 +12,10 @@ def command(
     scene: Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).")],
     speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
+    individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
+                                                        "prepare).", min=0)] = None,
+    n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
+                                                          "up.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/compare_SCENE.")] = None,
 ) -> None:
@@ -26,7 +30,7 @@ def command(
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed)
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d)
     folder = out or Path("out") / f"compare_{loaded.name}"
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:

@@ -12,6 +12,8 @@ def command(
     scenes: Annotated[list[str], typer.Argument(help="Scenes, by name or path.")],
     speeds: Annotated[str, typer.Option(help="Speeds [m/s], separated by commas.")] = "",
     seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = "",
+    individuals: Annotated[str, typer.Option("--individuals", "--individual", help="Arms of the type, each with a "
+                                             "model of its own (see prepare): a list 1,2,5 or a range 1-10.")] = "",
     methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "",
     processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
     dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
@@ -39,7 +41,8 @@ def command(
     from scenes.sweep_file import SweepFile
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
-                numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"))
+                numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),
+                whole_numbers(individuals, "--individuals"))
     check_outputs(json=json, csv=csv, lines=lines)
     if resume and lines is None:
         raise InputError("needs --lines FILE, the file to go on with", field="--resume")
@@ -52,7 +55,7 @@ def command(
     frame = pd.json_normalize(answers)
     names = {key: title for key, title in FIGURES.items() if key in frame}
     frame = frame.rename(columns=names)
-    shown = ["scene", "method", "seed", *names.values(), "failure"]
+    shown = ["scene", "method", *(["individual"] if individuals else []), "seed", *names.values(), "failure"]
     if csv is not None:
         write_text(csv, frame[shown].to_csv(index=False))
     kinds = [key for key in ("scene", "method", "m/s") if key in frame]

@@ -36,7 +36,7 @@ class ForceComparison:
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
-        return {"scene": self.scene.name, "speed_m_s": self.scene.speed, "seed": self.scene.seed,
+        return {**self.scene.played(), "speed_m_s": self.scene.speed,
                 "methods": {result.method: result.json() for result in self.results},
                 "direct_feedback_search": [{"k_p": one.k_p, "k_d": one.k_d, "rms_N": one.error} for one in self.trials],
                 "camera_troubles": {name: one.json() for name, one in self.troubles}, "report": self.report}

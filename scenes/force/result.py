@@ -89,7 +89,7 @@ class ForceResult:
         """The content of ``--json``."""
         f = self.figures
         return {
-            "scene": self.scene.name, "task": self.scene.task, "speed_m_s": self.scene.speed, "seed": self.scene.seed,
+            **self.scene.played(), "task": self.scene.task, "speed_m_s": self.scene.speed,
             "method": self.method, "failure": self.failure, "desired_force_N": self.scene.force,
             "force_error_N": {"rms": f.rms, "mean": f.mean - self.scene.force},
             "max_force_N": f.largest, "max_force_ratio": f.largest / self.scene.force, "min_force_N": f.least,

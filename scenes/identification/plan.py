@@ -97,10 +97,18 @@ def slow_reversals(q0: Array, t_ipo: float, v_max: Array, duration: float = 8.0)
 
 
 def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float], None] = lambda share: None,
-              ) -> Recording:
-    """Plays a plan on the simulated arm in its default world and returns what the controller logged."""
+              world: World | None = None) -> Recording:
+    """Plays a plan on the simulated arm and returns what the controller logged.
 
-    with SimulatedArm(robot, World.default(robot.name), np.random.default_rng(seed), robot.home) as arm:
+    Args:
+        planned: the motion.
+        robot: the arm as its data sheet has it.
+        seed: of the world's noise.
+        progress: called with the share played.
+        world: what the arm is like; its default world if None.
+    """
+    world = World.default(robot.name) if world is None else world
+    with SimulatedArm(robot, world, np.random.default_rng(seed), robot.home) as arm:
         for k, q_c in enumerate(planned.commands):
             arm.cycle(q_c)
             if k % 100 == 0:

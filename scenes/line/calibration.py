@@ -20,9 +20,10 @@ from planning.path.reference import ReferencePath
 from planning.planning_error import OutOfReachError
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import LineDetector
 from sensing.camera.field import Field
 from sensing.camera.hand_eye import HandEye, Observation, calibrate, calibration_poses
-from sensing.camera.line_detection import DetectionSettings, PredictedLine, detect_line, search_windows
+from sensing.camera.line_detection import DetectionSettings, PredictedLine, search_windows
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 
@@ -46,7 +47,7 @@ BEFORE = 10**7
 
 def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
                         camera: RenderedCamera, deflection: GearDeflection | None, at: float,
-                        detection: DetectionSettings) -> HandEye:
+                        detection: DetectionSettings, detector: LineDetector) -> HandEye:
     """Moves the camera over one piece of the line and returns the camera that explains all that was seen.
 
     The arm is driven through its positional interface, from pose to pose with a short rest at each; fields are taken
@@ -61,13 +62,14 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         deflection: the gears' deflection as the model knows it.
         at: arc length of the reference around which the piece lies [m].
         detection: how the line looks.
+        detector: what finds its points.
 
     Raises:
         SceneError: fewer than half of the poses can be reached, or fewer than half of the fields show the line.
     """
     commands = _moves(robot, _postures(robot, reference, believed, at), arm.t_ipo)
     arm.reset(commands[0])
-    view = _View(robot, reference, believed, detection, commands[0])
+    view = _View(robot, reference, believed, detection, detector, commands[0])
     # The camera's clock runs ahead of the arm's by a whole number of fields.
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate
     late: list[tuple[Field, PredictedLine]] = []
@@ -101,8 +103,8 @@ class _View:
     """What is known of arm and line while the camera moves, and what was seen."""
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
-                 q: Array) -> None:
-        self.reference, self.believed, self.detection = reference, believed, detection
+                 detector: LineDetector, q: Array) -> None:
+        self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
         self.history = PoseHistory(robot)
         self.history.add(0.0, q)
         self.observations: list[Observation] = []
@@ -121,7 +123,7 @@ class _View:
 
     def look(self, field: Field, prediction: PredictedLine, ahead: float) -> None:
         """Notes the line points of a field."""
-        found = detect_line(field, self.believed, prediction, self.detection)
+        found = self.detector.detect(field, self.believed, prediction, self.detection)
         if not found.seen:
             return
         if self._sigma > SIGMA_FOUND:

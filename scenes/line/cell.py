@@ -23,6 +23,7 @@ from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
 from sensing.sensing_error import SensingError
@@ -52,6 +53,7 @@ class Cell:
     """As it is believed: by hand at first, then as calibrated."""
     reference: ReferencePath
     follower: LineFollower
+    detector: LineDetector
     noise: np.random.Generator
     camera_noise: np.random.Generator
 
@@ -70,6 +72,7 @@ def set_up(scene: LineScene) -> Cell:
     where = geometry(scene, place)
     line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                      background=scene.line.background, edge=1e-3 * scene.line.edge_mm, features=_features(scene))
+    detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera)
     true = true_camera(believed, scene.calibration, calibration)
     reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
@@ -79,12 +82,14 @@ def set_up(scene: LineScene) -> Cell:
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
             line_span=(begin, reference.length - scene.reference.run_out),
-            settings=FollowerSettings(max_blind=scene.max_gap, max_search=scene.max_gap + 0.05,
+            settings=FollowerSettings(measurement=scene.measurement, max_blind=scene.max_gap,
+                                      max_search=scene.max_gap + 0.05,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
-    return Cell(scene, robot, world, where, line, true, believed, reference, follower, noise, camera_noise)
+    return Cell(scene, robot, world, where, line, true, believed, reference, follower, detector, noise,
+                camera_noise)
 
 
 def detection(cell: Cell) -> DetectionSettings:
@@ -131,7 +136,8 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
             with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
                 try:
                     hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection,
-                                                   middle, detection(cell))
+                                                   middle, detection(cell),
+                                                   cell.detector)
                 except (SceneError, SensingError) as error:
                     reason = str(error)
         yield Prepared(camera, hand_eye, reason)

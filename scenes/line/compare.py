@@ -42,9 +42,8 @@ class LineComparison:
     def json(self) -> dict[str, Any]:
         """The content of ``--json``: the runs stand under ``methods``."""
         return {
-            "scene": self.scene.name,
+            **self.scene.played(),
             "speed_m_s": self.scene.speed,
-            "seed": self.scene.seed,
             "methods": {method: run.json() for method, run in self.runs.items()},
             "direct_feedback": None if self.gains is None else {
                 "k_p": self.gains[0],

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.feedforward.registry import method as registered
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.cycle import CycleSettings, play_cycles
 from scenes.line.cell import Cell, Prepared, prepared, set_up
@@ -18,17 +19,20 @@ from scenes.line.result import SETTLING, ControlError, LineResult, Timing
 from scenes.line.scene import LineScene
 from scenes.line.task import LineLog, LineTask
 from scenes.line.world import LineWorld, mounted
-from scenes.methods import DIRECT, NONE, SceneMethod, following_methods, method_of
+from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from sim.arm.arm import SimulatedArm
 from sim.equipment.equipped_arm import CarriedCamera, EquippedArm
 
+POINTS = "ideal_points"
+"""The ideal robot behind a map of single points in place of polynomials, for comparison."""
+
 
 def methods() -> tuple[str, ...]:
     """Every key that ``--method`` takes."""
-    return (NONE, DIRECT, *following_methods())
+    return (NONE, DIRECT, *following_methods(), POINTS)
 
 
 def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
@@ -49,6 +53,8 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
         InputError: the scene cannot be played: line out of reach, unreachable speed.
     """
     method = method_of(method, methods())
+    if method.key == POINTS:
+        scene, method = scene.changed(measurement="points"), SceneMethod(POINTS, registered(IDEAL).make)
     if shared is None:
         with prepared(scene, progress) as own:
             return _play(set_up(scene), method, gains, own, sensors, progress, pictures)

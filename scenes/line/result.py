@@ -150,9 +150,8 @@ class LineResult:
         nothing = {"E_car": None, "E_max": None}
         errors = self.path_errors
         return {
-            "scene": self.scene.name,
+            **self.scene.played(),
             "speed_m_s": self.scene.speed,
-            "seed": self.scene.seed,
             "method": self.method,
             "failure": self.failure,
             "warning": self.warning or None,

@@ -26,6 +26,12 @@ class LineScene(Scene):
     calibration: Calibration = Calibration()
     points: int = pydantic.Field(default=5, ge=3, le=25)
     """Line points looked for in each field; [L] takes 5."""
+    measurement: Literal["polynomial", "points"] = "polynomial"
+    """What of a field goes into the map of the line: value and slope of the polynomial through its points, or each of
+    the points."""
+    n_d: int | None = pydantic.Field(default=None, ge=1, le=200)
+    """Desired positions that the feedforward is given in each cycle, the current one included ([L] 2.2); all that are
+    planned if not given."""
     tracker: bool = True
     """Whether the recording holds an external measuring device's arm angles and TCP."""
     stamp_estimate: bool = True

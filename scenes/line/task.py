@@ -19,8 +19,8 @@ from scenes.line.result import FieldShown
 from scenes.methods import DIRECT, SceneMethod
 from sensing.camera.camera_device import Camera
 from sensing.camera.field import Field, Window
-from sensing.camera.line_detection import LineField, detect_line, search_windows
-from sensing.camera.line_polynomial import fit_line_polynomial
+from sensing.camera.line_detection import LineField, search_windows
+from sensing.camera.line_polynomial import fit_of_lowest_order
 
 REST = 0.2
 """Time the recording goes on after the path has come to rest [s]."""
@@ -76,12 +76,13 @@ class LineTask:
         self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
         self.follower = follower = cell.follower
         self.n_d = follower.n_d
+        given = min(self.n_d, cell.scene.n_d or self.n_d)
         self._T = cell.world.t_ipo
         self._count = int(np.ceil((START + follower.duration + REST) / self._T))
         self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
         self._new: list[Field] = []
         self._detection = detection(cell)
-        self.feedforward = method.following(Setting(cell.robot, model, self.n_d, int(cell.world.correction_delay)))
+        self.feedforward = method.following(Setting(cell.robot, model, given, int(cell.world.correction_delay)))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
         self._latency = assumed_latency(model) if model is not None else 0.0
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
@@ -136,7 +137,7 @@ class LineTask:
         arrived = replace(arrived, t_stamp=arrived.t_stamp + self._latency)
         pose = follower.history.pose(arrived.t_stamp)
         ahead = follower.predict(arrived.t_stamp).seen_from(pose)
-        seen = detect_line(arrived, self.cell.camera, ahead, self._detection)
+        seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self._detection)
         if self._direct is not None:
             self._direct.update(seen, pose)
         follower.update(seen, pose)
@@ -185,7 +186,7 @@ class LineTask:
         pose = follower.history.pose(seen.t)
         points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
         s, deviation, _ = reference.project(points, float(follower.profile.s(seen.t - START)) + 0.06)
-        polynomial = fit_line_polynomial(s, deviation, seen.sigma[seen.used])
+        polynomial = fit_of_lowest_order(s, deviation, seen.sigma[seen.used])
         at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
         frames = reference.frames(at)
         curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal

@@ -54,9 +54,8 @@ class PathComparison:
     def json(self) -> dict[str, Any]:
         """The content of ``--json``: the runs stand under ``methods``."""
         return {
-            "scene": self.scene.name,
+            **self.scene.played(),
             "speed_m_s": self.scene.speed,
-            "seed": self.scene.seed,
             "methods": {method: {**run.json(), "reduction_percent": self.reduction(method),
                                  "motor_aligned_reduction_percent": self.motor_reduction(method)}
                         for method, run in self.runs.items()},

@@ -51,9 +51,8 @@ class PathResult:
         """The content of ``--json``."""
         times = 1e3 * self.played.cycle_times
         return {
-            "scene": self.scene.name,
+            **self.scene.played(),
             "speed_m_s": self.scene.speed,
-            "seed": self.scene.seed,
             "method": self.method,
             "failure": self.failure,
             "path_error_mm": self.errors.json_mm(),

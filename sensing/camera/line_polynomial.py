@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from ideal_robot.arrays import Array
 from sensing.sensing_error import SensingError
@@ -25,6 +26,8 @@ class LinePolynomial:
         centre, scale: s_0 and h [m].
         coefficients: c ``(d + 1,)`` [m].
         covariance: of the coefficients ``(d + 1, d + 1)`` [m²].
+        combination: how the coefficients follow from the points' deviations, c = combination @ deviation,
+            ``(d + 1, m)``; columns of points that were left out are zero.
         residual: root mean square of the residuals of the points used, in units of their sigma.
         used: points that passed the outlier test ``(m,)``.
         span: smallest and largest arc length of the points used [m].
@@ -34,6 +37,7 @@ class LinePolynomial:
     scale: float
     coefficients: Array
     covariance: Array
+    combination: Array
     residual: float
     used: NDArray[np.bool_]
     span: tuple[float, float]
@@ -95,7 +99,40 @@ def fit_line_polynomial(
         used[np.flatnonzero(used)[np.argmax(contradiction)]] = False
     rms = float(np.sqrt(np.mean(residual**2 / variance[used])))
     span = (float(s[used].min()), float(s[used].max()))
-    return LinePolynomial(centre, scale, coefficients, covariance, rms, used, span)
+    combination = np.zeros((d + 1, len(s)))
+    combination[:, used] = covariance @ weighted.T
+    return LinePolynomial(centre, scale, coefficients, covariance, combination, rms, used, span)
+
+
+def fit_of_lowest_order(
+    s: Array, deviation: Array, sigma: Array, *, orders: tuple[int, int] = (1, 3), significance: float = 0.01
+) -> LinePolynomial:
+    """The polynomial of the lowest order whose residual is no more than the points' noise.
+
+    The weighted sum of squares of the residual follows χ² with m - d - 1 degrees of freedom where the order suffices;
+    an order that leaves more than the bound of ``significance`` is too low. At least one degree of freedom is left, so
+    that there is a residual to judge by.
+
+    Args:
+        s: arc lengths on the reference path ``(m,)`` [m], in any order.
+        deviation: lateral deviations ``(m,)`` [m].
+        sigma: their standard deviations ``(m,)`` [m].
+        orders: lowest and highest order.
+        significance: probability with which a sufficient order counts as too low.
+
+    Raises:
+        SensingError: fewer than two usable points.
+    """
+    lowest, highest = orders
+    highest = max(lowest, min(highest, len(s) - 2))
+    for order in range(lowest, highest + 1):
+        fit = fit_line_polynomial(s, deviation, sigma, order)
+        count = int(fit.used.sum())
+        free = count - len(fit.coefficients)
+        # A point dropped at a low order may be the line's shape: all points have to fit.
+        if order == highest or (count == len(s) and fit.residual**2 * count <= chi2.ppf(1.0 - significance, free)):
+            return fit
+    return fit
 
 
 def _vandermonde(s: Array, centre: float, scale: float, degree: int) -> Array:

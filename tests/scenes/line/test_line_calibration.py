@@ -14,6 +14,7 @@ from scenes.line.scene import LineScene
 from scenes.models import model_for
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import EdgePairs
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
 from sim.arm.arm import SimulatedArm
@@ -31,7 +32,7 @@ def calibrated(cell: Cell, deflection: GearDeflection | None = None) -> HandEye:
     with (SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, CameraSettings(resolution=0.0005), cell.camera_noise) as camera):
         return calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
-                                   DetectionSettings())
+                                   DetectionSettings(), EdgePairs())
 
 
 def measuring_error(cell: Cell, believed: CameraModel) -> Array:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sensing.camera.line_polynomial import fit_line_polynomial
+from sensing.camera.line_polynomial import fit_line_polynomial, fit_of_lowest_order
 from sensing.sensing_error import SensingError
 
 S = np.linspace(0.42, 0.51, 5)
@@ -83,3 +83,23 @@ def test_a_cubic_through_the_line_itself_misses_it_and_the_deviation_does_not() 
     kept = np.abs(reference + deviation.deviation(at)[0] - curve(at)).mean()
     assert missed > 1e-4
     assert kept < 0.03 * missed
+
+
+def test_the_order_is_the_lowest_whose_residual_is_noise() -> None:
+    rng = np.random.default_rng(5)
+    straight = [fit_of_lowest_order(S, 0.002 + 0.03 * (S - 0.46) + SIGMA * rng.standard_normal(5), SIGMA)
+                for _ in range(300)]
+    # One in a hundred is refused by chance; the sigma assumed is a little larger than the noise.
+    assert sum(len(fit.coefficients) == 2 for fit in straight) >= 294
+    bent = [fit_of_lowest_order(S, 0.002 + 0.5 * (S - 0.46) ** 2 + SIGMA * rng.standard_normal(5), SIGMA)
+            for _ in range(300)]
+    assert sum(len(fit.coefficients) >= 3 for fit in bent) >= 294
+
+
+def test_coefficients_are_the_stated_combination_of_the_points() -> None:
+    d = 0.002 + SIGMA * np.random.default_rng(6).standard_normal(5)
+    d[3] += 0.002
+    fit = fit_line_polynomial(S, d, SIGMA, degree=1)
+    assert not fit.used[3]
+    np.testing.assert_allclose(fit.combination @ d, fit.coefficients, rtol=1e-12)
+    assert not fit.combination[:, 3].any()
