@@ -1,10 +1,10 @@
 """A feedforward of your own beside the built-in ones in one comparison table."""
 
-from ideal_robot.feedforward.base import Feedforward
+import ideal_robot as ir
 from scenes import compare_scene, load_scene
 
 
-class OneCycleAhead(Feedforward):
+class OneCycleAhead(ir.Feedforward):
     """Commands where the arm shall be one cycle later."""
 
     n_d, t_ipo = 2, 0.012
@@ -12,6 +12,7 @@ class OneCycleAhead(Feedforward):
     step = staticmethod(lambda state, q_d, tau_ext_d=None: (q_d[1], state))
 
 
-comparison = compare_scene(load_scene("line"), methods=["none", "sensor_path", OneCycleAhead(), "ideal"])
-for method, mean, *_ in comparison.table()[1]:
-    print(f"{method}: mean {mean:.3f} mm")
+calibrated = {"by_moving": False, "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "lateral_mm": 0, "principal_px": 0}
+scene = load_scene("straight").changed(line={"points": [(0.4, 0.0), (0.8, 0.0)]}, calibration=calibrated)
+comparison = compare_scene(scene, methods=["none", "sensor_path", OneCycleAhead(), "ideal"])
+print(comparison)

@@ -15,6 +15,6 @@ class ProfileSensor:
         return [Reading(seen, self.looks, self.world.distance(seen, self.looks), 1e-4**2)]
 
 
-result = run_scene(load_scene("line"), sensors=[ProfileSensor()])
-values, fused = result.sensors["profile"]
-print(f"mean {1e3 * result.control_error.mean:.3f} mm; fused {fused} of {values} readings")
+calibrated = {"by_moving": False, "roll_deg": 0, "pitch_deg": 0, "yaw_deg": 0, "lateral_mm": 0, "principal_px": 0}
+scene = load_scene("straight").changed(line={"points": [(0.4, 0.0), (0.8, 0.0)]}, calibration=calibrated)
+print(result := run_scene(scene, sensors=[ProfileSensor()]), result.sensors["profile"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,4 +30,4 @@ def plain(value: Any, digits: int | None = None) -> Any:
         if not math.isfinite(value):
             return None
         return value if digits is None else float(f"{value:.{digits}g}")
-    return str(value) if isinstance(value, Path) else value
+    return value if value is None or isinstance(value, (str, int)) else str(value)

@@ -15,17 +15,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from planning.line.deviation_sensor import Reading
+    from scenes.models import shipped_model
     from scenes.play import compare_scene, run_scene
     from scenes.scene_file import load_scene
     from scenes.sweep import sweep_scene
 
-__all__ = ["Reading", "compare_scene", "load_scene", "run_scene", "sweep_scene"]
+__all__ = ["Reading", "compare_scene", "load_scene", "run_scene", "shipped_model", "sweep_scene"]
 
 _WHERE = {
     "Reading": "planning.line.deviation_sensor",
     "compare_scene": "scenes.play",
     "load_scene": "scenes.scene_file",
     "run_scene": "scenes.play",
+    "shipped_model": "scenes.models",
     "sweep_scene": "scenes.sweep",
 }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ideal_robot.elasticity.clamp_compliance import without_clamp_give
 from ideal_robot.elasticity.clamped_signals import ClampedSignals, clamped_signals
@@ -19,16 +19,21 @@ from ideal_robot.elasticity.stiffness import (
 )
 from ideal_robot.errors import InputError
 from ideal_robot.plain import plain
+from ideal_robot.plots import with_intervals
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import recordings_of
 from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised
+
+if TYPE_CHECKING:
+    from ideal_robot.plots import Figure
 
 CLAMPED_METHODS: tuple[Method, ...] = ("motor", "wrench")
 
 
-@dataclass(frozen=True)
-class StiffnessAnalysis:
+@dataclass(frozen=True, repr=False)
+class StiffnessAnalysis(Summarised):
     """Results of all methods that the recordings allow.
 
     Attributes:
@@ -56,6 +61,17 @@ class StiffnessAnalysis:
                  "difference_percent": 100 * abs(motor[joint].stiffness - wrench[joint].stiffness)
                  / wrench[joint].stiffness}
                 for joint in sorted(set(motor) & set(wrench))]
+
+    def summary(self) -> list[tuple[str, str]]:
+        """Stiffness of each joint by each method."""
+        return [("arm", f"{self.robot.name!r}: {len(self.signals)} clamped recordings, {len(self.warnings)} warnings"),
+                *((f"joint {one.joint}, {one.method}", f"{one.stiffness:.4g} N m/rad ± {one.std_percent:.2g} %")
+                  for one in self.joints)]
+
+    def plot(self) -> Figure:
+        """Stiffnesses with their 95 % intervals."""
+        return with_intervals([(f"joint {one.joint}, {one.method}", one.stiffness, *one.interval)
+                               for one in self.joints], "stiffness [N m/rad]", f"stiffness of {self.robot.name}")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, field
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,11 +16,16 @@ from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.plain import plain
+from ideal_robot.plots import over_time
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import expect
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised, listed
+
+if TYPE_CHECKING:
+    from ideal_robot.plots import Figure
 
 _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""
@@ -28,8 +33,8 @@ _STANDING = 0.3
 """How long the arm is held after braking [s]."""
 
 
-@dataclass(frozen=True)
-class PlayResult:
+@dataclass(frozen=True, repr=False)
+class PlayResult(Summarised):
     """A path that was played, whole or up to where it had to be stopped.
 
     Attributes:
@@ -54,6 +59,18 @@ class PlayResult:
         """Root mean square of desired position minus motor angle per joint ``(n,)`` [rad]."""
         off = self.recording.joints("q_d") - self.recording.joints("q")
         return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
+
+    def summary(self) -> list[tuple[str, str]]:
+        """How much was played, and how well."""
+        return [("play", f"{len(self.q_c)} cycles, {self.failure or 'played to its end'}"),
+                ("rms of desired minus motor position", listed(1e3 * self.rms_error, "mrad or mm")),
+                ("median computing time", f"{1e3 * float(np.median(self.compute_times)):.3g} ms")]
+
+    def plot(self) -> Figure:
+        """Desired position minus motor angle, joint by joint."""
+        off = 1e3 * (self.recording.joints("q_d") - self.recording.joints("q"))
+        return over_time(self.recording.t, [(f"joint {j + 1} [mrad or mm]", [("desired minus motor", off[:, j])])
+                                            for j in range(off.shape[1])], "error of the motor positions")
 
     def to_dict(self) -> dict[str, Any]:
         """Key figures as plain values."""

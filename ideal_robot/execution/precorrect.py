@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,13 +18,18 @@ from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.model.model import Model
 from ideal_robot.plain import plain
+from ideal_robot.plots import over_time
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import expect
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised, listed
+
+if TYPE_CHECKING:
+    from ideal_robot.plots import Figure
 
 
-@dataclass(frozen=True)
-class PrecorrectedPath:
+@dataclass(frozen=True, repr=False)
+class PrecorrectedPath(Summarised):
     """A path and what became of it, at the interpolation cycle, rest before and behind included.
 
     Attributes:
@@ -49,6 +54,19 @@ class PrecorrectedPath:
         """Root mean square per joint of ``expected``: corrected, uncorrected ``(n,)`` each [rad]."""
         after, before = (np.sqrt(np.mean(error**2, axis=0)) for error in self.expected)
         return after, before
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What was corrected, and the error that the model expects to be left."""
+        after, before = (1e3 * rms for rms in self.expected_rms)
+        return [("path", f"{self.robot_name!r}, {self.method}: {len(self.t)} cycles, {self.t[-1] - self.t[0]:.4g} s"),
+                ("expected rms error", listed(after, "mrad or mm")), ("uncorrected", listed(before, "mrad or mm"))]
+
+    def plot(self) -> Figure:
+        """Expected error of each joint, corrected and uncorrected."""
+        after, before = (1e3 * error for error in self.expected)
+        return over_time(self.t, [(f"joint {j + 1} [mrad or mm]", [("uncorrected", before[:, j]),
+                                                                   ("corrected", after[:, j])])
+                                  for j in range(self.q_d.shape[1])], f"expected error, {self.method}")
 
     def to_dict(self) -> dict[str, Any]:
         """Key figures as plain values."""

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,11 +23,16 @@ from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
 from ideal_robot.plain import plain
+from ideal_robot.plots import over_time
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import expect, recordings_of
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised, listed
+
+if TYPE_CHECKING:
+    from ideal_robot.plots import Figure
 
 METHODS = ("joint", "two-step")
 
@@ -36,7 +41,7 @@ _WARMTH = 3.0
 
 
 @dataclass(frozen=True, repr=False)
-class IdentificationResult:
+class IdentificationResult(Summarised):
     """The identified model and everything behind it.
 
     Attributes:
@@ -62,11 +67,19 @@ class IdentificationResult:
     linear_loop: LinearLoopFit | None = None
     warm_up: tuple[WarmUp | None, ...] = ()
 
-    def __repr__(self) -> str:
-        errors = ", ".join(f"{value:.3g}" for value in residual_std(self.result.estimation))
-        return (f"IdentificationResult({self.model.robot_name!r}: std(residual)/std(torque) {errors} % by joint)\n"
-                f"  {len(self.warnings)} warnings; not told by the recordings: "
-                f"{', '.join(text.partition(':')[0] for text in self.missing) or 'nothing'}")
+    def summary(self) -> list[tuple[str, str]]:
+        """What was identified, how well, and what is missing."""
+        errors = listed(residual_std(self.result.estimation), "%")
+        return [("model", f"{self.model.robot_name!r}: std(residual)/std(torque) {errors} by joint"),
+                ("warnings", str(len(self.warnings))),
+                ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing) or "nothing")]
+
+    def plot(self) -> Figure:
+        """Torque of the first recording, measured and as the model predicts it, joint by joint."""
+        first = self.result.estimation[0]
+        return over_time(first.t, [(f"tau_{j + 1} [N m or N]", [("measured", first.measured[:, j]),
+                                                                ("model", first.tau[:, j])])
+                                   for j in range(self.model.n)], f"identified model of {self.model.robot_name}")
 
     def to_dict(self) -> dict[str, Any]:
         """The figures as plain values."""

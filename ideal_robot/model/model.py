@@ -34,6 +34,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import model_of
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import write_text
 
 _SAME_PLACE = 0.02
@@ -41,7 +42,7 @@ _SAME_PLACE = 0.02
 
 
 @dataclass(frozen=True, repr=False)
-class Model:
+class Model(Summarised):
     """Dynamic model of an arm with ``n`` joints, as written to a model file.
 
     Attributes:
@@ -83,12 +84,14 @@ class Model:
                 array.setflags(write=False)
                 object.__setattr__(self, name, array)
 
-    def __repr__(self) -> str:
+    def summary(self) -> list[tuple[str, str]]:
+        """What it is, and what was added to it."""
         known = [name for name in ("controller", "stiffness") if getattr(self, name) is not None]
         effects = ", ".join(f"{effect.name} of joint {effect.joint}" for effect in self.effects[:6])
-        return (f"Model({self.robot_name!r}: {self.n} joints, {len(self.base_values)} base parameters, "
-                f"{' and '.join(known) or 'neither controller nor stiffness'} known)"
-                + (f"\n  effects: {effects}{', …' if len(self.effects) > 6 else ''}" if effects else ""))
+        rows = [("model", f"{self.robot_name!r}: {self.n} joints, {len(self.base_values)} base parameters, "
+                          f"{' and '.join(known) or 'neither controller nor stiffness'} known"),
+                ("friction", ", ".join(law.label for law in self.friction.laws))]
+        return [*rows, ("effects", effects + (", …" if len(self.effects) > 6 else ""))] if effects else rows
 
     @property
     def n(self) -> int:

@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
+from ideal_robot.plain import plain
 from ideal_robot.robots.drive_data import read_drive_data
 from ideal_robot.robots.joints import prismatic_joints
 from ideal_robot.robots.urdf import model_of
+from ideal_robot.summary import Summarised, listed
 
 SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
 
@@ -32,8 +34,8 @@ def _frozen(values: Any) -> Array:
     return array
 
 
-@dataclass(frozen=True)
-class Robot:
+@dataclass(frozen=True, repr=False)
+class Robot(Summarised):
     """Kinematics, nominal rigid body and drive data of a serial arm with ``n`` joints.
 
     Attributes:
@@ -133,6 +135,23 @@ class Robot:
             home=per_joint("home"),
             data=values,
         )
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What it is, how far and how fast."""
+        cycle = f"cycle {1e3 * self.t_ipo:g} ms"
+        return [("robot", f"{self.name!r}: {self.n} joints, tool frame {self.tool_frame}, {cycle}"),
+                ("from", listed(self.q_min)), ("to", listed(self.q_max, "rad or m")),
+                ("speed", listed(self.v_max, "rad/s or m/s"))]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Its data as plain values; unknown limits, which are infinite, as None."""
+        values: dict[str, Any] = plain({
+            "name": self.name, "urdf": self.urdf, "urdf_hash": self.urdf_hash, "joints": self.n,
+            "tool_frame": self.tool_frame, "prismatic": self.prismatic, "q_min": self.q_min, "q_max": self.q_max,
+            "v_max": self.v_max, "a_max": self.a_max, "tau_max": self.tau_max, "gear_ratio": self.gear_ratio,
+            "rotor_inertia": self.rotor_inertia, "drive_gain": self.drive_gain, "home": self.home,
+            "cycle_time_s": {"interpolation": self.t_ipo, "position": self.t_position, "velocity": self.t_velocity}})
+        return values
 
     def fk(self) -> Callable[[Array], pin.SE3]:
         """Returns a function from joint angles ``(n,)`` to the TCP pose in the base frame (copied)."""

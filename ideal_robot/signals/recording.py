@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -15,9 +15,15 @@ import pyarrow.parquet as pq
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.plain import plain
+from ideal_robot.plots import over_time
 from ideal_robot.signals.ros_bag import SUFFIXES, read_joint_states
 from ideal_robot.signals.table_file import read_table
+from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import whole_file
+
+if TYPE_CHECKING:
+    from ideal_robot.plots import Figure
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
 """Quantities that every joint has."""
@@ -26,7 +32,7 @@ WRITTEN = (".parquet", ".csv")
 
 
 @dataclass(frozen=True, repr=False)
-class Recording:
+class Recording(Summarised):
     """Columns of equal length over time; joints are counted from 1 in the names.
 
     Attributes:
@@ -59,10 +65,32 @@ class Recording:
                                  file=self.source, field=name)
         object.__setattr__(self, "columns", columns)
 
-    def __repr__(self) -> str:
-        length = f"{self.t[-1] - self.t[0]:.4g} s" if len(self.t) else "empty"
+    @property
+    def duration(self) -> float:
+        """From the first sample to the last [s]; 0 where there is none."""
+        return float(self.t[-1] - self.t[0]) if len(self.t) else 0.0
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What it is, and its columns."""
         names = ", ".join(list(self.columns)[:12]) + (", …" if len(self.columns) > 12 else "")
-        return f"Recording({self.source!r}: {self.n} joints, {len(self.t)} samples, {length})\n  {names}"
+        return [("recording", f"{self.source!r}: {self.n} joints, {len(self.t)} samples, {self.duration:.4g} s"),
+                ("columns", names)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What it is as plain values; the samples themselves stay in the columns."""
+        values: dict[str, Any] = plain({
+            "source": self.source, "joints": self.n, "samples": len(self.t), "duration_s": self.duration,
+            "columns": list(self.columns), "meta": self.meta, "hash": self.hash})
+        return values
+
+    def plot(self) -> Figure:
+        """Motor angles and, where they were logged, torques or currents over time."""
+        shown = [prefix for prefix in ("q", "tau", "current") if self.has(prefix)]
+        panels = [(f"{prefix}_{i + 1}", [("recorded", self.columns[f"{prefix}_{i + 1}"])])
+                  for i in range(self.n) for prefix in shown]
+        if not panels:
+            raise InputError("holds no joint positions q_1, q_2, … to draw", file=self.source, field="q_1")
+        return over_time(self.t, panels, self.source)
 
     @property
     def n(self) -> int:

@@ -12,11 +12,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.stiffness_analysis import StiffnessAnalysis
 from scenes.clamped.scene import ClampedScene
 from scenes.report.page import plain
+from scenes.shown import ShownRun
 from sim.contact.clamp import ClampTruth
 
 
-@dataclass(frozen=True)
-class ClampedResult:
+@dataclass(frozen=True, repr=False)
+class ClampedResult(ShownRun):
     """One clamped scene played and analysed."""
 
     scene: ClampedScene
@@ -45,7 +46,8 @@ class ClampedResult:
         content: dict[str, Any] = plain({
             "scene": self.scene.name, "seed": self.scene.seed, **self.analysis.to_dict(),
             "against_truth": self.errors(),
-            "configurations": self.chosen, "recording": self.recordings[0], "recording_files": list(self.recordings),
+            "configurations": self.chosen, "recording": next(iter(self.recordings), None),
+            "recording_files": list(self.recordings),
             "report": self.report})
         return content
 

@@ -14,6 +14,7 @@ from scenes.force.scene import ForceScene
 from scenes.gains import GainTrial
 from scenes.methods import DIRECT, IDEAL, SceneMethod
 from scenes.result import Progress, silent
+from scenes.shown import ShownTable
 
 TROUBLES: dict[str, dict[str, Any]] = {
     "10 Hz": {"camera": {"rate": 10.0}},
@@ -23,8 +24,8 @@ TROUBLES: dict[str, dict[str, Any]] = {
 """What a ``glue`` scene is tried with besides: changes of the scene."""
 
 
-@dataclass(frozen=True)
-class ForceComparison:
+@dataclass(frozen=True, repr=False)
+class ForceComparison(ShownTable):
     """A scene with every method."""
 
     scene: ForceScene
@@ -40,6 +41,11 @@ class ForceComparison:
                 "methods": {result.method: result.json() for result in self.results},
                 "direct_feedback_search": [{"k_p": one.k_p, "k_d": one.k_d, "rms_N": one.error} for one in self.trials],
                 "camera_troubles": {name: one.json() for name, one in self.troubles}, "report": self.report}
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table, for prompt and notebook."""
+        columns, rows = self.table()
+        return tuple(columns), rows
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method."""

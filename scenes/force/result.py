@@ -14,6 +14,7 @@ from planning.follower import ForceFollower
 from planning.force.contact import Phase
 from scenes.cycle import CycleLog
 from scenes.force.scene import ForceScene
+from scenes.shown import ShownRun
 from sensing.force.wrench import WrenchSample
 
 
@@ -62,8 +63,8 @@ class ForceFigures:
     travel: float
 
 
-@dataclass(frozen=True)
-class ForceResult:
+@dataclass(frozen=True, repr=False)
+class ForceResult(ShownRun):
     """One force scene played with one method."""
 
     scene: ForceScene

@@ -10,12 +10,13 @@ from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.signals.recording import Recording
 from scenes.line.result import ControlError
 from scenes.line.scene import LineScene
+from scenes.shown import ShownTable
 
 EFFECT = "camera_latency"
 
 
-@dataclass(frozen=True)
-class CloseLineResult:
+@dataclass(frozen=True, repr=False)
+class CloseLineResult(ShownTable):
     """One turn of the loop.
 
     Attributes:
@@ -55,6 +56,10 @@ class CloseLineResult:
         }
 
     columns: ClassVar[tuple[str, ...]] = ("model", "latency ms", "mean", "95 %", "max")
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table, for prompt and notebook."""
+        return self.columns, self.table()
 
     def table(self) -> list[list[Any]]:
         """One row a model: latency in ms and errors in mm."""

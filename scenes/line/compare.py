@@ -16,10 +16,11 @@ from scenes.line.result import LineResult
 from scenes.line.scene import LineScene
 from scenes.methods import DIRECT, SceneMethod
 from scenes.result import Progress, part_of, silent
+from scenes.shown import ShownTable
 
 
-@dataclass(frozen=True)
-class LineComparison:
+@dataclass(frozen=True, repr=False)
+class LineComparison(ShownTable):
     """Every method on the same scene.
 
     Attributes:
@@ -56,6 +57,11 @@ class LineComparison:
             "urdf": next(iter(self.runs.values())).urdf,
             "report": self.report,
         }
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table, for prompt and notebook."""
+        columns, rows = self.table()
+        return tuple(columns), rows
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method; errors in mm."""

@@ -14,6 +14,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.drawn_line import Geometry
 from scenes.line.scene import LineScene
 from scenes.metrics import PathErrors
+from scenes.shown import ShownRun
 from sensing.camera.field import Window
 from sensing.camera.hand_eye import HandEye
 
@@ -99,8 +100,8 @@ class Timing:
         }
 
 
-@dataclass(frozen=True)
-class LineResult:
+@dataclass(frozen=True, repr=False)
+class LineResult(ShownRun):
     """One run along a drawn line with one method.
 
     Attributes:

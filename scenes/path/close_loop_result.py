@@ -10,10 +10,11 @@ from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors
 from scenes.path.scene import PathScene
+from scenes.shown import ShownTable
 
 
-@dataclass(frozen=True)
-class CloseLoopResult:
+@dataclass(frozen=True, repr=False)
+class CloseLoopResult(ShownTable):
     """One turn of the loop.
 
     Attributes:
@@ -47,6 +48,10 @@ class CloseLoopResult:
         }
 
     columns: ClassVar[tuple[str, ...]] = ("model", "E_car timed", "aligned", "geometric", "E_max aligned")
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table, for prompt and notebook."""
+        return self.columns, self.table()
 
     def table(self) -> list[list[Any]]:
         """One row a model: errors in mm."""

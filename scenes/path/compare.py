@@ -14,10 +14,11 @@ from scenes.path.play import play_method
 from scenes.path.result import PathResult
 from scenes.path.scene import PathScene
 from scenes.result import Progress, part_of, silent
+from scenes.shown import ShownTable
 
 
-@dataclass(frozen=True)
-class PathComparison:
+@dataclass(frozen=True, repr=False)
+class PathComparison(ShownTable):
     """Several methods on the same path.
 
     Attributes:
@@ -65,6 +66,11 @@ class PathComparison:
             "urdf": next(iter(self.runs.values())).urdf,
             "report": self.report,
         }
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table, for prompt and notebook."""
+        columns, rows = self.table()
+        return tuple(columns), rows
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """One row a method, what fits a terminal: E_car [mm], its reduction and the paper's [%]."""

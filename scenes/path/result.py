@@ -12,10 +12,11 @@ from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors
 from scenes.path.player import Play
 from scenes.path.scene import JointPath, PathScene
+from scenes.shown import ShownRun
 
 
-@dataclass(frozen=True)
-class PathResult:
+@dataclass(frozen=True, repr=False)
+class PathResult(ShownRun):
     """One path played with one method.
 
     Attributes:

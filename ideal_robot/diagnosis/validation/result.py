@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
+from ideal_robot.plain import plain
+from ideal_robot.plots import over_time
+from ideal_robot.summary import Summarised
+
+if TYPE_CHECKING:
+    from ideal_robot.plots import Figure
 
 _LOUD = 3.0
 """Error over noise floor from which on something remains that the floor's own uncertainty does not account for."""
@@ -133,8 +140,8 @@ class Traces:
     added: tuple[Array, ...] = ()
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Summarised):
     """The whole answer.
 
     Attributes:
@@ -171,9 +178,33 @@ class Diagnosis:
         """Channels whose error is still several times the noise of the measurement."""
         return tuple(c for c in self.channels if c.rms_after > _LOUD * c.noise_floor > 0.0)
 
+    def summary(self) -> list[tuple[str, str]]:
+        """What was found, and the errors before and after."""
+        found = [f"{one.fitted.name} in {one.fitted.channel}" for one in self.effects]
+        learned = [f"a dependence of {one.fitted.channel} on {' and '.join(one.depends_on)}" for one in self.unknown]
+        named = ", ".join([*found, *learned][:8]) or "nothing to add"
+        errors = [f"{c.channel} {c.rms_before:.3g} → {c.rms_after:.3g} {c.unit}" for c in self.channels]
+        return [("verdict", f"{self.verdict}: {named}"), ("error on held-out data", ", ".join(errors[:6]))]
+
+    def plot(self) -> Figure:
+        """Residual of each channel over time, before and after what was added.
+
+        Raises:
+            InputError: there is no residual, for no joint moves enough.
+        """
+        if not self.traces:
+            raise InputError("no joint moves enough, so there is no residual to draw", field="diagnosis",
+                             value=self.verdict)
+        names, first = self.traces[0]
+        units = {one.channel: one.unit for one in self.channels}
+        panels = [(f"{name} [{units[name]}]", [("residual before", first.residual_before[:, j]),
+                                               ("after", first.residual_after[:, j])])
+                  for j, name in enumerate(names)]
+        return over_time(first.t, panels, f"{self.summary()[0][1]}")
+
     def to_dict(self) -> dict[str, Any]:
         """For JSON: the keys that were promised, and a few more."""
-        return {
+        values: dict[str, Any] = plain({
             "verdict": self.verdict,
             "channels": [c.to_dict() for c in self.channels],
             "effects": [e.to_dict() for e in self.effects],
@@ -187,7 +218,8 @@ class Diagnosis:
             "residual_after": [_structure(s) for s in self.remaining],
             "warnings": list(self.warnings),
             "unexplained": [c.channel for c in self.unexplained],
-        }
+        })
+        return values
 
 
 def _structure(s: Structure) -> dict[str, Any]:

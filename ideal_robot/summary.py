@@ -1,0 +1,54 @@
+"""Results that say what they are: three lines at the prompt, a small table in a notebook."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from ideal_robot.arrays import Array
+
+_WIDTH = 240
+"""Characters of a line of figures; what does not fit is left out."""
+
+
+class Summarised(ABC):
+    """Base of results whose few figures are shown by ``repr`` and in notebooks."""
+
+    @abstractmethod
+    def summary(self) -> list[tuple[str, str]]:
+        """The few figures a person wants first: label and value with unit."""
+
+    def __repr__(self) -> str:
+        (_, first), *rest = self.summary()
+        figures = "; ".join(f"{label} {value}" for label, value in rest)
+        if len(figures) > _WIDTH:
+            figures = figures[:_WIDTH].rpartition("; ")[0] + "; …"
+        return f"{type(self).__name__}({first})" + (f"\n  {figures}" if figures else "")
+
+    def _repr_html_(self) -> str:
+        return html_table((type(self).__name__, ""), self.summary())
+
+
+def html_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """An HTML table for notebooks; numbers with four significant digits.
+
+    Args:
+        columns: titles.
+        rows: texts and numbers, one a column.
+    """
+    def line(cells: Sequence[Any], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(_shown(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    return ("<table><thead>" + line(columns, "th") + "</thead><tbody>" + "".join(line(row, "td") for row in rows)
+            + "</tbody></table>")
+
+
+def listed(values: Array, unit: str = "") -> str:
+    """Values of all joints ``(n,)`` with three significant digits, and their unit."""
+    return ", ".join(f"{value:.3g}" for value in values) + (f" {unit}" if unit else "")
+
+
+def _shown(cell: Any) -> str:
+    return f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)

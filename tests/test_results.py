@@ -1,0 +1,96 @@
+"""Every result says in three lines what it is, goes into JSON, and shows itself in a notebook without scripts."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ideal_robot as ir
+from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, Traces
+from scenes import compare_scene, load_scene, run_scene, shipped_model
+from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+
+TABLE = ir.Robot.load(Path(__file__).resolve().parents[1] / "examples" / "own_robot.urdf")
+
+
+class Echo:
+    """An arm that is at once where it shall be."""
+
+    t, t_ipo = 0.0, ROBOT.t_ipo
+
+    def cycle(self, q_c: np.ndarray) -> ir.RobotState:
+        self.t += self.t_ipo
+        return ir.RobotState(self.t, q_c, np.full(6, np.nan))
+
+
+def recording() -> ir.Recording:
+    t = np.arange(0.0, 10.0, 0.004)
+    q = np.sin(np.outer(t, [1.1, 2.3, 4.7])) @ [0.6, 0.3, 0.1]
+    qd = np.gradient(q, t)
+    tau = 2.0 * np.gradient(qd, t) + 3.0 * qd + np.random.default_rng(1).normal(0.0, 0.1, len(t))
+    return ir.Recording.from_arrays(t, q=q, tau=tau, meta={"when": Path("a"), "gain": np.float64(np.nan)})
+
+
+def diagnosis() -> Diagnosis:
+    t, one = np.arange(50.0), np.ones((50, 1))
+    traces = Traces(t, one, one, 0.5 * one, one > 0, one > 0, one, one)
+    channel = ChannelResult("tau_1", "N m", 1.0, 1.0, 0.5, 0.1, 0.0)
+    return Diagnosis("none", (channel,), (), (), "every fourth block", 3.0, traces=((("tau_1",), traces),))
+
+
+def clamped() -> Any:
+    return run_scene(load_scene("clamped_kr500_1"))
+
+
+def short_path() -> Any:
+    return load_scene("iso9283_1").changed(path={"shape": "edge", "size_mm": 100.0}, speed=0.3)
+
+
+MADE = {
+    "Recording": recording,
+    "Robot": lambda: ROBOT,
+    "Model": lambda: ir.Model.load(shipped_model("kr15")),
+    "IdentificationResult": lambda: ir.identify(recording(), TABLE, friction="viscous_coulomb"),
+    "Diagnosis": diagnosis,
+    "PrecorrectedPath": lambda: ir.precorrect(T * np.arange(len(motion(lead=2))), motion(lead=2),
+                                              ir.Model.load(shipped_model("kr15")), ROBOT),
+    "PlayResult": lambda: ir.play(Echo(), ir.feedforward("none", None, ROBOT), motion(lead=2)),
+    "ClampedResult": clamped,
+    "StiffnessAnalysis": lambda: made("ClampedResult").analysis,
+    "PathResult": lambda: run_scene(short_path(), method="none"),
+    "PathComparison": lambda: compare_scene(short_path(), methods=["none"]),
+}
+DRAWN = ("Recording", "IdentificationResult", "Diagnosis", "PrecorrectedPath", "PlayResult", "StiffnessAnalysis")
+
+
+@cache
+def made(name: str) -> Any:
+    return MADE[name]()
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_results_show_themselves(name: str) -> None:
+    result = made(name)
+    assert type(result).__name__ == name
+    assert 1 <= len(repr(result).splitlines()) <= 3
+    assert len(repr(result)) < 600
+    json.dumps(result.to_dict(), allow_nan=False)
+    html = result._repr_html_()
+    assert html.startswith("<table>")
+    assert "<script" not in html
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_results_are_drawn(name: str, tmp_path: Path) -> None:
+    made(name).plot().savefig(tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").stat().st_size > 5000
+
+
+def test_names_from_files_are_escaped() -> None:
+    hostile = ir.Recording({"t": np.arange(3.0), "<script>alert(1)</script>": np.zeros(3)})
+    assert "<script" not in hostile._repr_html_()
