@@ -94,3 +94,9 @@ def test_results_are_drawn(name: str, tmp_path: Path) -> None:
 def test_names_from_files_are_escaped() -> None:
     hostile = ir.Recording({"t": np.arange(3.0), "<script>alert(1)</script>": np.zeros(3)})
     assert "<script" not in hostile._repr_html_()
+
+
+def test_several_recordings_for_validation_are_refused_in_words() -> None:
+    with pytest.raises(ir.InputError, match="give one recording") as caught:
+        ir.diagnose(recording(), TABLE, validate=[recording()])  # type: ignore[arg-type]
+    assert caught.value.field == "validate"

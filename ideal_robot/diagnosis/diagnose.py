@@ -13,6 +13,7 @@ from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.given import expect
 from ideal_robot.signals.recording import Recording
 
 STAGES = (
@@ -53,6 +54,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
     (recording,), warnings = checked([recording], robot)
     if validate is not None:
+        expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
         (validate,), more = checked([validate], robot)
         warnings += more
     case = Case(recording, robot, model, validate, options or Options(), np.random.default_rng(seed), progress,

@@ -14,8 +14,8 @@ from ideal_robot.execution.cycles import path_at_cycles
 from ideal_robot.execution.path_limits import check_limits, require_within_limits
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.plain import plain
 from ideal_robot.plots import over_time

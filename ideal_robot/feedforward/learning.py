@@ -22,9 +22,9 @@ from scipy.signal import butter, sosfiltfilt
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.simulation import simulate
 
 _SMALLEST_STEP = 0.2
 """Learning stops when a step this much smaller than the full one still makes the path worse."""

@@ -50,7 +50,6 @@ class TwoStep:
 
     measurements: tuple[Measurement, ...]
     friction_points: tuple[tuple[Array, Array], ...]
-    friction_fits: tuple[FrictionFit, ...]
     duration: float
 
 
@@ -114,7 +113,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     scores = tuple({fit.law.label: fit.held_out_rms} for fit in fits)
     return (Identification(model, solution, estimation, held_out, scores, consistency, tuple(warnings), tuple(usable),
                            tuple(unseen)),
-            TwoStep(tuple(measurements), points, fits, duration))
+            TwoStep(tuple(measurements), points, duration))
 
 
 def _joined(covariance: Array, fits: Sequence[FrictionFit], laws: Sequence[FrictionModel]) -> Array:

@@ -13,9 +13,9 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.information_filter import InformationFilter
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.simulation import simulate
 
 
 @dataclass(frozen=True)

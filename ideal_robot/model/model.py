@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -174,20 +173,6 @@ class Model(Summarised):
                               cutoff=cutoff, sliding=self.friction.sliding(q, qd))
             tau = tau + np.sum([effect.contribution(signals) for effect in acting], axis=0)
         return tau
-
-    def torque_function(self) -> Callable[[Array, Array, Array], Array]:
-        """A fast function of one sample ``q, qd, qdd (n,)`` to the motor torque ``(n,)`` [N m], for the control cycle.
-
-        Without the effects, which may have memory; about 30 µs a call.
-        """
-        model, rotor, offset = self._exact_model, self._exact[10 * self.n : 11 * self.n], self.offset
-        data, friction = model.createData(), self.friction
-
-        def torque(q: Array, qd: Array, qdd: Array) -> Array:
-            load = pin.rnea(model, data, q, qd, qdd)
-            return np.asarray(load + rotor * qdd + offset + friction.torque(qd, load))
-
-        return torque
 
     def predict(self, recording: Recording) -> Prediction:
         """Torque the model expects for a recording, with its uncertainty, beside what was measured.

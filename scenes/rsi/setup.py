@@ -18,10 +18,10 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.feedforward.precorrection import Precorrection
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot

@@ -106,7 +106,6 @@ class Fit:
             self._training.append(training)
             self._inverse.append(inverse)
             self._beta.append(inverse @ H[: self.P, self.P])
-        self._precision = precision
 
     @property
     def beta(self) -> Array:

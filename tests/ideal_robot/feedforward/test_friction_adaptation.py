@@ -7,7 +7,7 @@ import pytest
 
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation, adapted
 from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.interface import RobotState
 from tests.ideal_robot.feedforward.plant import T, commands, motion, plant, rms
 

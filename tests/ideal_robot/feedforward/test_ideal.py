@@ -7,7 +7,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.simulation import simulate
 from tests.ideal_robot.feedforward.plant import commands, motion, plant, rms
 
 LEAD = 40

@@ -8,8 +8,8 @@ import pytest
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import LearningLaw, Playback, learn, learn_on_model
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.simulation import simulate
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
 
 

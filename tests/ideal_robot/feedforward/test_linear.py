@@ -7,9 +7,9 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.linear_inverse import LinearInverse
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.information_filter import InformationFilter
+from ideal_robot.loop.simulation import simulate
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
 
 

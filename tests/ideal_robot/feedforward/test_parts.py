@@ -14,8 +14,8 @@ from ideal_robot.feedforward.precorrection import Precorrection, at_cycle
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.feedforward.tcp_errors import AXES, joint_errors, pose_errors
 from ideal_robot.feedforward.training import train
-from ideal_robot.loop.closed_loop import interpolated, low_passed, simulate
 from ideal_robot.loop.from_model import cascade_gains, loop_model
+from ideal_robot.loop.simulation import interpolated, low_passed, simulate
 from ideal_robot.model.model import Model
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant, rms
 from tests.ideal_robot.feedforward.test_laws import nominal_model

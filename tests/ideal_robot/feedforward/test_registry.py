@@ -14,8 +14,8 @@ from ideal_robot.feedforward.method import Needs, Setting
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.feedforward.practice import Practice, Rehearsed
 from ideal_robot.feedforward.registry import feedforward, method, methods, register, unregister
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 

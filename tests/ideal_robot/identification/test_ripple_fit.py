@@ -9,8 +9,8 @@ import pytest
 
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.identification.ripple_fit import fit_ripple
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording

@@ -10,7 +10,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
-from ideal_robot.loop.closed_loop import simulate
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from scenes.rsi.self_test import held_cycles
 from scenes.rsi.setup import _require_better, answers_within, prepared

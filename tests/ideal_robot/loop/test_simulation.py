@@ -8,8 +8,8 @@ import pytest
 
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.loop.closed_loop import simulate
 from ideal_robot.loop.loop_model import low_pass_taps
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion, plant, rms
 
