@@ -7,6 +7,8 @@ import os
 import signal
 import sys
 import warnings
+from importlib import metadata
+from typing import Annotated
 
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -41,10 +43,21 @@ app = typer.Typer(
     name="ideal-robot",
     help="Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"ideal-robot {metadata.version('ideal-robot')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(version: Annotated[bool, typer.Option("--version", callback=_say_version, is_eager=True,
+                                                  help="Say the version and leave.")] = False) -> None:
+    """Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is."""
 
 
 def _register() -> None:

@@ -44,6 +44,8 @@ class SceneKind:
         run: plays a scene with one method.
         compare: plays a scene with several.
         curves: curves of a scene by name ``(N, 3)`` [m] for the viewer; None where there is nothing to draw.
+        replay: of a run's result what moves in pages, films and the viewer (``scenes.report.replay.Replay``), or None
+            where the run was too short; None where the kind has no replay.
         close_loop: run, diagnose, extend the model and run again; None where the kind holds nothing to be found.
     """
 
@@ -53,6 +55,7 @@ class SceneKind:
     compare: Compare
     curves: Callable[[Any], dict[str, Array]] | None = None
     close_loop: CloseLoop | None = None
+    replay: Callable[[Any], Any] | None = None
 
 
 KINDS: Registry[SceneKind] = Registry("kind of scene", "ideal_robot.scene_kinds", {

@@ -170,6 +170,9 @@ def _locate(name_or_urdf: str | Path, data: str | Path | None) -> tuple[Path, Pa
         folder = Path(str(resources.files("ideal_robot"))) / "robots" / str(name_or_urdf)
         return folder / f"{name_or_urdf}.urdf", Path(data) if data else folder / f"{name_or_urdf}.toml"
     urdf = Path(name_or_urdf)
+    if urdf.suffix == ".toml":
+        raise InputError("expected a shipped robot or a URDF; drive data (TOML) go to --drive-data", field="robot",
+                         value=str(name_or_urdf))
     if not urdf.is_file():
         raise InputError(f"no such URDF file, nor a shipped robot; shipped are {', '.join(SHIPPED)}",
                          field="urdf", value=str(name_or_urdf))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import typer
+from rich.cells import cell_len
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
@@ -19,6 +22,8 @@ from scenes.terminal import shown
 
 N = TypeVar("N", int, float)
 _MOST_NUMBERS = 100_000
+_NO_EDGE = 10_000
+"""Columns of an output that is no terminal."""
 
 
 @contextmanager
@@ -37,15 +42,42 @@ def progress_bar(title: str) -> Iterator[result.Progress]:
 
 
 def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
-    """Prints a table; floats with three significant digits."""
+    """Prints a table; floats with three significant digits.
+
+    In a pipe the table is as wide as it needs to be. In a terminal long texts are folded between words; where even
+    the longest words do not fit beside each other, every row becomes a block of lines.
+
+    Args:
+        title: above the table; empty for none.
+        columns: titles.
+        rows: cells.
+    """
+    console = Console(width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else _NO_EDGE)
+    names = [shown(column) for column in columns]
+    cells = [[shown(f"{cell:.3g}" if isinstance(cell, float) else "–" if cell is None else str(cell)) for cell in row]
+             for row in rows]
+    widths = [max(cell_len(word) for text in (name, *(row[i] for row in cells)) for word in (*text.split(), ""))
+              for i, name in enumerate(names)]
     # Text, not str: rich would take a name such as [/red] for its own markup.
+    if sum(widths) + 3 * len(widths) + 1 > console.width:
+        _show_blocks(console, title, names, cells)
+        return
     table = Table(title=Text(shown(title)) if title else None, title_justify="left")
-    for column in columns:
-        table.add_column(Text(shown(column)))
-    for row in rows:
-        cells = (f"{cell:.3g}" if isinstance(cell, float) else "–" if cell is None else str(cell) for cell in row)
-        table.add_row(*(Text(shown(cell)) for cell in cells))
-    Console().print(table)
+    for name, width in zip(names, widths, strict=True):
+        table.add_column(Text(name), overflow="fold", min_width=width)
+    for row in cells:
+        table.add_row(*map(Text, row))
+    console.print(table)
+
+
+def _show_blocks(console: Console, title: str, names: list[str], cells: list[list[str]]) -> None:
+    """Rows one below the other, each cell on a line of its own: for terminals too narrow for a table."""
+    if title:
+        console.print(Text(shown(title), style="italic"), overflow="fold")
+    for row in cells:
+        console.print(Text(row[0] or "–", style="bold"), overflow="fold")
+        for name, cell in zip(names[1:], row[1:], strict=True):
+            console.print(Text(f"  {name}: {cell}"), overflow="fold")
 
 
 def closed(run: result.RunResult) -> None:

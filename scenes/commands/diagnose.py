@@ -10,13 +10,15 @@ import typer
 
 def command(
     recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")],
-    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
+    robot: Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                                                 "URDF.")],
     model: Annotated[Path | None, typer.Option(help="Model to diagnose; without it a baseline (rigid body, Coulomb and "
                                                     "viscous friction, rotors, offsets) is identified first.")] = None,
     validate: Annotated[Path | None, typer.Option(help="Another recording of the same arm, for the errors that are "
                                                        "reported; else every fourth block of time is kept "
                                                        "apart.")] = None,
-    robot: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML).")] = None,
+    drive_data: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
+                                                         "cycles; default: beside the URDF.")] = None,
     model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
@@ -24,7 +26,7 @@ def command(
 ) -> None:
     """Finds the effect behind a model's residual, adds it, and reports the error before and after on held-out data.
 
-    Example: `ideal-robot diagnose estimation.parquet --urdf arm.urdf --validate other.parquet --model-out better.json`
+    Example: `ideal-robot diagnose estimation.parquet --robot arm.urdf --validate other.parquet --model-out better.json`
     """
     from ideal_robot.diagnosis import diagnose
     from ideal_robot.model.model import Model
@@ -38,7 +40,7 @@ def command(
 
     check_outputs({"--out": out}, json=json, model_out=model_out)
     with progress_bar("diagnose") as progress:
-        arm = Robot.load(urdf, robot)
+        arm = Robot.load(robot, drive_data)
         found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
                          validate=None if validate is None else Recording.read(validate), seed=seed, progress=progress)
         progress(0.97, "drawing")

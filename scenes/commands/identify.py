@@ -11,13 +11,14 @@ import typer
 def command(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
                                                           "MCAP).")],
-    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
+    robot: Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                                                 "URDF.")],
     validate: Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
                                                              "to; may be given several times.")] = None,
     method: Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
                                              "plan-identification --method two-step).")] = "joint",
-    robot: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
-                                                    "cycles.")] = None,
+    drive_data: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
+                                                         "cycles; default: beside the URDF.")] = None,
     friction: Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
                                                "viscous_coulomb, cube_root, arctan, stribeck or asymmetric.")] = "auto",
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
@@ -33,7 +34,7 @@ def command(
 ) -> None:
     """Friction, base parameters, rotor inertias, offsets and controllers of an arm, each with its uncertainty.
 
-    Example: `ideal-robot identify free_50s.parquet free_30s.parquet --urdf ur10e.urdf --validate free_20s.parquet`
+    Example: `ideal-robot identify free_50s.parquet free_30s.parquet --robot ur10e.urdf --validate free_20s.parquet`
     """
     from ideal_robot.identification.whole_model import identify_model
     from ideal_robot.robots.robot import Robot
@@ -46,7 +47,7 @@ def command(
 
     check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
     with progress_bar("identify") as progress:
-        arm = Robot.load(urdf, robot)
+        arm = Robot.load(robot, drive_data)
         loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
                                    for paths in (recordings, validate, without_integrator))
         analysis = identify_model(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,

@@ -9,8 +9,10 @@ import typer
 
 
 def command(
-    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
-    robot: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML).")] = None,
+    robot: Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                                                 "URDF.")],
+    drive_data: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
+                                                         "cycles; default: beside the URDF.")] = None,
     method: Annotated[str, typer.Option(help="joint (optimised Fourier series) or two-step (trapezoidal moves at "
                                              "operating points, [G] 3.1.2).")] = "joint",
     period: Annotated[float, typer.Option(help="Period of the Fourier motion [s].", min=1.0)] = 20.0,
@@ -27,7 +29,7 @@ def command(
     `program.txt` and `program.json`. Look at the motion before it goes to a real arm: only limits, floor and base
     column are known here, no cell.
 
-    Example: `ideal-robot plan-identification --urdf kr15 --method two-step --play --out out/kr15`
+    Example: `ideal-robot plan-identification --robot kr15 --method two-step --play --out out/kr15`
     """
     from ideal_robot.identification.excitation import Workspace
     from ideal_robot.robots.robot import Robot
@@ -37,7 +39,7 @@ def command(
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)
-    arm = Robot.load(urdf, robot)
+    arm = Robot.load(robot, drive_data)
     with progress_bar("plan") as progress:
         planned = plan(arm, method, seed=seed, period=period, points=points, workspace=Workspace(z_min=z_min))
         progress(0.2, "playing" if play else "")

@@ -12,7 +12,8 @@ def command(
     path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n) [rad].")],
     model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
-    robot: Annotated[str | None, typer.Option(help="Shipped robot or URDF; default: the one the model names.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                              "URDF; default: the one the model names.")] = None,
     method: Annotated[str, typer.Option(help="ideal, model_learned or precorrected.")] = "ideal",
     delay: Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")] = False,
     rest: Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")] = 0.6,

@@ -12,7 +12,8 @@ import typer
 def command(
     path: Annotated[Path | None, typer.Argument(
         help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n) [rad].")] = None,
-    robot: Annotated[str | None, typer.Option(help="Shipped robot or URDF; default: the one the model names.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                              "URDF; default: the one the model names.")] = None,
     model: Annotated[Path | None, typer.Option(help="Identified model (JSON); default: the shipped one.")] = None,
     method: Annotated[str, typer.Option(help="ideal, precorrected or none.")] = "ideal",
     host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = "127.0.0.1",

@@ -17,25 +17,40 @@ def command(
     n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
                                                           "up.")] = None,
     method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none or ideal.")] = None,
+    video: Annotated[Path | None, typer.Option(help="Write a film of the run to this file (.mp4 or .gif).")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None,
 ) -> None:
     """Plays a scene and writes its recording and a report.
 
-    Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json`
+    Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json --video line.gif`
     """
+    from ideal_robot.errors import InputError
     from scenes.commands.common import closed, progress_bar
     from scenes.kind import kind_of
     from scenes.options import chosen
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
+    from scenes.report.video import check_video, write_video
+    from scenes.result import part_of
     from scenes.scene_file import load_scene
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d)
     folder = out or Path("out") / loaded.name
-    check_outputs({"--out": folder}, json=json)
+    check_outputs({"--out": folder}, json=json, video=video)
+    kind = kind_of(loaded)
+    if video is not None:
+        check_video(video)
+        if kind.replay is None:
+            raise InputError(f"scenes of kind {loaded.kind} have nothing that moves", field="--video", value=str(video))
     with progress_bar(f"{loaded.name}") as progress:
-        result = kind_of(loaded).run(loaded, method=method, out=folder, progress=progress)
+        played = part_of(progress, 0.0, 1.0 if video is None else 0.5)
+        result = kind.run(loaded, method=method, out=folder, progress=played)
+        replay = None if video is None or kind.replay is None else kind.replay(result)
+        if video is not None and replay is not None:
+            write_video(replay, video, progress=part_of(progress, 0.5, 0.5))
     if json is not None:
         write_json(json, result.json())
     closed(result)
+    if replay is not None:
+        typer.echo(f"film: {video}")

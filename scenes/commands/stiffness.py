@@ -11,7 +11,8 @@ import typer
 def command(
     recordings: Annotated[list[Path], typer.Argument(help="Recordings with the flange clamped, or with payloads "
                                                           "hung on it (Parquet or CSV).")],
-    urdf: Annotated[str, typer.Option(help="URDF of the arm, or the name of a shipped robot.")],
+    robot: Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                                                 "URDF.")],
     method: Annotated[str, typer.Option(help="motor (currents), wrench (force sensor) or both.")] = "both",
     clamp: Annotated[bool | None, typer.Option("--clamp/--no-clamp", help="Estimate the give of clamp and links beside "
                                                "the gears; default: where the recordings allow it.")] = None,
@@ -22,7 +23,7 @@ def command(
 ) -> None:
     """Joint stiffness of an arm whose flange is clamped to the environment, after Jubien, Abba and Gautier (2014).
 
-    Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --urdf kr500 --method both`
+    Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --robot kr500 --method both`
     """
     from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
     from ideal_robot.robots.robot import Robot
@@ -35,14 +36,14 @@ def command(
 
     check_outputs({"--out": out}, json=json)
     with progress_bar("stiffness") as progress:
-        robot = Robot.load(urdf)
+        arm = Robot.load(robot)
         loaded = [Recording.read(path) for path in recordings]
         progress(0.1, "synchronising and fitting")
-        analysis = analyse_stiffness(loaded, robot, method, clamp=clamp, drive_gain=drive_gain_tolerance)
+        analysis = analyse_stiffness(loaded, arm, method, clamp=clamp, drive_gain=drive_gain_tolerance)
         progress(0.7, "drawing")
         page = out / "report.html"
         with whole_files(page, json) as (page_file, json_file):
-            stiffness_page(analysis, title=f"Joint stiffness of {robot.name}").write(page_file)
+            stiffness_page(analysis, title=f"Joint stiffness of {arm.name}").write(page_file)
             if json_file is not None:
                 write_json(json_file, analysis.to_dict())
     show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],

@@ -11,40 +11,51 @@ import typer
 
 def command(
     what: Annotated[str, typer.Argument(help="A scene (name or .toml), a recording (.parquet, .csv) or a robot.")],
-    robot: Annotated[str | None, typer.Option(help="Robot or URDF, where a recording does not say it.")] = None,
-    port: Annotated[int, typer.Option(help="TCP port on this machine.", min=1, max=65535)] = 8080,
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                              "URDF; needed where a recording does not say it.")] = None,
+    port: Annotated[int, typer.Option(help="TCP port on this machine; the next free one where it is taken.", min=1,
+                                      max=65535)] = 8080,
     once: Annotated[bool, typer.Option("--once", help="Set the page up and leave: a check without a browser.")] = False,
 ) -> None:
-    """Shows an arm in a browser: a robot at home, a scene with its line, or a recording played.
+    """Shows an arm in a browser: a recording played, a scene played first and then shown, or a robot at home.
 
     Example: `ideal-robot view out/line/recording.parquet`
     """
     from ideal_robot.robots.robot import SHIPPED, Robot
+    from scenes.commands.common import progress_bar
     from scenes.kind import kind_of
     from scenes.scene_file import load_scene
-    from scenes.view.viewer import Viewer, open_recording
+    from scenes.view.player import Player
+    from scenes.view.recorded import open_recording, recorded_replay
+    from scenes.view.viewer import Viewer
 
-    recording = None
+    replay = None
     curves: dict = {}
     if Path(what).suffix in (".parquet", ".csv"):
         arm, recording = open_recording(Path(what), robot)
+        replay = recorded_replay(Path(what), arm, recording)
     elif what in SHIPPED or Path(what).suffix == ".urdf":
         arm = Robot.load(what)
     else:
         scene = load_scene(what)
+        kind = kind_of(scene)
         arm = Robot.load(scene.robot)
-        draw = kind_of(scene).curves
-        curves = {} if draw is None else draw(scene)
+        if kind.replay is not None and not once:
+            with progress_bar(scene.name) as progress:
+                replay = kind.replay(kind.run(scene, progress=progress))
+        elif kind.curves is not None:
+            curves = kind.curves(scene)
     viewer = Viewer(arm, port)
-    colours = ((40, 40, 40), (224, 106, 0), (0, 110, 190))
-    for (name, points), colour in zip(curves.items(), colours, strict=False):
+    for (name, points), colour in zip(curves.items(), ((40, 40, 40), (224, 106, 0), (0, 110, 190)), strict=False):
         viewer.draw(name, points, colour)
-    typer.echo(f"open http://127.0.0.1:{port} in a browser; Ctrl-C ends")
+    player = None if replay is None else Player(viewer, replay)
+    typer.echo(f"open http://127.0.0.1:{viewer.port} in a browser; Ctrl-C ends")
     if once:
+        viewer.server.stop()
         return
     try:
-        if recording is not None:
-            viewer.play(recording)
+        if player is not None:
+            player.play()
         while True:
             time.sleep(1.0)
     except KeyboardInterrupt:

@@ -12,11 +12,16 @@ from scenes.force.gains import best_gains
 from scenes.force.page import write_comparison, write_run
 from scenes.force.play import methods as force_methods
 from scenes.force.play import play
+from scenes.force.replay import force_replay
 from scenes.force.result import ForceResult
 from scenes.force.scene import ForceScene
 from scenes.kind import SceneKind
 from scenes.methods import DIRECT, PLAIN, compared, method_of
-from scenes.result import Progress, silent
+from scenes.result import Progress, part_of, silent
+
+
+_CALIBRATED = 0.6
+"""Measured share of time of calibrating tool and contact."""
 
 
 def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
@@ -36,7 +41,10 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
     chosen = method_of(method or scene.method, force_methods(scene.task))
     if chosen.key == DIRECT and gains is None:
         gains = scene.gains or best_gains(scene, progress=lambda part, text: progress(0.8 * part, text))[0]
-    result = play(scene, chosen, gains, progress)
+        progress = part_of(progress, 0.8, 0.2)
+    progress(0.0, "calibrating by moving")
+    result = play(scene, chosen, gains, part_of(progress, _CALIBRATED, 0.9 - _CALIBRATED))
+    progress(0.9, "report")
     return result if out is None else write_run(result, out)
 
 
@@ -57,4 +65,4 @@ def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Pat
     return comparison if out is None else write_comparison(comparison, out)
 
 
-FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves)
+FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves, None, force_replay)

@@ -11,9 +11,11 @@ from matplotlib.figure import Figure
 
 from planning.force.contact import Phase
 from scenes.force.compare import ForceComparison
+from scenes.force.replay import force_replay
 from scenes.force.result import ForceResult
 from scenes.outputs import whole_folder
 from scenes.report.page import Report
+from scenes.report.replay_file import replay_beside, write_replay
 
 COLOURS = {"ideal": "#e06000", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
 
@@ -29,6 +31,10 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
         page.warning(result.failure)
     page.figures(result.summary())
     page.text(scene.description)
+    moving = force_replay(result)
+    if moving is not None:
+        page.heading("The run")
+        page.replay(moving, "Green to red: how far the true force is from the wanted one while the tool travels.")
     page.heading("Force and surface")
     page.figure(_run_figure(result), "Top: true normal force (every 0.5 ms) and the force that was wanted; shaded: the "
                 "travel, which counts. Bottom: height of the true surface and of the undeformed tip, which has to be "
@@ -45,6 +51,8 @@ def write_run(result: ForceResult, out: Path) -> ForceResult:
                "E is that of the whole chain, tip and gears.")
     with whole_folder(out) as new:
         result.recording.write(new / "recording.parquet")
+        if moving is not None:
+            write_replay(moving, replay_beside(new / "recording.parquet"), result.recording)
         page.write(new / "report.html")
     return replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
 

@@ -107,7 +107,7 @@ def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float]
         progress: called with the share played.
         world: what the arm is like; its default world if None.
     """
-    world = World.default(robot.name) if world is None else world
+    world = World.default(robot) if world is None else world
     with SimulatedArm(robot, world, np.random.default_rng(seed), robot.home) as arm:
         for k, q_c in enumerate(planned.commands):
             arm.cycle(q_c)

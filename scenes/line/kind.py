@@ -17,10 +17,15 @@ from scenes.line.gains import best_gains
 from scenes.line.page import write_comparison, write_run
 from scenes.line.play import methods as play_methods
 from scenes.line.play import play
+from scenes.line.replay import line_replay
 from scenes.line.result import LineResult
 from scenes.line.scene import LineScene
 from scenes.methods import DIRECT, PLAIN, compared, method_of
-from scenes.result import Progress, silent
+from scenes.result import Progress, part_of, silent
+
+
+_PREPARED, _PLAYED = 0.4, 0.35
+"""Measured shares of time: setting up and calibrating; of the rest, playing. Drawing the page is what remains."""
 
 
 def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
@@ -43,11 +48,14 @@ def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progre
     chosen = method_of(method or scene.method, play_methods())
     if shared is None:
         with prepared(scene, progress) as own:
-            return run(scene, method=chosen, out=out, progress=progress, gains=gains, shared=own, sensors=sensors)
+            return run(scene, method=chosen, out=out, progress=part_of(progress, _PREPARED, 1.0 - _PREPARED),
+                       gains=gains, shared=own, sensors=sensors)
     if chosen.key == DIRECT and gains is None:
         gains, _ = best_gains(scene, shared, progress=lambda fraction, text: progress(0.8 * fraction, text))
-    result = play(scene, chosen, shared=shared, gains=gains, sensors=sensors, progress=progress,
+        progress = part_of(progress, 0.8, 0.2)
+    result = play(scene, chosen, shared=shared, gains=gains, sensors=sensors, progress=part_of(progress, 0.0, _PLAYED),
                   pictures=out is not None)
+    progress(_PLAYED, "report")
     return result if out is None else write_run(result, out)
 
 
@@ -75,4 +83,4 @@ def curves(scene: LineScene) -> dict[str, Array]:
     return {"line": where.drawn, "reference": where.reference}
 
 
-LINE = SceneKind(LineScene, play_methods, run, compare, curves, close_loop)
+LINE = SceneKind(LineScene, play_methods, run, compare, curves, close_loop, line_replay)

@@ -14,7 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
-from scenes.line.replay import line_replay
+from scenes.line.replay import line_replay, with_ghost
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
 from sim.arm.picture import picture
@@ -29,7 +29,7 @@ PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 
 def write_run(result: LineResult, out: Path) -> LineResult:
     """Writes recording, figures and page into ``out`` and returns the result with their paths."""
-    written: LineResult = write_run_files(result, run_page, out)
+    written: LineResult = write_run_files(result, run_page, out, line_replay(result))
     return written
 
 
@@ -111,6 +111,11 @@ def comparison_page(comparison: LineComparison) -> Report:
                       for method, run in reversed(runs.items()))
     report = Report(f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
                     f"Mean distance from the line: {shown}.")
+    if "none" in runs and "ideal" in runs and (moving := line_replay(runs["ideal"])) is not None:
+        report.heading("The ideal robot, and without correction")
+        report.replay(with_ghost(moving, runs["none"].recording),
+                      "Green to red: distance of the tool from the drawn line. The pale arm has no correction.")
+    report.heading("All methods")
     columns, rows = comparison.table()
     report.table(columns, rows, "Distance of the true TCP from the line; path errors against the desired path [mm].")
     report.figure(_along_all(comparison), "Distance from the line along the line, one curve a method. The lower "

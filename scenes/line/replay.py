@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.replay import Replay
 from sensing.camera.polyline import Polyline
@@ -36,6 +39,17 @@ def line_replay(result: LineResult) -> Replay | None:
     return Replay(robot, recording.t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
                   curves={"drawn line": drawn, "reference": result.geometry.reference}, surface=_corners(result),
                   pictures=tuple((one.t, _png(one)) for one in result.shown))
+
+
+def with_ghost(replay: Replay, other: Recording) -> Replay:
+    """The replay with the arm of another run drawn pale.
+
+    Args:
+        replay: of a run.
+        other: recording of another run of the same scene; it stands still where it has ended already.
+    """
+    q = other.joints("qa")
+    return replace(replay, ghost=np.column_stack([np.interp(replay.t, other.t, column) for column in q.T]))
 
 
 def _nearest(result: LineResult, points: Array) -> Array:

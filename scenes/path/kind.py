@@ -13,9 +13,10 @@ from scenes.path.close_loop import close_loop
 from scenes.path.compare import PathComparison, compare_paths
 from scenes.path.page import write_comparison, write_run
 from scenes.path.play import play_method
+from scenes.path.replay import path_replay
 from scenes.path.result import PathResult
 from scenes.path.scene import PathScene
-from scenes.result import Progress, silent
+from scenes.result import Progress, part_of, silent
 
 
 def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent) -> PathResult:
@@ -32,7 +33,9 @@ def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progre
         InputError: no such method, or a scene that cannot be played.
     """
     chosen = method_of(method or scene.method, path_methods())
-    result = play_method(scene, set_up(scene, delay=chosen.key.endswith(DELAY)), chosen, progress)
+    progress(0.0, "setting up")
+    result = play_method(scene, set_up(scene, delay=chosen.key.endswith(DELAY)), chosen, part_of(progress, 0.1, 0.8))
+    progress(0.9, "report")
     return result if out is None else write_run(result, out)
 
 
@@ -53,4 +56,4 @@ def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path
     return comparison if out is None else write_comparison(comparison, out)
 
 
-PATH = SceneKind(PathScene, path_methods, run, compare, None, close_loop)
+PATH = SceneKind(PathScene, path_methods, run, compare, None, close_loop, path_replay)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from ideal_robot.arrays import Array
 from scenes.path.cell import DELAY, path_methods
 from scenes.path.compare import PathComparison
+from scenes.path.replay import path_replay
 from scenes.path.result import PathResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
 
@@ -23,6 +24,7 @@ DRAWN = ("none", "trained", "precorrected_1", "precorrected", "learned_4", "idea
 """Methods whose deviation over time is drawn; the rest stand in the table."""
 TRACED = ("none", "precorrected_1", "precorrected", "ideal")
 """Methods whose path is drawn."""
+_MOVING = "Green to red: how far the tool is from where it should be at the time; the pale part is still to come."
 MAGNIFIED = 50
 """Factor on deviations in pictures of paths."""
 DEFINITION = (
@@ -34,7 +36,7 @@ DEFINITION = (
 
 def write_run(result: PathResult, out: Path) -> PathResult:
     """Writes recording, figures and page into ``out``; returns the result with their paths."""
-    written: PathResult = write_run_files(result, run_page, out)
+    written: PathResult = write_run_files(result, run_page, out, path_replay(result))
     return written
 
 
@@ -51,6 +53,11 @@ def run_page(result: PathResult) -> Report:
                     f"The tool was {1e3 * e.time_matched.E_car:.3f} mm from where it should have been at the time "
                     f"(root mean square), at most {1e3 * e.time_matched.E_max:.3f} mm.")
     report.figures([*result.summary()[2:]])
+    moving = path_replay(result)
+    if moving is not None:
+        report.heading("The run")
+        report.replay(moving, _MOVING)
+    report.heading("Path and deviation")
     report.figure(path_figure([result]), f"The path, deviations drawn {MAGNIFIED} times their size.")
     report.figure(deviation_figure([result], "time_matched"), "Deviation over time.")
     report.heading("World")
@@ -72,6 +79,10 @@ def comparison_page(comparison: PathComparison) -> Report:
                    f"That is {less['time_matched']:.1f} % and {less['aligned']:.1f} % less.")
     report = Report(f"{scene.title}: several methods", summary)
     columns, rows = comparison.full_table()
+    if "none" in runs and "ideal" in runs and (moving := path_replay(runs["ideal"], runs["none"])) is not None:
+        report.heading("The ideal robot, and without correction")
+        report.replay(moving, f"{_MOVING} The pale arm is the same path without any correction.")
+    report.heading("Errors of all methods")
     report.table(columns, rows, f"{DEFINITION} Paper: {scene.paper.source}.")
     report.figure(path_figure(_chosen(runs, TRACED, "")),
                   f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")

@@ -18,6 +18,7 @@ import numpy as np
 from ideal_robot.whole_file import write_text
 from scenes.outputs import whole_folder
 from scenes.report.replay import Replay
+from scenes.report.replay_file import replay_beside, write_replay
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -91,17 +92,20 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
     return write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
 
-def write_run_files(result: Any, page: Callable[[Any], Report], out: Path) -> Any:
+def write_run_files(result: Any, page: Callable[[Any], Report], out: Path, replay: Replay | None = None) -> Any:
     """Writes recording, page and figures of a run into ``out``; returns the result with their paths.
 
     Args:
         result: a frozen run result with ``recording``, ``recording_path``, ``report`` and ``json()``.
         page: makes the page of it.
         out: folder.
+        replay: written beside the recording, for the viewer.
     """
     result = replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
     with whole_folder(out) as new:
         result.recording.write(new / "recording.parquet")
+        if replay is not None:
+            write_replay(replay, replay_beside(new / "recording.parquet"), result.recording)
         page(result).write(new / "report.html")
         write_json(new / "report.json", result.json())
     return result

@@ -11,6 +11,7 @@ from PIL import Image
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.progress import Progress, silent
 from scenes.report.replay import Replay
 from sim.arm.picture import Picture, Stage
 
@@ -30,7 +31,8 @@ def check_video(path: Path) -> None:
         raise InputError(f"expected a name ending in {' or '.join(ENDINGS)}", field="--video", value=str(path))
 
 
-def write_video(replay: Replay, path: Path, *, rate: float = 20.0, slow: float = 2.0) -> Path:
+def write_video(replay: Replay, path: Path, *, rate: float = 12.0, slow: float = 1.5,
+                progress: Progress = silent) -> Path:
     """Writes a film.
 
     Args:
@@ -38,6 +40,7 @@ def write_video(replay: Replay, path: Path, *, rate: float = 20.0, slow: float =
         path: ending in ``.mp4`` or ``.gif``.
         rate: pictures a second of the film [1/s].
         slow: how many times slower than the run it plays.
+        progress: called with the fraction done.
 
     Raises:
         InputError: another ending.
@@ -48,20 +51,26 @@ def write_video(replay: Replay, path: Path, *, rate: float = 20.0, slow: float =
     partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
         if path.suffix.lower() == ".gif":
-            pictures = [Image.fromarray(frame).quantize(96) for frame in frames(replay, rate * slow)]
+            pictures = [_small(frame) for frame in frames(replay, rate * slow, progress)]
             pictures[0].save(partial, save_all=True, append_images=pictures[1:], duration=round(1000.0 / rate), loop=0,
                              optimize=True)
         else:
-            _mp4(replay, partial, rate, slow)
+            _mp4(replay, partial, rate, slow, progress)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
     return path
 
 
-def _mp4(replay: Replay, path: Path, rate: float, slow: float) -> None:
+def _small(frame: Picture) -> Image.Image:
+    """A picture of a GIF: three quarters of the size and few colours, so that it can stand in a page."""
+    image = Image.fromarray(frame)
+    return image.resize((3 * image.width // 4, 3 * image.height // 4), Image.Resampling.LANCZOS).quantize(64)
+
+
+def _mp4(replay: Replay, path: Path, rate: float, slow: float, progress: Progress) -> None:
     writer: cv2.VideoWriter | None = None
-    for frame in frames(replay, rate * slow):
+    for frame in frames(replay, rate * slow, progress):
         if writer is None:
             writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate,
                                      (frame.shape[1], frame.shape[0]))
@@ -72,12 +81,13 @@ def _mp4(replay: Replay, path: Path, rate: float, slow: float) -> None:
         writer.release()
 
 
-def frames(replay: Replay, rate: float) -> Iterator[Picture]:
+def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator[Picture]:
     """Pictures ``(height, width, 3)``, RGB, at even times.
 
     Args:
         replay: what they show.
         rate: pictures a second of the run [1/s].
+        progress: called with the fraction done.
     """
     times = np.arange(replay.t[0], replay.t[-1], 1.0 / rate)
     rows = np.clip(np.searchsorted(replay.t, times), 0, len(replay.t) - 1)
@@ -89,7 +99,8 @@ def frames(replay: Replay, rate: float) -> Iterator[Picture]:
     target = [0.6 * float(middle[0]), 0.6 * float(middle[1]), 0.42]
     with Stage(replay.robot, replay.q[0], width=_ARM[0], height=_ARM[1], azimuth=62.0, elevation=-26.0, target=target,
                distance=2.2, lines=lines, surface=replay.surface) as stage:
-        for k in rows:
+        for i, k in enumerate(rows):
+            progress(i / len(rows), "film")
             frame = np.full((_ARM[1] + _PLOT, _ARM[0] + _SIDE, 3), 255, dtype=np.uint8)
             frame[: _ARM[1], : _ARM[0]] = stage.show(replay.q[k])
             _path_panel(frame[: _ARM[1], _ARM[0] :], replay, seen, shown, box, int(k), scale)
@@ -127,7 +138,8 @@ def _path_panel(panel: np.ndarray, replay: Replay, wanted: Array, shown: Array, 
         cv2.line(panel, trace[i - step].tolist(), trace[i].tolist(), _colour(float(replay.error[i]), scale), 2,
                  cv2.LINE_AA)
     cv2.circle(panel, trace[k].tolist(), 4, _ACCENT, -1, cv2.LINE_AA)
-    _text(panel, f"error enlarged {replay.enlarged:g} times", (10, 20))
+    if replay.enlarged != 1.0:
+        _text(panel, f"error enlarged {replay.enlarged:g} times", (10, 20))
 
 
 def _error_panel(panel: np.ndarray, replay: Replay, k: int, scale: float) -> None:

@@ -12,7 +12,7 @@ function panel(basis, ratio, label) {
 const scene = panel(480, 4 / 3, "drag to turn, wheel to come nearer");
 const side = element("div", top_, { flex: "1 1 300px", minWidth: "0" });
 const aboveNote = element("div", side, { font: "13px system-ui", color: C.soft });
-aboveNote.textContent = "from above, error enlarged " + DATA.enlarged + " times";
+aboveNote.textContent = DATA.enlarged === 1 ? "the path, seen flat" : "the path, seen flat, error enlarged " + DATA.enlarged + " times";
 const above = element("canvas", side, { width: "100%", display: "block", aspectRatio: "1.6" });
 let inset = null;
 if (DATA.pictures.length) {

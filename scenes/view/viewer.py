@@ -1,27 +1,27 @@
-"""The arm, its line and a recording in a browser (viser)."""
+"""An arm and what is around it in a browser (viser)."""
 
 from __future__ import annotations
 
-import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.robots.robot import SHIPPED, Robot
-from ideal_robot.robots.urdf import without_meshes
-from ideal_robot.signals.recording import Recording
+from ideal_robot.robots.robot import Robot
+from scenes.report.arm_shapes import link_poses, polygons
+
+GHOST = "ghost"
+ARM = "arm"
 
 
 class Viewer:
     """A browser page with the arm; ``show(q)`` moves it.
 
     Args:
-        robot: the arm, drawn from the primitive shapes of its URDF (meshes are left out).
-        port: TCP port on this machine.
+        robot: the arm, drawn from the primitive shapes of its URDF; rods where it has meshes only.
+        port: TCP port on this machine; the next free one where it is taken, ``port`` then says which.
 
     Raises:
         InputError: viser is not installed.
@@ -32,84 +32,69 @@ class Viewer:
             import viser
         except ImportError as error:
             raise InputError("needs the package viser (pip install 'ideal-robot[view]')", field="view") from error
-        self._robot = robot
-        self._data = robot.pinocchio.createData()
-        shapes = without_meshes(robot.urdf.read_text(encoding="utf-8"))
-        self._geometry = pin.buildGeomFromUrdfString(robot.pinocchio, shapes, pin.GeometryType.VISUAL)
+        self.robot = robot
+        self.shapes, self._links = polygons(robot)
         self.server: Any = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+        self.port = int(self.server.get_port())
+        self.server.scene.set_up_direction("+z")
         self.server.initial_camera.position = (2.6, -2.2, 1.7)
         self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
-        self._handles = [self._add(index, item) for index, item in enumerate(self._geometry.geometryObjects)]
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.25)
+        self.frames: dict[str, list[Any]] = {ARM: self._add(ARM, None)}
         self.show(robot.home)
 
-    def _add(self, index: int, item: Any) -> Any:
-        mesh = _mesh(item.geometry)
-        if mesh is None:
-            return None
-        colour = item.meshColor
-        return self.server.scene.add_mesh_simple(
-            f"/arm/{index}", vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces),
-            color=(float(colour[0]), float(colour[1]), float(colour[2])))
+    def _add(self, name: str, opacity: float | None) -> list[Any]:
+        """A frame for each link, with its shapes as meshes."""
+        frames = [self.server.scene.add_frame(f"/{name}/{link}", show_axes=False) for link in self._links]
+        for index, shape in enumerate(self.shapes):
+            corners = np.array([corner for face in shape["faces"] for corner in face])
+            triangles, first = [], 0
+            for face in shape["faces"]:
+                triangles += [(first, first + i, first + i + 1) for i in range(1, len(face) - 1)]
+                first += len(face)
+            self.server.scene.add_mesh_simple(
+                f"/{name}/{shape['link']}/{index}", vertices=corners, faces=np.array(triangles), flat_shading=True,
+                side="double", opacity=opacity, color=tuple(shape["colour"]) if opacity is None else (120, 130, 145))
+        return frames
 
-    def show(self, q: Array) -> None:
-        """Shows the arm at joint positions ``q (n,)`` [rad]."""
-        pin.forwardKinematics(self._robot.pinocchio, self._data, np.asarray(q, dtype=float))
-        for item, handle in zip(self._geometry.geometryObjects, self._handles, strict=True):
-            if handle is None:
-                continue
-            pose = self._data.oMi[item.parentJoint] * item.placement
-            quaternion = pin.Quaternion(pose.rotation)
-            handle.wxyz = (quaternion.w, quaternion.x, quaternion.y, quaternion.z)
-            handle.position = tuple(pose.translation)
+    def show(self, q: Array, name: str = ARM) -> None:
+        """Shows an arm at joint positions.
 
-    def draw(self, name: str, points: Array, colour: tuple[int, int, int]) -> None:
-        """Draws a curve through ``points (N, 3)`` [m] in the base frame."""
-        segments = np.stack([points[:-1], points[1:]], axis=1)
-        self.server.scene.add_line_segments(f"/curves/{name}", points=segments, colors=colour, line_width=3.0)
+        Args:
+            q: ``(n,)`` [rad].
+            name: ``ARM``, or ``GHOST`` for a second, pale one.
+        """
+        if name not in self.frames:
+            self.frames[name] = self._add(name, 0.25)
+        poses = link_poses(self.robot, np.asarray(q, dtype=float)[None], self._links)[0]
+        with self.server.atomic():
+            for frame, pose in zip(self.frames[name], poses, strict=True):
+                frame.wxyz = _quaternion(pose[:9].reshape(3, 3))
+                frame.position = tuple(pose[9:])
 
-    def play(self, recording: Recording, *, speed: float = 1.0) -> None:
-        """Plays a recording again and again, with a slider for the time; ends with the keyboard interrupt."""
-        t = recording.t - recording.t[0]
-        q = recording.joints("qa") if recording.has("qa") else recording.joints("q")
-        slider = self.server.gui.add_slider("time [s]", min=0.0, max=float(t[-1]), step=0.01, initial_value=0.0)
-        running = self.server.gui.add_checkbox("play", initial_value=True)
-        period = 0.04
-        while True:
-            self.show(q[min(int(np.searchsorted(t, slider.value)), len(t) - 1)])
-            if running.value:
-                slider.value = (slider.value + period * speed) % float(t[-1])
-            time.sleep(period)
+    def draw(self, name: str, points: Array, colour: tuple[int, int, int] | Array, thickness: float = 3.0) -> None:
+        """Draws a curve.
 
+        Args:
+            name: of the curve in the scene's tree.
+            points: ``(N, 3)`` [m] in the base frame.
+            colour: of the whole curve, or of each piece ``(N - 1, 3)``; 0 to 255.
+            thickness: on the screen [px].
+        """
+        pieces = np.stack([points[:-1], points[1:]], axis=1)
+        whole = np.shape(colour) == (3,)
+        colours: Any = colour if whole else np.repeat(np.asarray(colour, dtype=np.uint8)[:, None], 2, axis=1)
+        self.server.scene.add_line_segments(f"/curves/{name}", points=pieces, colors=colours, thickness=thickness,
+                                            thickness_units="screen")
 
-def _mesh(shape: Any) -> Any:
-    """A triangle mesh of a primitive shape, or None for what is not primitive."""
-    import trimesh
-
-    kind = type(shape).__name__
-    if kind == "Box":
-        return trimesh.creation.box(extents=2 * np.asarray(shape.halfSide))
-    if kind == "Cylinder":
-        return trimesh.creation.cylinder(radius=shape.radius, height=2 * shape.halfLength, sections=32)
-    if kind == "Capsule":
-        return trimesh.creation.capsule(radius=shape.radius, height=2 * shape.halfLength)
-    if kind == "Sphere":
-        return trimesh.creation.icosphere(radius=shape.radius, subdivisions=2)
-    return None
+    def surface(self, corners: Array) -> None:
+        """Draws a flat surface with ``corners (4, 3)`` [m]."""
+        self.server.scene.add_mesh_simple("/surface", vertices=np.asarray(corners),
+                                          faces=np.array([[0, 1, 2], [0, 2, 3]]), color=(245, 245, 240), side="double",
+                                          cast_shadow=False)
 
 
-def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
-    """The recording and the arm it is of.
-
-    Raises:
-        InputError: the file does not say its robot and none is given, or their joint counts differ.
-    """
-    recording = Recording.read(path)
-    name = robot or recording.meta.get("robot")
-    # A recording may name an arm that ships with the program; files are opened only where the user says so.
-    if name is None or (robot is None and name not in SHIPPED):
-        raise InputError("the recording does not say its robot; give --robot", file=path)
-    arm = Robot.load(name)
-    if arm.n != recording.n:
-        raise InputError(f"the recording has {recording.n} joints, {arm.name} has {arm.n}", file=path)
-    return arm, recording
+def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """A rotation matrix as w, x, y, z."""
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return float(w), float(x), float(y), float(z)

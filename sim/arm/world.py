@@ -159,17 +159,17 @@ class World:
                                  value=getattr(self, long))
 
     @classmethod
-    def default(cls, robot_name: str) -> World:
+    def default(cls, robot: str | Robot) -> World:
         """The default world of a robot: every effect of a real arm is on, at realistic size.
 
         Args:
-            robot_name: a shipped robot, or the path of a URDF; a robot without a world of its own gets one in
+            robot: a shipped robot, the path of a URDF, or a loaded robot; one without a world of its own gets one in
                 proportion to its inertias and torque limits.
 
         Raises:
             InputError: there is no such robot.
         """
-        return cls(robot=robot_name, **_table(robot_name))
+        return cls(robot=robot if isinstance(robot, str) else robot.name, **_table(robot))
 
     @classmethod
     def ideal(cls, robot_name: str) -> World:
@@ -228,9 +228,13 @@ class World:
 TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))
 """What a scene's ``[world]`` table may hold."""
 
-def _table(robot_name: str) -> dict[str, Any]:
+def _table(robot: str | Robot) -> dict[str, Any]:
     """Settings of a shipped world, or such in proportion for any other robot; a wrong name fails in ``Robot.load``."""
-    path = Path(str(resources.files("sim"))) / "arm" / "worlds" / f"{robot_name}.toml"
-    if path.is_file():
+    name = robot if isinstance(robot, str) else robot.name
+    path = Path(str(resources.files("sim"))) / "arm" / "worlds" / f"{name}.toml"
+    # An arm of the user's may have a shipped robot's name and other joints.
+    shipped = Path(str(resources.files("ideal_robot"))) / "robots" / name / f"{name}.urdf"
+    own = isinstance(robot, Robot) and robot.urdf != shipped
+    if path.is_file() and not own:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    return generic_world(Robot.load(robot_name))
+    return generic_world(Robot.load(robot) if isinstance(robot, str) else robot)

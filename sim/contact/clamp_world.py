@@ -64,7 +64,7 @@ class ClampWorld:
         if robot.name == "kr500":
             stiffness = np.array(KR500_STIFFNESS)
         else:
-            stiffness = World.default(robot.name).per_joint("stiffness", robot.n)
+            stiffness = World.default(robot).per_joint("stiffness", robot.n)
         # Assumed: links bend little, the long ones of joints 2 and 3 and the slim one of joint 4 most.
         links = 40 * np.max(stiffness) * np.resize([1.5, 0.6, 1.0, 0.7, 1.5, 2.5], robot.n)
         # A bench that belongs to the arm: about 0.2 % of what the whole arm gives.

@@ -142,7 +142,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="KUKA RSI controller around a simulated arm, on 127.0.0.1.")
     parser.add_argument("path", help="the path the server has: the arm starts at its first point")
-    parser.add_argument("--robot", default="kr6")
+    parser.add_argument("--robot", default="kr6", help="shipped robot, or path of a URDF")
     parser.add_argument("--port", type=int, default=49152)
     parser.add_argument("--relative", action="store_true")
     parser.add_argument("--patience", type=int, default=100, help="cycles without an answer after which it ends")
@@ -151,7 +151,7 @@ def main(words: Sequence[str] | None = None) -> int:
     columns = Recording.read(given.path).columns
     prefix = "q_d" if "q_d_1" in columns else "q"
     start = np.array([columns[f"{prefix}_{i + 1}"][0] for i in range(robot.n)])
-    with SimulatedArm(robot, World.default(robot.name), np.random.default_rng(0), q0=start) as arm:
+    with SimulatedArm(robot, World.default(robot), np.random.default_rng(0), q0=start) as arm:
         run = RsiController(arm, ("127.0.0.1", given.port), relative=given.relative, real_time=True,
                             patience=given.patience).run()
     print(f"{run.ended}; {int(np.sum(run.answered))} of {len(run.answered)} cycles answered")

@@ -1,0 +1,111 @@
+"""A run played in the browser: slider, speed, the trace coloured by its error, the camera's picture, the error."""
+
+from __future__ import annotations
+
+import io
+import time
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ideal_robot.arrays import Array
+from scenes.report.replay import Replay
+from scenes.view.viewer import GHOST, Viewer
+
+PERIOD = 0.04
+"""Time between two pictures [s]."""
+SPEEDS = ("0.1 ×", "0.25 ×", "0.5 ×", "1 ×", "2 ×", "5 ×")
+_PLOTTED = 600
+"""Most points of the error's plot."""
+_COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))
+
+
+class Player:
+    """Controls for a replay beside the scene; ``show(k)`` shows one sample, ``play()`` all of them again and again.
+
+    Args:
+        viewer: where it is shown.
+        replay: what is shown.
+    """
+
+    def __init__(self, viewer: Viewer, replay: Replay) -> None:
+        self.viewer, self.replay = viewer, replay
+        self._t = replay.t - replay.t[0]
+        self._pictures = [(t - replay.t[0], np.array(Image.open(io.BytesIO(png)).convert("RGB")))
+                          for t, png in replay.pictures]
+        self._set_up_scene()
+        gui = viewer.server.gui
+        self.slider = gui.add_slider("time [s]", min=0.0, max=float(self._t[-1]), step=0.002, initial_value=0.0)
+        self.running = gui.add_checkbox("play", initial_value=True)
+        self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="0.5 ×")
+        self.said = gui.add_markdown("")
+        self._rows = np.unique(np.linspace(0, len(self._t) - 1, _PLOTTED).astype(int))
+        self.plot = gui.add_uplot((self._t[self._rows], replay.error[self._rows], self._mark(0)), (
+            {"label": "t [s]"}, {"label": f"{replay.error_name} [{replay.unit}]", "stroke": "#e06a00", "width": 1.5},
+            {"label": "now", "stroke": "#1c2430", "points": {"show": True, "size": 10, "fill": "#1c2430"}}),
+            scales={"x": {"time": False}}, axes=({"label": "t [s]"}, {"label": replay.unit}), aspect=1.8)
+        self.picture = None if not self._pictures else gui.add_image(self._pictures[0][1], label="camera")
+        self.slider.on_update(lambda event: self.show(self._at(float(self.slider.value))))
+        self.show(0)
+
+    def _set_up_scene(self) -> None:
+        viewer, replay = self.viewer, self.replay
+        if replay.surface is not None:
+            viewer.surface(replay.surface)
+        for (name, points), colour in zip(replay.curves.items(), _COLOURS, strict=False):
+            viewer.draw(name.replace(" ", "_"), points, colour)
+        step = max(1, len(self._t) // 1500)
+        viewer.draw("tool", replay.tool[::step], error_colours(replay.error[::step])[1:], thickness=5.0)
+        self.tool = viewer.server.scene.add_icosphere("/tool", radius=0.008, color=(224, 106, 0))
+
+    def show(self, k: int) -> None:
+        """Shows sample ``k``: arm, tool, picture and what the error is."""
+        replay = self.replay
+        self.viewer.show(replay.q[k])
+        if replay.ghost is not None:
+            self.viewer.show(replay.ghost[k], GHOST)
+        self.tool.position = tuple(float(v) for v in replay.tool[k])
+        error = replay.error[k]
+        self.said.content = f"**{self._t[k]:.2f} s**" + (
+            f", {replay.error_name} {abs(error):.3g} {replay.unit}" if np.isfinite(error) else "")
+        self.plot.data = (self._t[self._rows], replay.error[self._rows], self._mark(k))
+        if self.picture is not None:
+            shown = min(self._pictures, key=lambda one: abs(one[0] - self._t[k]))[1]
+            if shown is not self._shown_picture:
+                self.picture.image = self._shown_picture = shown
+
+    _shown_picture: Any = None
+
+    def play(self) -> None:
+        """Plays again and again at the speed chosen; ends with the keyboard interrupt."""
+        while True:
+            begun = time.perf_counter()
+            if self.running.value:
+                factor = float(self.speed.value.split()[0])
+                # Setting the slider shows the sample as moving it by hand does.
+                self.slider.value = float((self.slider.value + PERIOD * factor) % self._t[-1])
+            time.sleep(max(0.0, PERIOD - (time.perf_counter() - begun)))
+
+    def _at(self, t: float) -> int:
+        return min(int(np.searchsorted(self._t, t)), len(self._t) - 1)
+
+    def _mark(self, k: int) -> Array:
+        """The error at the plotted sample nearest to ``k``, NaN elsewhere."""
+        mark = np.full(len(self._rows), np.nan)
+        at = int(np.argmin(np.abs(self._rows - k)))
+        mark[at] = np.nan_to_num(self.replay.error[self._rows[at]])
+        return mark
+
+
+def error_colours(error: Array) -> Array:
+    """Green for none to red for the largest error, gray where it does not count ``(N, 3)``, 0 to 255.
+
+    Args:
+        error: ``(N,)``; NaN where it does not count.
+    """
+    counts = np.isfinite(error)
+    size = np.abs(np.nan_to_num(error)) / max(float(np.max(np.abs(error[counts]), initial=0.0)), 1e-12)
+    colours = np.column_stack([40 + 190 * size, 150 - 110 * size, np.full(len(error), 50.0)])
+    colours[~counts] = (136, 147, 161)
+    return np.asarray(colours.round().astype(np.uint8))
