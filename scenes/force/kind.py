@@ -19,7 +19,6 @@ from scenes.kind import SceneKind
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent
 
-
 _CALIBRATED = 0.6
 """Measured share of time of calibrating tool and contact."""
 

@@ -23,7 +23,6 @@ from scenes.line.scene import LineScene
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent
 
-
 _PREPARED, _PLAYED = 0.4, 0.35
 """Measured shares of time: setting up and calibrating; of the rest, playing. Drawing the page is what remains."""
 

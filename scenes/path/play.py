@@ -8,7 +8,7 @@ from scenes.methods import SceneMethod
 from scenes.path.cell import PathCell
 from scenes.path.result import PathResult
 from scenes.path.scene import PathScene
-from scenes.result import Progress
+from scenes.result import Progress, part_of
 
 
 def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress: Progress) -> PathResult:
@@ -23,7 +23,9 @@ def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress:
     Raises:
         InputError: no such method.
     """
-    played = cell.play(cell.feedforward(method, progress))
+    feedforward = cell.feedforward(method, part_of(progress, 0.0, 0.5))
+    progress(0.5, method.key)
+    played = cell.play(feedforward)
     progress(1.0, method.key)
     meta = {**played.recording.meta, "scene": scene.name, "method": method.key, "seed": scene.seed}
     played = replace(played, recording=replace(played.recording, meta=meta))
