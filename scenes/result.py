@@ -90,5 +90,5 @@ class LoopResult(Protocol):
         ...
 
     def table(self) -> list[list[Any]]:
-        """One row a model: before, after, and told the truth."""
+        """One row a model: before, after, and with the truth."""
         ...

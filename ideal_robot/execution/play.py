@@ -96,7 +96,7 @@ def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot:
             included.
         robot: limits to keep; None where the driver keeps its own.
         meta: what the recording's metadata shall hold besides.
-        progress: told how far it is.
+        progress: called with the share done.
 
     Raises:
         InputError: a path that cannot be played, a feedforward made for another cycle.

@@ -44,7 +44,7 @@ class Feedforward(ABC):
         """
 
     def observe(self, state: Any, measured: RobotState) -> Any:
-        """Takes what the controller told at the end of a cycle, returns the next state; changes nothing by default.
+        """Takes what the controller reported at the end of a cycle, returns the next state; changes nothing by default.
 
         Args:
             state: what the last ``step`` returned.

@@ -81,7 +81,7 @@ class FrictionAdaptation:
                                np.empty((0, n)), np.zeros(n), np.zeros(n))
 
     def update(self, state: FrictionFactors, measured: RobotState) -> FrictionFactors:
-        """Takes what the controller told at the end of one cycle."""
+        """Takes what the controller reported at the end of one cycle."""
         q, tau = np.asarray(measured.q, dtype=float), np.asarray(measured.tau, dtype=float)
         n = self.loop.n
         if q.shape != (n,) or tau.shape != (n,) or not (np.isfinite(q).all() and np.isfinite(tau).all()):
@@ -166,7 +166,7 @@ class AdaptedIdeal(Feedforward):
         return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
-        """Takes what the controller told at the end of a cycle."""
+        """Takes what the controller reported at the end of a cycle."""
         return replace(state, factors=self.adaptation.update(state.factors, measured))
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:

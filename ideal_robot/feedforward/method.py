@@ -42,7 +42,7 @@ class Setting:
         q_d: the path at the cycles ``(N, n)`` [rad], where it is known beforehand.
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
         practice: plays on the arm, where there is one to play on.
-        progress: told how far the making is.
+        progress: called with the share of the making that is done.
     """
 
     robot: Robot

@@ -57,7 +57,7 @@ class Practice:
         Args:
             q_d: the path ``(N, n)`` [rad].
             loop: identified loop, whose linearisation about the middle of the path is inverted.
-            progress: told how far it is.
+            progress: called with the share done.
         """
         if self._learned is None or not np.array_equal(self._learned[0], q_d):
             self._learned = q_d, self._learn(q_d, loop, progress)
@@ -73,7 +73,7 @@ class Practice:
         Args:
             q_d: the path ``(N, n)`` [rad].
             loop: identified loop.
-            progress: told how far it is.
+            progress: called with the share done.
         """
         if self._trained is None or not np.array_equal(self._trained[0], q_d):
             motion = self.motion(q_d)

@@ -92,7 +92,7 @@ def feedforward(key: str, model: Model | None, robot: Robot, *, n_d: int | None 
         q_d: the path at the cycles ``(N, n)`` [rad], for methods that are made for one path.
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
         practice: plays on the arm, for methods that learn there.
-        progress: told how far the making is.
+        progress: called with the share of the making that is done.
 
     Raises:
         InputError: no such method, something it needs is missing, or a model of another arm.

@@ -46,7 +46,7 @@ _DISTANCES = np.geomspace(2e-5, 5e-3, 12)
 
 @dataclass(frozen=True)
 class TwoStep:
-    """What the steps saw: measurements, friction points ``(speed, torque)`` and fits per joint, seconds of motion."""
+    """What the steps saw: measurements, friction points ``(speed, torque)`` per joint, seconds of motion."""
 
     measurements: tuple[Measurement, ...]
     friction_points: tuple[tuple[Array, Array], ...]

@@ -1,7 +1,7 @@
 """The circle with a camera whose time stamps are wrong: follow the line, diagnose that run alone, follow it again.
 
 What the diagnosis finds of the camera's latency goes into the model file, from where the follower takes what it
-assumes. The oracle is told that it is the latency, and fits it to the same recording.
+assumes. The oracle knows that it is the latency, and fits it to the same recording.
 """
 
 from __future__ import annotations

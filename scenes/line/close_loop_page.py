@@ -23,7 +23,7 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
                     f"knows that it is the latency {oracle:.3g} mm. " + page.summary)
     page.heading("Distance from the line before and after")
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),
-               "Of the true TCP, in the surface; the last row is told the true latency.")
+               "Of the true TCP, in the surface; the last row knows the true latency.")
     page.figure(_distances(result), "Distance of the true TCP from the line, over its arc length.")
     with whole_folder(folder) as new:
         result.recording.write(new / "recording.parquet")

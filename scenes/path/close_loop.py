@@ -1,6 +1,6 @@
 """The whole circle on a simulated arm: run, diagnose, extend the model, run again; path error before and after.
 
-The scene's world holds an effect that the model was not told of. The oracle is told its name and joint, and estimates
+The scene's world holds an effect that the model does not know. The oracle knows its name and joint, and estimates
 its size from the same recording.
 """
 
@@ -77,7 +77,7 @@ def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
         own = np.broadcast_to(np.asarray(value, dtype=float), (n,))
         result += [(_EFFECT_OF_KEY[key], int(j) + 1) for j in np.flatnonzero(own != usual)]
     if not result:
-        raise InputError("the scene's world holds nothing that the model was not told of; set one of "
+        raise InputError("the scene's world holds nothing that the model does not know; set one of "
                          f"{', '.join(_EFFECT_OF_KEY)}", file=f"scene {scene.name}", field="world")
     return tuple(result)
 

@@ -16,7 +16,7 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
     page = diagnosis_page(result.diagnosis, f"{result.scene.title or result.scene.name}: the loop closed")
     before, after, oracle = (1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle))
     hidden = " and ".join(f"{name.replace('_', ' ')} in joint {joint}" for name, joint in result.undeclared)
-    page.summary = (f"The world held {hidden}, of which the model was not told. With the model as it was the path "
+    page.summary = (f"The world held {hidden}, which the model did not know. With the model as it was the path "
                     f"error is {before:.3g} mm, with what the diagnosis added {after:.3g} mm, with an oracle that was "
                     f"told name and joint {oracle:.3g} mm. " + page.summary)
     page.heading("Path error before and after")

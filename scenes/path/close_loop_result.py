@@ -19,7 +19,7 @@ class CloseLoopResult(ShownTable):
 
     Attributes:
         scene: what was played.
-        undeclared: effects that the world holds and the model was not told of: name, joint.
+        undeclared: effects that the world holds and the model does not know: name, joint.
         before, after, oracle: path errors with the model as it was, as extended, and with the oracle's.
         diagnosis: what was found.
         recording: what it was found from.
