@@ -28,5 +28,5 @@ def test_undeclared_effect_is_named_with_its_joint() -> None:
 
 
 def test_scene_without_an_undeclared_effect_is_refused() -> None:
-    with pytest.raises(InputError, match="nothing that the model was not told of"):
+    with pytest.raises(InputError, match="nothing that the model does not know"):
         close_loop(load_scene("iso9283_1"))
