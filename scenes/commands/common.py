@@ -54,8 +54,7 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     """
     console = Console(width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else _NO_EDGE)
     names = [shown(column) for column in columns]
-    cells = [[shown(f"{cell:.3g}" if isinstance(cell, float) else "–" if cell is None else str(cell)) for cell in row]
-             for row in rows]
+    cells = [[shown(_cell(cell)) for cell in row] for row in rows]
     widths = [max(cell_len(word) for text in (name, *(row[i] for row in cells)) for word in (*text.split(), ""))
               for i, name in enumerate(names)]
     # Text, not str: rich would take a name such as [/red] for its own markup.
@@ -68,6 +67,12 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     for row in cells:
         table.add_row(*map(Text, row))
     console.print(table)
+
+
+def _cell(cell: Any) -> str:
+    if isinstance(cell, float):
+        return "–" if math.isnan(cell) else f"{cell:.3g}"
+    return "–" if cell is None else str(cell)
 
 
 def _show_blocks(console: Console, title: str, names: list[str], cells: list[list[str]]) -> None:

@@ -63,13 +63,13 @@ def command(
                 analysis.model.save(model_file)
             if urdf_file is not None:
                 analysis.model.export_urdf(urdf_file)
+    show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
+               [[r["source"], r["role"], *r["residual_std_percent"]]
+                for r in content["recordings"]])
     show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
                [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in analysis.model.parameters])
     show_table("friction laws", ["joint", "law"],
                [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
-    show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
-               [[r["source"], r["role"], *r["residual_std_percent"]]
-                for r in content["recordings"]])
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)
     typer.echo(f"report: {page}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
 from ideal_robot.effects import SENSOR
+from ideal_robot.effects.base import EffectParameter
+from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure, over_signals, over_time
 from scenes.report.page import Report
 
 _WORDS = {
@@ -18,13 +18,23 @@ _WORDS = {
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
     "undecided": "This recording moves too little to decide anything.",
 }
-_BEFORE, _AFTER = "#b0413e", "#2f6690"
 
 
 def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
     """The report of a diagnosis."""
     page = Report(title, summary(diagnosis))
-    page.figures([("verdict", diagnosis.verdict), ("effects", str(len(diagnosis.effects))),
+    add_diagnosis(page, diagnosis)
+    return page
+
+
+def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
+    """The sections of a diagnosis on a page: errors, effects, what competed, what remains.
+
+    Args:
+        page: is added to.
+        diagnosis: what was found.
+    """
+    page.figures([("verdict", diagnosis.verdict), ("effects", str(sum(map(_lowers, diagnosis.effects)))),
                   ("learned terms", str(len(diagnosis.unknown))),
                   ("held-out data", f"{diagnosis.held_out_seconds:.1f} s")])
     for joint, reason in sorted(diagnosis.undecided.items()):
@@ -40,26 +50,39 @@ def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
                [[c.channel, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit,
                  100 * c.rms_before / max(c.rms_signal, 1e-300), 100 * c.rms_after / max(c.rms_signal, 1e-300)]
                 for c in diagnosis.channels], "Relative errors are 100·‖y − ŷ‖/‖y‖.")
+    if diagnosis.effects or diagnosis.unknown:
+        page.figure(ladder_figure(diagnosis), "Every step of the ladder is the error on held-out data with one more "
+                    "effect in the model; dashed: the noise of the measurement, below which no model can get.")
+    for number, (e, contribution) in enumerate(contributions(diagnosis), start=1):
+        if number == 1:
+            page.heading("The effects that were found")
+        names, traces, j, added = contribution
+        page.figure(*effect_figure(e, names[j], _unit(diagnosis, names[j]), traces, j, added))
     _effects(page, diagnosis)
     if diagnosis.not_transferred:
-        page.heading("Found, but not added")
+        page.heading("What competed and lost")
         page.table(["effect", "where", "channel", "p-value", "error without", "error with"],
                    [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, f"{d.p_value:.1e}",
                      d.rms_without, d.rms_with] for d in diagnosis.not_transferred],
-                   "These lower the error of the recording they were found in, but not that of the other recording "
-                   "(errors are on the blocks of it that decide): a phase that starts anew, or a habit of the motion.")
+                   "Found, but not added: these lower the error of the recording they were found in, but not that of "
+                   "the other recording (errors are on the blocks of it that decide): a phase that starts anew, or a "
+                   "habit of the motion.")
     for names, traces in diagnosis.traces:
         _traces(page, diagnosis, names, traces)
     _remaining(page, diagnosis)
-    return page
 
 
 def summary(diagnosis: Diagnosis) -> str:
     """The result in a sentence or two."""
-    named = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects]
+    named = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects if _lowers(e)]
+    doubtful = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects if not _lowers(e)]
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
     words = "loud" if diagnosis.verdict == "none" and diagnosis.unexplained else diagnosis.verdict
     text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has", unknown=_listed(unknown))
+    if doubtful:
+        words = _listed(doubtful)
+        text += (f" {words[:1].upper()}{words[1:]} was fitted too, but the error on data that had no part in finding "
+                 "it does not fall: that it is missing is not claimed.")
     falls = [(c.channel, c.rms_before, c.rms_after, c.unit) for c in diagnosis.channels
              if c.rms_after < 0.98 * c.rms_before]
     if falls and diagnosis.verdict in ("effects", "unknown"):
@@ -78,6 +101,18 @@ def unexplained(diagnosis: Diagnosis) -> str:
             "predicts it: short spikes, a filtered or saturated signal, or a cause that is not in the recording.")
 
 
+def _lowers(e: FoundEffect) -> bool:
+    """Whether the error on data that had no part in finding the effect falls with it."""
+    return e.rms_after < e.rms_before and e.transfers is not False
+
+
+def _amount(p: EffectParameter) -> str:
+    """A parameter with its uncertainty, both to what the uncertainty allows."""
+    if not (np.isfinite(p.std) and p.std > 0):
+        return f"{p.name} {p.value:.3g} {p.unit}"
+    return f"{p.name} {p.value:.3g} ± {p.std:.2g} {p.unit}"
+
+
 def _where(e: FoundEffect) -> str:
     nowhere = "the sensor" if e.fitted.domain == SENSOR else "the whole arm"
     return f"joint {e.fitted.joint}" if e.fitted.joint else nowhere
@@ -94,7 +129,7 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
     rows = []
     for e in (*diagnosis.effects, *diagnosis.unknown):
         name = e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else "")
-        numbers = "; ".join(f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}" for p in e.fitted.parameters)
+        numbers = "; ".join(map(_amount, e.fitted.parameters))
         told = {None: "–", True: "yes", False: "no"}[e.transfers]
         rows.append([name, _where(e), e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.1e}", numbers,
                      ", ".join(e.indistinguishable_from) or "–", told])
@@ -116,64 +151,17 @@ def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: 
                                                      for d in diagnosis.channels)] or [0]
     page.heading("Measured, and what remained")
     for j in touched[:7]:
-        page.figure(_over_time(traces, j, names[j]),
+        page.figure(over_time(traces, j, names[j], _unit(diagnosis, names[j])),
                     f"{names[j]}: the measurement (grey) and what the model leaves of it before (red) and after "
                     "(blue). Shaded: held-out stretches.")
         if j < traces.q.shape[1]:
-            page.figure(_over_signals(traces, j, names[j]),
+            page.figure(over_signals(traces, j, names[j], _unit(diagnosis, names[j])),
                         f"{names[j]}: the residual over position, velocity and time. Lines are means of equally filled "
                         "bins with their standard errors; a flat line at zero is what nothing missing looks like.")
 
 
-def _over_time(traces: Traces, j: int, name: str) -> Figure:
-    figure = Figure(figsize=(10, 3.6))
-    top, low = figure.subplots(2, 1, sharex=True)
-    mask = traces.use[:, j]
-    t = traces.t
-    top.plot(t, traces.measured[:, j], color="0.5", lw=0.7)
-    top.set_ylabel(name)
-    low.plot(t, np.where(mask, traces.residual_before[:, j], np.nan), color=_BEFORE, lw=0.6, label="before")
-    low.plot(t, np.where(mask, traces.residual_after[:, j], np.nan), color=_AFTER, lw=0.6, label="after")
-    limit = 1.3 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 99.5) if mask.any() else 1.0
-    low.set_ylim(-limit, limit)
-    low.set_ylabel("residual")
-    low.set_xlabel("t [s]")
-    low.legend(loc="upper right", ncols=2, fontsize=8)
-    if not traces.held_out.all():
-        for axis in (top, low):
-            axis.fill_between(t, 0, 1, where=traces.held_out, transform=axis.get_xaxis_transform(), color="0.92", lw=0)
-    figure.tight_layout()
-    return figure
-
-
-def _over_signals(traces: Traces, j: int, name: str) -> Figure:
-    figure = Figure(figsize=(10, 3.0))
-    axes = figure.subplots(1, 3, sharey=True)
-    mask = traces.use[:, j]
-    for axis, x, label in zip(axes, (traces.q[:, j], traces.qd[:, j], traces.t),
-                              (f"q_{j + 1}", f"qd_{j + 1}", "t [s]"), strict=True):
-        for r, color in ((traces.residual_before[:, j], _BEFORE), (traces.residual_after[:, j], _AFTER)):
-            if color == _BEFORE:
-                axis.plot(x[mask], r[mask], ".", ms=1, color=color, alpha=0.15, rasterized=True)
-            centre, mean, error = binned(x[mask], r[mask])
-            axis.errorbar(centre, mean, error, color=color, lw=1.4, elinewidth=0.8)
-        axis.axhline(0.0, color="0.6", lw=0.6)
-        axis.set_xlabel(label)
-    limit = 1.2 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 98) if mask.any() else 1.0
-    axes[0].set_ylim(-limit, limit)
-    axes[0].set_ylabel(f"residual of {name}")
-    figure.tight_layout()
-    return figure
-
-
-def binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array]:
-    """Centres, means and standard errors of ``y`` in equally filled bins of ``x``."""
-    if len(x) < bins:
-        return x, y, np.zeros_like(y)
-    order = np.argsort(x)
-    parts = np.array_split(order, bins)
-    return (np.array([x[p].mean() for p in parts]), np.array([y[p].mean() for p in parts]),
-            np.array([y[p].std() / np.sqrt(len(p)) for p in parts]))
+def _unit(diagnosis: Diagnosis, channel: str) -> str:
+    return next((c.unit for c in diagnosis.channels if c.channel == channel), "")
 
 
 def _remaining(page: Report, diagnosis: Diagnosis) -> None:

@@ -8,14 +8,15 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ideal_robot.model.model import Model
-from scenes.diagnosis.page import diagnosis_page
+from scenes.diagnosis.page import add_diagnosis, summary
 from scenes.line.close_loop_result import CloseLineResult
 from scenes.outputs import whole_folder
+from scenes.report.page import Report
 
 
 def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) -> CloseLineResult:
     """Writes recording, extended model and report of a line; returns the result with their places."""
-    page = diagnosis_page(result.diagnosis, f"{result.scene.title or result.scene.name}: the loop closed")
+    page = Report(f"{result.scene.title or result.scene.name}: the loop closed", summary(result.diagnosis))
     before, after, oracle = (1e3 * e.mean for e in (result.before, result.after, result.oracle))
     page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, of which "
                     f"the line follower was not told. With the model as it was the tool is {before:.3g} mm beside the "
@@ -25,6 +26,8 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),
                "Of the true TCP, in the surface; the last row knows the true latency.")
     page.figure(_distances(result), "Distance of the true TCP from the line, over its arc length.")
+    page.heading("The diagnosis between")
+    add_diagnosis(page, result.diagnosis)
     with whole_folder(folder) as new:
         result.recording.write(new / "recording.parquet")
         extended.save(new / "extended_model.json")

@@ -14,9 +14,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
-from scenes.line.replay import line_replay, with_ghost
+from scenes.line.replay import line_replay, surface_corners, with_ghost
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
+from scenes.report.world_table import COLUMNS, world_rows
 from sim.arm.picture import picture
 
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
@@ -61,6 +62,18 @@ def run_page(result: LineResult) -> Report:
     if moving is not None:
         report.heading("The run")
         report.replay(moving, "Green to red: distance of the tool from the drawn line; the pale part is still to come.")
+    report.heading("Errors")
+    report.table(["", "mean mm", "95 % mm", "max mm", "speed m/s"],
+                 [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
+                  ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
+                 "Distance from the line, in the surface. [L] reports about 0.6 mm mean control error at 0.7 m/s.")
+    if result.path_errors is not None:
+        path = result.path_errors.json_mm()
+        report.table(["path error against q_d", "E_car mm", "E_max mm"],
+                     [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
+                      for kind in ("time_matched", "aligned", "geometric")],
+                     f"[G] (14), (21); aligned after removing {path['delay_ms']:.2f} ms. All three directions, from "
+                     "rest to rest: also what the camera cannot see.")
     report.heading("The cell")
     report.figure(_cell(result), "The arm at the middle of the path, and the surface from above with the "
                   "drawn line, the reference path and where the tool truly went.")
@@ -87,18 +100,6 @@ def run_page(result: LineResult) -> Report:
     report.figure(_along(result), "Above: deviation from the reference path of the drawn line, and what planning made "
                   "of the camera's fields. Below: signed distance of the true tool centre point from the drawn line "
                   "over its length; the grey part does not count (before 0.3 s after the line is first followed).")
-    report.heading("Errors")
-    report.table(["", "mean mm", "95 % mm", "max mm", "speed m/s"],
-                 [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
-                  ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
-                 "Distance from the line, in the surface. [L] reports about 0.6 mm mean control error at 0.7 m/s.")
-    if result.path_errors is not None:
-        path = result.path_errors.json_mm()
-        report.table(["path error against q_d", "E_car mm", "E_max mm"],
-                     [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
-                      for kind in ("time_matched", "aligned", "geometric")],
-                     f"[G] (14), (21); aligned after removing {path['delay_ms']:.2f} ms. All three directions, from "
-                     "rest to rest: also what the camera cannot see.")
     _timing(report, result)
     _settings(report, result)
     return report
@@ -150,13 +151,14 @@ def _timing(report: Report, result: LineResult) -> None:
 def _settings(report: Report, result: LineResult) -> None:
     scene = result.scene
     report.heading("The world, as it was set")
-    report.table(["world", "value"], [[key, _short(value)] for key, value in result.world.items()],
-                 "Nothing of this is known to sensing, planning or the ideal robot.")
+    report.text("Nothing of this is known to sensing, planning or the ideal robot.")
+    report.table(COLUMNS, world_rows(result.world), folded="All settings of the simulated arm")
     tables: list[tuple[str, dict[str, Any]]] = [("camera", scene.camera.model_dump()),
                                                 ("calibration errors", scene.calibration.model_dump()),
                                                 ("displacement (sizes)", scene.displacement.model_dump())]
     for title, table in tables:
-        report.table([title, "value"], [[key, _short(value)] for key, value in table.items()])
+        rows = [[key, _short(value)] for key, value in table.items()]
+        report.table([title, "value"], rows, folded=title.capitalize())
 
 
 def _short(value: Any) -> Any:
@@ -174,7 +176,8 @@ def _cell(result: LineResult) -> Figure:
     left, right = figure.subplots(2, 1, height_ratios=[2.6, 1])
     robot = Robot.load(result.scene.robot)
     q = result.recording.joints("q")
-    left.imshow(picture(robot, q[len(q) // 2], lines=(result.geometry.drawn,)))
+    left.imshow(picture(robot, q[len(q) // 2], lines=(result.geometry.drawn,),
+                        surface=surface_corners(result)))
     left.set_axis_off()
     plane = result.geometry.plane
     drawn, reference = (1e3 * _in_plane(points, plane) for points in (result.geometry.drawn, result.geometry.reference))

@@ -37,7 +37,7 @@ def line_replay(result: LineResult) -> Replay | None:
     if len(counted.t) > 1:
         error = np.abs(np.interp(recording.t, counted.t, counted.lateral, left=np.nan, right=np.nan))
     return Replay(robot, recording.t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
-                  curves={"drawn line": drawn, "reference": result.geometry.reference}, surface=_corners(result),
+                  curves={"drawn line": drawn, "reference": result.geometry.reference}, surface=surface_corners(result),
                   pictures=tuple((one.t, _png(one)) for one in result.shown))
 
 
@@ -61,7 +61,7 @@ def _nearest(result: LineResult, points: Array) -> Array:
     return np.asarray(Polyline(result.geometry.drawn).nearest(points - height, up).foot + height)
 
 
-def _corners(result: LineResult) -> Array:
+def surface_corners(result: LineResult) -> Array:
     """Corners ``(4, 3)`` [m] of the part of the surface that the line lies on."""
     plane = result.geometry.plane
     reference = (result.geometry.reference - plane.translation) @ plane.rotation

@@ -14,6 +14,7 @@ from scenes.path.compare import PathComparison
 from scenes.path.replay import path_replay
 from scenes.path.result import PathResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
+from scenes.report.world_table import COLUMNS, world_rows
 
 INK, SOFT = "#1c2430", "#8893a1"
 COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected_1": "#7fb2dd",
@@ -61,7 +62,7 @@ def run_page(result: PathResult) -> Report:
     report.figure(path_figure([result]), f"The path, deviations drawn {MAGNIFIED} times their size.")
     report.figure(deviation_figure([result], "time_matched"), "Deviation over time.")
     report.heading("World")
-    report.table(["setting", "value"], [[key, str(value)] for key, value in result.world.items()])
+    report.table(COLUMNS, world_rows(result.world), folded="All settings of the simulated world")
     return report
 
 
@@ -94,7 +95,7 @@ def comparison_page(comparison: PathComparison) -> Report:
         report.figure(learning_figure(comparison), "What learning saw, play by play.")
     report.heading("World")
     report.text("The model is identified from recordings of this world; nothing is read from the world itself.")
-    report.table(["setting", "value"], [[key, str(value)] for key, value in comparison.reference.world.items()])
+    report.table(COLUMNS, world_rows(comparison.reference.world), folded="All settings of the simulated world")
     return report
 
 

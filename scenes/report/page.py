@@ -23,6 +23,9 @@ from scenes.report.replay_file import replay_beside, write_replay
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_PHONE = 7.0
+"""Width of a figure from which on it is scrolled on a phone instead of made smaller [inch]."""
+
 
 @dataclass
 class Report:
@@ -38,8 +41,9 @@ class Report:
     _blocks: list[dict[str, Any]] = field(default_factory=list)
 
     def heading(self, text: str) -> None:
-        """Starts a section."""
-        self._blocks.append({"kind": "heading", "text": text})
+        """Starts a section; the page's table of contents has them all."""
+        number = sum(block["kind"] == "heading" for block in self._blocks) + 1
+        self._blocks.append({"kind": "heading", "text": text, "anchor": f"section-{number}"})
 
     def text(self, text: str) -> None:
         """A paragraph of plain text."""
@@ -53,22 +57,36 @@ class Report:
         """Key figures as tiles: ``[(label, value with unit), …]``."""
         self._blocks.append({"kind": "figures", "cells": items})
 
-    def table(self, columns: list[str], rows: list[list[Any]], caption: str = "") -> None:
-        """A table; numbers are shown with four significant digits and aligned right."""
-        shown = [[{"text": _shown(cell), "number": isinstance(cell, (int, float, np.number))} for cell in row]
+    def table(self, columns: list[str], rows: list[list[Any]], caption: str = "", folded: str = "") -> None:
+        """A table; numbers are shown with three significant digits and aligned right.
+
+        Args:
+            columns: titles, with units.
+            rows: cells.
+            caption: what they mean.
+            folded: title under which a long table is folded away until it is asked for; empty: it is shown.
+        """
+        cells = [[{"text": _shown(cell), "number": isinstance(cell, (int, float, np.number))} for cell in row]
                  for row in rows]
-        self._blocks.append({"kind": "table", "columns": columns, "rows": shown, "caption": caption, "raw": rows})
+        self._blocks.append({"kind": "table", "columns": columns, "rows": cells, "caption": caption,
+                             "raw": rows, "folded": folded})
 
     def figure(self, figure: Figure, caption: str = "") -> None:
         """A matplotlib figure, embedded as PNG, with the sentence that says what to see in it."""
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight")
-        self.image(buffer.getvalue(), caption)
+        self.image(buffer.getvalue(), caption, wide=figure.get_figwidth() > _PHONE)
 
-    def image(self, png: bytes, caption: str = "") -> None:
-        """A PNG image given as bytes."""
+    def image(self, png: bytes, caption: str = "", *, wide: bool = False) -> None:
+        """A PNG image.
+
+        Args:
+            png: its bytes.
+            caption: the sentence that says what to see in it.
+            wide: whether its letters are too small on a phone's width.
+        """
         data = base64.b64encode(png).decode("ascii")
-        self._blocks.append({"kind": "image", "data": data, "caption": caption})
+        self._blocks.append({"kind": "image", "data": data, "caption": caption, "wide": wide})
 
     def replay(self, replay: Replay, caption: str = "") -> None:
         """A replay that moves in the page.
@@ -146,5 +164,5 @@ def _shown(cell: Any) -> str:
     if isinstance(cell, (bool, np.bool_)):
         return "yes" if cell else "no"
     if isinstance(cell, (float, np.floating)):
-        return f"{cell:.4g}" if math.isfinite(cell) else "–"
+        return f"{cell:.3g}" if math.isfinite(cell) else "–"
     return "–" if cell is None else str(cell)

@@ -19,7 +19,7 @@ if (DATA.pictures.length) {
   const note = element("div", side, { font: "13px system-ui", color: C.soft }); note.textContent = "the camera's picture";
   inset = element("img", side, { width: "100%", maxWidth: "320px", display: "block", imageRendering: "pixelated" });
 }
-const plot = element("canvas", host, { width: "100%", display: "block", aspectRatio: "7", marginTop: "8px" });
+const plot = element("canvas", host, { width: "100%", display: "block", aspectRatio: "7", minHeight: "110px", marginTop: "8px" });
 const bar = element("div", host, { display: "flex", gap: "10px", alignItems: "center", font: "14px system-ui", marginTop: "6px", flexWrap: "wrap" });
 const button = element("button", bar, { minWidth: "64px", padding: "4px 8px" }); button.textContent = "play";
 const slider = element("input", bar, { flex: "1 1 160px" }); slider.type = "range"; slider.min = 0; slider.max = DATA.t.length - 1; slider.step = 1; slider.value = 0;
@@ -31,6 +31,7 @@ let yaw = 0.9, pitch = 0.42, zoom = 1, k = 0;
 const all = DATA.tool.concat(...Object.values(DATA.curves));
 let low = [0, 0, 0], high = [0.2, 0.2, 0.9];
 for (const p of all) for (let a = 0; a < 3; a++) { low[a] = Math.min(low[a], p[a]); high[a] = Math.max(high[a], p[a]); }
+for (const i of [0, Math.floor(DATA.t.length / 2), DATA.t.length - 1]) for (const T of DATA.links[i]) for (let a = 0; a < 3; a++) { low[a] = Math.min(low[a], T[9 + a] - 0.1); high[a] = Math.max(high[a], T[9 + a] + 0.15); }
 const centre = low.map((v, a) => 0.5 * (v + high[a])), size = Math.hypot(...high.map((v, a) => v - low[a]));
 const known = DATA.error.filter(e => e !== null), largest = Math.max(...known.map(Math.abs), 1e-9);
 

@@ -1,0 +1,195 @@
+"""Pictures of a diagnosis: the ladder of errors, each effect through the residual it explains, residuals."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
+
+_BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
+_CURVE = 0.5
+"""Share of an effect that a curve over one signal has to explain for the effect to be drawn over it."""
+Contribution = tuple[tuple[str, ...], Traces, int, Array]
+"""Names of the channels of a domain, their traces, the channel, and what an effect adds there ``(N,)``."""
+
+
+def ladder_figure(diagnosis: Diagnosis) -> Figure:
+    """The error on held-out data, effect by effect, one panel a channel, with the noise of the measurement."""
+    found = in_order([*diagnosis.effects, *diagnosis.unknown])
+    channels = list(dict.fromkeys(e.fitted.channel for e in found))[:6]
+    rows = {name: [e for e in found if e.fitted.channel == name] for name in channels}
+    figure = Figure(figsize=(6.8, 0.7 + sum(0.75 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
+    panels = figure.subplots(len(channels), 1, squeeze=False,
+                             height_ratios=[1.6 + len(rows[name]) for name in channels])[:, 0]
+    for axes, name in zip(panels, channels, strict=True):
+        steps = [("without it", rows[name][0].rms_before)]
+        steps += [(f"+ {e.fitted.name.replace('_', ' ')}" + (f" ({', '.join(e.depends_on)})" if e.depends_on else ""),
+                   e.rms_after) for e in rows[name]]
+        rises = [b > a for (_, a), (_, b) in pairwise(steps)]
+        places = range(len(steps))
+        axes.barh(places, [error for _, error in steps], height=0.62,
+                  color=[_SOFT, *(_BEFORE if rose else _AFTER for rose in rises)])
+        for place, (_, error) in zip(places, steps, strict=True):
+            axes.text(error, place, f" {error:.3g}", va="center", fontsize=9)
+        axes.set_yticks(places, [word for word, _ in steps], fontsize=9)
+        axes.invert_yaxis()
+        channel = next((c for c in diagnosis.channels if c.channel == name), None)
+        if channel is not None and channel.noise_floor > 0:
+            axes.axvline(channel.noise_floor, color="0.2", ls="--", lw=1.0)
+        axes.set_xlabel(f"rms error of {name} [{channel.unit if channel else ''}]")
+        axes.set_xlim(0, 1.12 * max(error for _, error in steps))
+        axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def in_order(found: list[FoundEffect]) -> list[FoundEffect]:
+    """Effects in the order in which they were taken: each starts from the error that the last one left."""
+    waiting, ordered = list(found), []
+    level: dict[str, float] = {}
+    while waiting:
+        following = next((e for e in waiting if level.get(e.fitted.channel) in (None, e.rms_before)), waiting[0])
+        waiting.remove(following)
+        ordered.append(following)
+        level[following.fitted.channel] = following.rms_after
+    return ordered
+
+
+def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]]:
+    """What each effect adds to its channel, where the diagnosis kept it."""
+    shown = []
+    for names, traces in diagnosis.traces:
+        here = in_order([e for e in (*diagnosis.effects, *diagnosis.unknown) if e.fitted.channel in names])
+        if len(here) != len(traces.added):
+            continue
+        for e, added in zip(here, traces.added, strict=True):
+            j = names.index(e.fitted.channel)
+            shown.append((e, (names, traces, j, added[:, j])))
+    return shown
+
+
+def effect_figure(effect: FoundEffect, name: str, unit: str, traces: Traces, j: int, added: Array,
+                  ) -> tuple[Figure, str]:
+    """What remains without one effect, over the signal the effect depends on most, with the effect drawn through it.
+
+    An effect that is no curve over one signal is drawn over what it foretells itself.
+
+    Args:
+        effect: which.
+        name, unit: of its channel.
+        traces: series of its domain.
+        j: channel.
+        added: what the effect adds to the channel ``(N,)``.
+
+    Returns:
+        The picture, and the sentence that says what to see in it.
+    """
+    mask = traces.use[:, j]
+    signals = {"t [s]": traces.t}
+    if j < traces.q.shape[1]:
+        position, velocity = _of_joint(j, unit)
+        acceleration = f"acceleration of joint {j + 1} [{'m/s²' if unit == 'N' else 'rad/s²'}]"
+        signals = {velocity: traces.qd[:, j], position: traces.q[:, j],
+                   acceleration: np.gradient(traces.qd[:, j], traces.t), **signals}
+    shares = {label: _explained(x[mask], added[mask]) for label, x in signals.items()}
+    label = max(shares, key=lambda key: shares[key])
+    word = effect.fitted.name.replace("_", " ")
+    curve = shares[label] >= _CURVE
+    x = signals[label] if curve else added
+    # What the model would leave if only this effect were taken out again.
+    without = traces.residual_after[:, j] + added
+    figure = Figure(figsize=(6.8, 3.9), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(x[mask], without[mask], ".", ms=2, color=_SOFT, alpha=0.35, rasterized=True, label="residual without it")
+    centre, mean, error = binned(x[mask], without[mask], 30)
+    axes.errorbar(centre, mean, error, color=_AFTER, lw=0, elinewidth=1.2, marker="o", ms=3.5, label="its mean in bins")
+    centre, mean, _ = binned(x[mask], added[mask], 60)
+    axes.plot(centre, mean, color=_EFFECT, lw=2.2, label=word)
+    axes.axhline(0.0, color="0.6", lw=0.6)
+    limit = 1.15 * float(np.percentile(np.abs(without[mask]), 99)) if mask.any() else 1.0
+    axes.set_ylim(-limit, limit)
+    axes.set_xlabel(label if curve else f"what {word} foretells [{unit}]")
+    axes.set_ylabel(f"{name} [{unit}]")
+    axes.legend(fontsize=9, frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    axes.spines[["top", "right"]].set_visible(False)
+    said = f"{word}: what remains of {name} without it (grey, means blue), and the effect (orange)"
+    if not curve:
+        said += ("; it depends on several signals at once, so it is drawn over what it foretells: the nearer the means "
+                 "are to the line, the better")
+    return figure, said + "."
+
+
+def _of_joint(j: int, unit: str) -> tuple[str, str]:
+    length = "m" if unit == "N" else "rad"
+    return f"position of joint {j + 1} [{length}]", f"velocity of joint {j + 1} [{length}/s]"
+
+
+def _explained(x: Array, y: Array, bins: int = 40) -> float:
+    """Share of the squares of ``y`` that a curve over ``x`` explains."""
+    total = float(np.sum((y - y.mean()) ** 2)) if len(y) else 0.0
+    if total <= 0 or len(y) < 4 * bins:
+        return 0.0
+    parts = np.array_split(np.argsort(x), bins)
+    return 1.0 - sum(float(np.sum((y[part] - y[part].mean()) ** 2)) for part in parts) / total
+
+
+def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
+    """The measurement, and below it what the model leaves of it before and after.
+
+    Args:
+        traces: series.
+        j: channel.
+        name, unit: of the channel.
+    """
+    figure = Figure(figsize=(10, 3.6))
+    top, low = figure.subplots(2, 1, sharex=True)
+    mask = traces.use[:, j]
+    t = traces.t
+    top.plot(t, traces.measured[:, j], color="0.5", lw=0.7)
+    top.set_ylabel(f"{name} [{unit}]")
+    low.plot(t, np.where(mask, traces.residual_before[:, j], np.nan), color=_BEFORE, lw=0.6, label="before")
+    low.plot(t, np.where(mask, traces.residual_after[:, j], np.nan), color=_AFTER, lw=0.6, label="after")
+    limit = 1.3 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 99.5) if mask.any() else 1.0
+    low.set_ylim(-limit, limit)
+    low.set_ylabel(f"residual [{unit}]")
+    low.set_xlabel("t [s]")
+    low.legend(loc="upper right", ncols=2, fontsize=8)
+    if not traces.held_out.all():
+        for axis in (top, low):
+            axis.fill_between(t, 0, 1, where=traces.held_out, transform=axis.get_xaxis_transform(), color="0.92", lw=0)
+    figure.tight_layout()
+    return figure
+
+
+def over_signals(traces: Traces, j: int, name: str, unit: str) -> Figure:
+    """The residual over position and velocity of the joint and over time, arguments as ``over_time``."""
+    figure = Figure(figsize=(10, 3.0))
+    axes = figure.subplots(1, 3, sharey=True)
+    mask = traces.use[:, j]
+    for axis, x, label in zip(axes, (traces.q[:, j], traces.qd[:, j], traces.t),
+                              (*_of_joint(j, unit), "t [s]"), strict=True):
+        for r, color in ((traces.residual_before[:, j], _BEFORE), (traces.residual_after[:, j], _AFTER)):
+            if color == _BEFORE:
+                axis.plot(x[mask], r[mask], ".", ms=1, color=color, alpha=0.15, rasterized=True)
+            centre, mean, error = binned(x[mask], r[mask])
+            axis.errorbar(centre, mean, error, color=color, lw=1.4, elinewidth=0.8)
+        axis.axhline(0.0, color="0.6", lw=0.6)
+        axis.set_xlabel(label)
+    limit = 1.2 * np.nanpercentile(np.abs(traces.residual_before[mask, j]), 98) if mask.any() else 1.0
+    axes[0].set_ylim(-limit, limit)
+    axes[0].set_ylabel(f"residual of {name} [{unit}]")
+    figure.tight_layout()
+    return figure
+
+
+def binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array]:
+    """Centres, means and standard errors of ``y`` in equally filled bins of ``x``."""
+    if len(x) < bins:
+        return x, y, np.zeros_like(y)
+    order = np.argsort(x)
+    parts = np.array_split(order, bins)
+    return (np.array([x[p].mean() for p in parts]), np.array([y[p].mean() for p in parts]),
+            np.array([y[p].std() / np.sqrt(len(p)) for p in parts]))

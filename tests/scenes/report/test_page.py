@@ -1,0 +1,39 @@
+"""Pages: contents, folded tables, digits, units of the world's settings."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from scenes.report.page import Report
+from scenes.report.world_table import UNITS, world_rows
+from sim.arm.world import TABLE_KEYS, World
+
+WITHOUT_UNIT = {"elasticity", "friction", "friction_scale", "friction_asymmetry", "load_friction", "thermal",
+                "lubrication", "time_compression", "quantisation", "torque_limits", "correction_delay",
+                "velocity_feedforward", "individual", "inertia_tolerance", "drive_gain_error"}
+
+
+def test_every_heading_is_in_the_contents_and_leads_to_its_section(tmp_path: Path) -> None:
+    page = Report("t")
+    for word in ("one", "two", "three", "four"):
+        page.heading(word)
+    html = page.write(tmp_path / "p.html").read_text(encoding="utf-8")
+    links = dict(re.findall(r'<a href="#([\w-]+)">(\w+)</a>', html))
+    assert list(links.values()) == ["one", "two", "three", "four"]
+    assert all(f'<h2 id="{anchor}">{word}</h2>' in html for anchor, word in links.items())
+
+
+def test_long_tables_fold_and_numbers_have_three_digits(tmp_path: Path) -> None:
+    page = Report("t")
+    page.table(["a"], [[1.23456], [float("nan")], [12345.6]], folded="All of it")
+    html = page.write(tmp_path / "p.html").read_text(encoding="utf-8")
+    assert "<details><summary>All of it</summary>" in html
+    assert re.findall(r'<td class="number">(.*?)</td>', html) == ["1.23", "–", "1.23e+04"]
+
+
+def test_every_setting_of_the_world_says_its_unit_or_has_none() -> None:
+    assert set(UNITS) | WITHOUT_UNIT == set(TABLE_KEYS)
+    rows = {row[0]: row[1:] for row in world_rows(World.default("kr6").table())}
+    assert rows["stiffness"][1] == "N m/rad"
+    assert len(rows["stiffness"][0].split(", ")) == 6
