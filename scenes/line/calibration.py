@@ -78,7 +78,7 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         exposures = camera.due(k * T + ahead, (k + 1) * T + ahead)
         taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
         due += len(exposures)
-        predictions = [view.predicted(t - ahead) for t in taken]
+        predictions = [view.predicted(camera.stamp(t) - ahead) for t in taken]
         q = arm.cycle(q_c).q
         if deflection is not None:
             q = q - deflection.at(commands[max(k - 1, 0) : k + 2])

@@ -17,6 +17,7 @@ from planning.path.speed_profile import Limits, SpeedProfile
 from planning.planning_error import OutOfReachError
 from scenes.camera_table import believed_camera, camera_settings, true_camera
 from scenes.drawn_line import Geometry, geometry
+from scenes.line.appearance import look_at_line
 from scenes.line.calibration import calibrate_by_moving
 from scenes.line.scene import LineScene
 from scenes.models import model_for
@@ -68,7 +69,7 @@ def set_up(scene: LineScene) -> Cell:
     # A controller's cycle times are no secret: they stand in its manual.
     robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
                     t_velocity=world.t_velocity)
-    place, noise, camera_noise, calibration = streams(scene)
+    place, noise, camera_noise, calibration, _ = streams(scene)
     where = geometry(scene, place)
     line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                      background=scene.line.background, edge=1e-3 * scene.line.edge_mm, features=_features(scene))
@@ -92,14 +93,9 @@ def set_up(scene: LineScene) -> Cell:
                 camera_noise)
 
 
-def detection(cell: Cell) -> DetectionSettings:
-    """How the line looks."""
-    return DetectionSettings(line_width=cell.line.width, dark=cell.line.gray < cell.line.background)
-
-
 def streams(scene: LineScene) -> list[np.random.Generator]:
     """Independent random streams, so that changing one effect does not change the draws of another."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(4)]
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5)]
 
 
 def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
@@ -111,33 +107,40 @@ def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What runs of the same scene share: the rendered surface, and the camera as calibrated by moving."""
+    """What runs of the same scene share: rendered surface, the line's looks, and the camera as calibrated by moving."""
 
     camera: RenderedCamera
+    detection: DetectionSettings
+    """How the line looks, as its first pictures tell."""
     hand_eye: HandEye | None
-    uncalibrated: str = ""
-    """Why there is no calibration although one was wanted; the run then goes on with the camera as mounted by hand."""
+    warning: str = ""
+    """Why there are no looks or no calibration although one was wanted; the run then goes on with the usual line, the
+    camera as mounted by hand."""
 
 
 @contextmanager
 def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared]:
-    """Paints the surface and calibrates the camera, for one or many runs of the scene.
+    """Paints the surface, looks at the line and calibrates the camera, for one or many runs of the scene.
 
     Raises:
         InputError: the scene cannot be played.
     """
     cell = set_up(scene)
     with RenderedCamera(cell.true_camera, cell.line, camera_settings(scene.camera), cell.camera_noise) as camera:
-        hand_eye, reason = None, ""
-        if scene.calibration.by_moving:
-            progress(0.0, "calibrating the camera")
-            deflection = GearDeflection(model_for(scene, cell.robot), cell.world.t_ipo)
-            middle = 0.5 * (scene.reference.run_up + cell.reference.length - scene.reference.run_out)
-            with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+        detection, hand_eye, reasons = DetectionSettings(), None, []
+        span = (scene.reference.run_up, cell.reference.length - scene.reference.run_out)
+        model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
+        with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+            try:
+                detection = look_at_line(cell.robot, cell.reference, cell.camera, arm, camera, span, streams(scene)[4])
+            except SensingError as error:
+                reasons.append(str(error))
+            if model is not None:
+                progress(0.0, "calibrating the camera")
                 try:
-                    hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection,
-                                                   middle, detection(cell),
+                    hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera,
+                                                   GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
                                                    cell.detector)
                 except (SceneError, SensingError) as error:
-                    reason = str(error)
-        yield Prepared(camera, hand_eye, reason)
+                    reasons.append(str(error))
+        yield Prepared(camera, detection, hand_eye, "; ".join(reasons))

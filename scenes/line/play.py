@@ -71,7 +71,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         camera = CarriedCamera(shared.camera, arm)
         mounted(sensors, LineWorld(arm, cell.line))
         model = model_for(scene, cell.robot) if method.knows_model else None
-        task = LineTask(cell, method, camera, model, gains, log, sensors)
+        task = LineTask(cell, method, camera, model, gains, log, sensors, shared.detection)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [camera]), cell.robot, task, log,
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),
@@ -90,7 +90,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
                                            float(history["t"][-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
         shown=tuple(replace(seen, image=shared.camera.frame(pose)) for pose, seen in shown),
-        world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.uncalibrated,
+        world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.warning,
         s_reference=np.array(log.s), believed=np.array(log.believed),
         sensors={sensor.name: (log.sensor_values[sensor.name], log.sensor_used[sensor.name]) for sensor in sensors})
 

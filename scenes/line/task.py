@@ -14,12 +14,12 @@ from ideal_robot.model.model import Model
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
 from scenes.cycle import CycleLog
-from scenes.line.cell import START, Cell, detection
+from scenes.line.cell import START, Cell
 from scenes.line.result import FieldShown
 from scenes.methods import DIRECT, SceneMethod
 from sensing.camera.camera_device import Camera
 from sensing.camera.field import Field, Window
-from sensing.camera.line_detection import LineField, search_windows
+from sensing.camera.line_detection import DetectionSettings, LineField, search_windows
 from sensing.camera.line_polynomial import fit_of_lowest_order
 
 REST = 0.2
@@ -69,10 +69,12 @@ class LineTask:
         gains: K_p, K_d of direct sensor feedback [1 per cycle].
         log: is written to.
         sensors: besides the camera.
+        detection: how the line looks; the usual line if None.
     """
 
     def __init__(self, cell: Cell, method: SceneMethod, camera: Camera, model: Model | None,
-                 gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = ()) -> None:
+                 gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = (),
+                 detection: DetectionSettings | None = None) -> None:
         self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
         self.follower = follower = cell.follower
         self.n_d = follower.n_d
@@ -81,7 +83,7 @@ class LineTask:
         self._count = int(np.ceil((START + follower.duration + REST) / self._T))
         self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
         self._new: list[Field] = []
-        self._detection = detection(cell)
+        self._detection = detection or DetectionSettings()
         self.feedforward = method.following(Setting(cell.robot, model, given, int(cell.world.correction_delay)))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
         self._latency = assumed_latency(model) if model is not None else 0.0
@@ -158,6 +160,7 @@ class LineTask:
         self.camera.request(t0, t1, self._windows)
 
     def _windows(self, exposure: float) -> Sequence[Window]:
+        exposure += self._latency
         ahead = self.follower.predict(exposure).seen_from(self.follower.history.pose(exposure))
         return search_windows(self.cell.camera, ahead, self._detection)
 

@@ -25,7 +25,7 @@ class Camera(Protocol):
         Args:
             t0: begin of the cycle in controller time [s].
             t1: its end [s].
-            windows: called with the instant of each exposure that ends in the cycle.
+            windows: called with the instant of each exposure that ends in the cycle, as the device's stamp will say.
         """
         ...
 

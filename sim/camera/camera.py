@@ -106,6 +106,12 @@ class RenderedCamera:
                 times.append(t)
         return times
 
+    def stamp(self, t_exposure: float) -> float:
+        """Controller time that the camera says of the field exposed at ``t_exposure`` [s], one of ``due``."""
+        rng = self._stream(round((t_exposure - self.settings.phase) * self.settings.rate))
+        rng.random(), rng.standard_normal()
+        return float(t_exposure + self.settings.stamp_offset + self.settings.stamp_noise * rng.standard_normal())
+
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window]) -> Field:
         """One field, cut to windows.
 
@@ -126,7 +132,8 @@ class RenderedCamera:
         rng = self._stream(round((t_exposure - s.phase) * s.rate))
         rng.random()
         latency = max(s.latency + s.jitter * rng.standard_normal(), 0.5 * s.exposure)
-        t_stamp = t_exposure + s.stamp_offset + s.stamp_noise * rng.standard_normal()
+        rng.standard_normal()
+        t_stamp = self.stamp(t_exposure)
         n = s.sub_exposures
         poses = [pose_at(t_exposure + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
         views = [self._view(pose) for pose in poses]

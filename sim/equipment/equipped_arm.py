@@ -35,7 +35,8 @@ class CarriedCamera:
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
         """See ``Camera.request``."""
-        asked = ((t, windows(t)) for t in self._camera.due(t0, t1))
+        # Nobody knows the true instant of an exposure; the camera's own clock says when it will be.
+        asked = ((t, windows(self._camera.stamp(t))) for t in self._camera.due(t0, t1))
         self._wanted += [(t, wanted) for t, wanted in asked if wanted is not None]
 
     def arrived(self, t: float) -> list[Field]:
