@@ -31,7 +31,7 @@ class Compare(Protocol):
 class CloseLoop(Protocol):
     """Plays a scene, diagnoses what its model misses, and plays it again with what was found."""
 
-    def __call__(self, scene: Any, *, out: Any = None, progress: Any = ...) -> LoopResult: ...
+    def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> LoopResult: ...
 
 
 @dataclass(frozen=True)

@@ -52,11 +52,13 @@ def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Pa
     return result
 
 
-def close_scene(scene: Scene, *, out: Path | None = None, progress: Progress = silent) -> LoopResult:
+def close_scene(scene: Scene, *, measured: str = "tcp", out: Path | None = None,
+                progress: Progress = silent) -> LoopResult:
     """Plays a scene, finds what its model misses, extends the model and plays it again.
 
     Args:
         scene: what to play; its kind has to offer it.
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp``.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
 
@@ -68,4 +70,4 @@ def close_scene(scene: Scene, *, out: Path | None = None, progress: Progress = s
         able = ", ".join(name for name, kind in KINDS if kind.close_loop is not None)
         raise InputError(f"only scenes of kind {able} can be closed; they hold the undeclared effect", field="kind",
                          value=scene.kind)
-    return close_loop(scene, out=out, progress=progress)
+    return close_loop(scene, measured=measured, out=out, progress=progress)

@@ -92,3 +92,7 @@ class LoopResult(Protocol):
     def table(self) -> list[list[Any]]:
         """One row a model: before, after, and with the truth."""
         ...
+
+    def ladder(self) -> list[list[Any]]:
+        """One row a change of the model that was tried: round, what, stays, measured error in mm, why not."""
+        ...

@@ -15,6 +15,8 @@ def command(
     individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
                                                         "prepare).", min=0)] = None,
     speed: Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")] = None,
+    measured: Annotated[str, typer.Option(help="What the arm measures: motor (angles and currents), arm (arm angles "
+                                               "too) or tcp (the tool's place too).")] = "tcp",
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of recording, model and report; default out/SCENE.")] = None,
 ) -> None:
@@ -34,9 +36,11 @@ def command(
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:
-        result = close_scene(loaded, out=folder, progress=progress)
+        result = close_scene(loaded, measured=measured, out=folder, progress=progress)
     if json is not None:
         write_json(json, result.json())
+    if rows := result.ladder():
+        show_table("what was tried", ["round", "change of the model", "stays", "measured E_car mm", "why not"], rows)
     show_table("path error of the true TCP [mm]", list(result.columns), result.table())
     typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")

@@ -22,13 +22,21 @@ from scenes.line.play import play
 from scenes.line.result import LineResult
 from scenes.line.scene import LineScene
 from scenes.line.task import assumed_latency
+from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
 
 
-def close_loop(scene: LineScene, *, out: Path | None = None, progress: Progress = silent) -> CloseLineResult:
+def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,
+               progress: Progress = silent) -> CloseLineResult:
     """Follows a line, finds what is wrong with the camera's time, and follows it again.
+
+    Args:
+        scene: what to play.
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.measured``).
+        out: folder for recording, model and report; nothing is written without.
+        progress: called with the fraction done.
 
     Raises:
         InputError: a scene whose time stamps are right.
@@ -36,17 +44,19 @@ def close_loop(scene: LineScene, *, out: Path | None = None, progress: Progress 
     if scene.camera.stamp_offset == 0.0:
         raise InputError("the camera's time stamps are right; nothing is there to be found",
                          file=f"scene {scene.name}", field="camera.stamp_offset", value=0.0)
+    seen_by = checked_measured(measured)
     robot = set_up(scene).robot
     model = model_for(scene, robot)
     with prepared(scene, progress) as shared, tempfile.TemporaryDirectory() as folder:
         progress(0.1, "before")
         before = play(scene, IDEAL, shared=shared)
         progress(0.3, "diagnose")
-        found = diagnose(before.recording, robot, model=model,
+        run = visible(before.recording, seen_by)
+        found = diagnose(run, robot, model=model,
                          progress=lambda share, word: progress(0.3 + 0.2 * share, word))
         added = [f.fitted for f in found.effects if f.fitted.channel == "line"]
         extended = with_effects(model, added)
-        fitted = named_camera_effect(before.recording, robot, model, EFFECT)
+        fitted = named_camera_effect(run, robot, model, EFFECT)
         runs = {"after": extended, "oracle": with_effects(model, [fitted]),
                 "true": with_effects(model, [_of_size(-scene.camera.stamp_offset)])}
         again: dict[str, LineResult] = {}

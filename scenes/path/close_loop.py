@@ -7,19 +7,22 @@ its size from the same recording.
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.validation.adoption import adopted
+from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.validation.oracle import with_named_effects
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.model.model import Model
+from ideal_robot.signals.recording import Recording
+from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
+from scenes.path.adoption_on_path import Step, adopt_on_path, measured_error
 from scenes.path.cell import PathCell, set_up, training_path
 from scenes.path.close_loop_page import write_circle
 from scenes.path.close_loop_result import CloseLoopResult
@@ -33,37 +36,60 @@ _EFFECT_OF_KEY = {"stribeck": "stribeck", "presliding": "presliding_hysteresis",
 """What a key of the scene's world is called in the effect library."""
 
 
-def close_loop(scene: PathScene, *, out: Path | None = None, progress: Progress = silent) -> CloseLoopResult:
+ROUNDS = 3
+"""Of run and diagnosis, at most."""
+
+
+def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = None,
+               progress: Progress = silent) -> CloseLoopResult:
     """Plays a path, finds what its model misses from a diagnostic motion, extends the model and plays it again.
+
+    What does not lower the path error that the arm measures is taken back; the rounds end when nothing more is found.
 
     Args:
         scene: what to play.
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.measured``).
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
 
     Raises:
-        InputError: a scene whose world holds nothing undeclared.
+        InputError: a scene whose world holds nothing undeclared, or another word for what is measured.
     """
+    seen_by = checked_measured(measured)
     cell = set_up(scene, delay=False)
     undeclared = undeclared_effects(scene, cell.robot.n)
     progress(0.0, "before")
-    before = cell.play(cell.feedforward(IDEAL))
-    progress(0.15, "diagnostic motion")
-    recording = cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording
-    progress(0.3, "diagnose")
-    # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
-    found = diagnose(recording, cell.robot, model=cell.model,
-                     progress=lambda share, word: progress(0.3 + 0.4 * share, word))
-    extended = adopted(cell.model, found, before.recording, cell.robot)
-    progress(0.7, "after")
-    after = _played(cell, extended)
-    progress(0.85, "oracle")
-    oracle_model = with_named_effects(recording, cell.robot, cell.model, undeclared)
-    oracle = _played(cell, oracle_model)
-    result = CloseLoopResult(scene, undeclared, before.errors, after, oracle, found, recording)
+    known, before = cell.model, cell.play(cell.feedforward(IDEAL))
+    error = measured_error(before, cell.path, cell.robot, known, seen_by)
+    first = error
+    steps: tuple[Step, ...] = ()
+    present = before
+    rounds: list[tuple[Diagnosis, Recording]] = []
+    for round_ in range(1, ROUNDS + 1):
+        share = 0.05 + 0.8 * (round_ - 1) / ROUNDS
+        progress(share, f"round {round_}: diagnostic motion")
+        moved = visible(cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording, seen_by)
+        # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
+        diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=partial(_shifted, progress, share))
+        rounds.append((diagnosis, moved))
+        model, error, tried = adopt_on_path(cell, diagnosis, present, known, seen_by, round_, error)
+        steps += tried
+        if model is cell.model:
+            break
+        cell = dataclasses.replace(cell, model=model)
+        present = cell.play(cell.feedforward(IDEAL))
+    progress(0.9, "oracle")
+    found, recording = rounds[0]
+    told = with_named_effects(recording, cell.robot, known, undeclared)
+    result = CloseLoopResult(scene, undeclared, before.errors, present.errors, _played(cell, told), found, recording,
+                             seen_by, first, steps)
     if out is None:
         return result
-    return write_circle(result, extended, out)
+    return write_circle(result, cell.model, out)
+
+
+def _shifted(progress: Progress, start: float, share: float, word: str) -> None:
+    progress(start + 0.15 * share, word)
 
 
 def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:

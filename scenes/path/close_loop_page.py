@@ -14,6 +14,10 @@ from scenes.outputs import whole_folder
 from scenes.path.close_loop_result import CloseLoopResult
 from scenes.report.page import Report
 
+SEES = {"motor": "motor angles and currents", "arm": "motor and arm angles, and currents",
+        "tcp": "motor and arm angles, currents, and the place of its tool"}
+"""What is measured, in words."""
+
 
 def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> CloseLoopResult:
     """Writes recording, extended model and report; returns the result with their places."""
@@ -23,6 +27,9 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
     page.summary = (f"The world held {hidden}, which the model did not know. With the model as it was the path "
                     f"error is {before:.3g} mm, with what the diagnosis added {after:.3g} mm, with an oracle that was "
                     f"told name and joint {oracle:.3g} mm. " + page.summary)
+    page.heading("What was tried, and what stays")
+    page.table(["round", "change of the model", "stays", "measured E_car mm", "why not"], result.ladder(),
+               f"Path error, aligned, as an arm measures it that knows: {SEES[result.measured]}.")
     page.heading("Path error before and after")
     page.table(["model", "E_car time-matched mm", "E_car aligned mm", "E_car geometric mm", "E_max aligned mm"],
                result.table(), "[G] (14) and (21), of the true TCP.")

@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.signals.recording import Recording
+from scenes.measured import Measured
 from scenes.metrics import PathErrors
+from scenes.path.adoption_on_path import Step
 from scenes.path.scene import PathScene
 from scenes.shown import ShownTable
 
@@ -23,6 +25,9 @@ class CloseLoopResult(ShownTable):
         before, after, oracle: path errors with the model as it was, as extended, and with the oracle's.
         diagnosis: what was found.
         recording: what it was found from.
+        measured: what the arm measures.
+        measured_before: path error with the model as it was, as the arm measures it [m].
+        steps: every change that was tried, in order, with its measured error and the reason of a refusal.
     """
 
     scene: PathScene
@@ -32,6 +37,9 @@ class CloseLoopResult(ShownTable):
     oracle: PathErrors
     diagnosis: Diagnosis = field(repr=False)
     recording: Recording = field(repr=False)
+    measured: Measured = "tcp"
+    measured_before: float = float("nan")
+    steps: tuple[Step, ...] = ()
     model_path: Path | None = None
     report: Path | None = None
 
@@ -43,6 +51,9 @@ class CloseLoopResult(ShownTable):
             "path_error_mm": {"before": self.before.json_mm(), "after": self.after.json_mm(),
                               "oracle": self.oracle.json_mm()},
             "E_car_aligned_mm": {"before": 1e3 * before, "after": 1e3 * after, "oracle": 1e3 * oracle},
+            "measured": self.measured, "measured_before_mm": 1e3 * self.measured_before,
+            "steps": [{"round": one.round, "tried": one.tried, "taken": one.taken, "refused": one.refused or None,
+                       "error": 1e3 * one.error} for one in self.steps],
             "after_over_oracle": after / oracle, "diagnosis": self.diagnosis.to_dict(), "model": self.model_path,
             "report": self.report,
         }
@@ -52,6 +63,11 @@ class CloseLoopResult(ShownTable):
     def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
         """The table, for prompt and notebook."""
         return self.columns, self.table()
+
+    def ladder(self) -> list[list[Any]]:
+        """One row a change that was tried: round, what, taken, measured error in mm, why not."""
+        return [[0, "the model as it was", True, 1e3 * self.measured_before, ""],
+                *[[one.round, one.tried, one.taken, 1e3 * one.error, one.refused] for one in self.steps]]
 
     def table(self) -> list[list[Any]]:
         """One row a model: errors in mm."""

@@ -1,0 +1,168 @@
+"""Which of a diagnosis' findings go into the loop: those that lower the path error that this arm measures.
+
+Torque prediction alone does not decide: a stiffness that explains the currents a little better can bend the path by
+millimetres. Every candidate is played on the arm; what does not lower the measured error is taken back, and the ladder
+of trials with the reason of every refusal is the report's first table.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.diagnosis.validation.adoption import adopted, with_joint
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect
+from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.measured import Measured, visible
+from scenes.methods import IDEAL
+from scenes.metrics import path_errors
+from scenes.path.cell import PathCell
+from scenes.path.player import Play
+from scenes.path.scene import JointPath
+
+_LEAST = 0.99
+"""An error that falls by less than a hundredth has not fallen."""
+_ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's stiffness; motor angles "
+                "and currents do not")
+
+
+@dataclass(frozen=True)
+class Step:
+    """One trial of a change of the model.
+
+    Attributes:
+        round: of run and diagnosis, from 1.
+        tried: what was changed.
+        taken: whether it stays.
+        refused: why it does not; empty where it does.
+        error: measured E_car, aligned, with it [m]; NaN where it was not played.
+    """
+
+    round: int
+    tried: str
+    taken: bool
+    refused: str
+    error: float
+
+
+def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, measured: Measured) -> float:
+    """Path error ``E_car``, aligned, as this arm measures it [m].
+
+    Motor angles are brought behind the gears by what was known of these before, so that a changed stiffness cannot
+    confirm itself.
+
+    Args:
+        played: the play.
+        path: what was wanted.
+        robot: kinematics.
+        known: the model of before.
+        measured: what is measured.
+    """
+    recording = played.recording
+    if measured == "tcp":
+        x: Array = np.column_stack([recording.columns[axis] for axis in "xyz"])
+    else:
+        q = recording.joints("qa" if measured == "arm" else "q")
+        if measured == "motor":
+            q = q - _deflections(known, recording)
+        pose = robot.fk()
+        x = np.array([pose(row).translation for row in q])
+    return path_errors(path.t[path.counts], path.x_d[path.counts], recording.t, x).aligned.E_car
+
+
+def adopt_on_path(cell: PathCell, found: Diagnosis, before: Play, known: Model, measured: Measured, round_: int,
+                  error: float) -> tuple[Model, float, tuple[Step, ...]]:
+    """The cell's model with those findings that lower the measured path error, that error, and the trials.
+
+    First all that predict the run better, then joint by joint, each on top of what was taken.
+
+    Args:
+        cell: path, arm and present model.
+        found: what the diagnosis found with that model.
+        before: the play with that model.
+        known: the model of before the first round.
+        measured: what the arm measures.
+        round_: of run and diagnosis, from 1.
+        error: measured with the present model [m].
+    """
+    steps: list[Step] = []
+    model = cell.model
+
+    def attempt(label: str, candidate: Model) -> bool:
+        nonlocal model, error
+        try:
+            again = dataclasses.replace(cell, model=candidate)
+            reached = measured_error(again.play(again.feedforward(IDEAL)), cell.path, cell.robot, known, measured)
+        except IdealRobotError as failed:
+            steps.append(Step(round_, label, False, f"cannot be played: {failed}", float("nan")))
+            return False
+        if reached < _LEAST * error:
+            model, error = candidate, reached
+            steps.append(Step(round_, label, True, "", reached))
+            return True
+        steps.append(Step(round_, label, False, f"the path error does not fall: {1e3 * error:.3g} to "
+                                                f"{1e3 * reached:.3g} mm", reached))
+        return False
+
+    whole = adopted(model, found, visible(before.recording, measured), cell.robot)
+    changed = whole.effects != model.effects and not _stiffens(whole, model, measured)
+    if changed and attempt("all that predict the run better", whole):
+        return model, error, tuple(steps)
+    for label, change in _packages(found, measured, steps, round_):
+        attempt(label, change(model))
+    return model, error, tuple(steps)
+
+
+def _packages(found: Diagnosis, measured: Measured, steps: list[Step],
+              round_: int) -> list[tuple[str, Callable[[Model], Model]]]:
+    """What can be taken alone: a joint's effects of the torque with its friction, an effect behind a gear."""
+    changes: list[tuple[str, Callable[[Model], Model]]] = []
+    torque: dict[int, list[FittedEffect]] = {}
+    for one in (*found.effects, *found.unknown):
+        effect = one.fitted
+        name = f"{effect.name} in joint {effect.joint}" if effect.joint else effect.name
+        if effect.domain == ARM_POSITION:
+            changes.append((name, partial(_with_effect, effect=effect)))
+        elif effect.domain != MOTOR_TORQUE:
+            steps.append(Step(round_, name, False, "does not act in this loop", float("nan")))
+        elif measured == "motor" and effect.name == "joint_elasticity":
+            steps.append(Step(round_, name, False, _ONLY_BEHIND, float("nan")))
+        else:
+            torque.setdefault(effect.joint, []).append(effect)
+    fitted = found.model
+    for joint, effects in torque.items():
+        if fitted is None:
+            break
+        label = " and ".join(effect.name for effect in effects)
+        label += f" in joint {joint}" if joint else ""
+        changes.append((label, partial(with_joint, fitted=fitted, joint=joint, effects=tuple(effects))))
+    return changes
+
+
+def _with_effect(model: Model, effect: FittedEffect) -> Model:
+    return model.with_effects((effect,))
+
+
+def _stiffens(candidate: Model, model: Model, measured: Measured) -> bool:
+    """Whether a candidate holds a gear's stiffness that this arm cannot show."""
+    new = candidate.effects[len(model.effects):]
+    return measured == "motor" and any(effect.name == "joint_elasticity" for effect in new)
+
+
+def _deflections(model: Model, recording: Recording) -> Array:
+    """Deflection of the gears along a recording ``(N, n)`` [rad], from the model and the desired path."""
+    q_d, t = recording.joints("q_d"), recording.t
+    step = float(np.median(np.diff(t)))
+    gears = GearDeflection(model, step)
+    padded = np.concatenate([q_d[:1], q_d, q_d[-1:]])
+    return np.array([gears.at(padded[k : k + 3]) for k in range(len(q_d))])
