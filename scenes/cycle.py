@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, held
 from ideal_robot.errors import LimitError
 from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.execution.stopping import stopping_rows
@@ -140,7 +140,7 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
                 stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
         if stopping is not None:
             rows = next(stopping)
-            q_d = np.concatenate([rows, rows[-1:]])
+            q_d = held(rows, after=1)
         try:
             wanted = task.command(t, q_d)
             q_c = governor.allowed(wanted)

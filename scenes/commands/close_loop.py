@@ -9,8 +9,8 @@ import typer
 
 
 def command(
-    scene: Annotated[str, typer.Argument(help="Scene of kind path or line that holds an effect that its model was "
-                                              "not told of, e.g. close_elastic, close_stribeck, close_latency.")],
+    scene: Annotated[str, typer.Argument(help="Scene of kind path or line that holds an effect that its model "
+                                              "lacks, e.g. close_elastic, close_stribeck, close_latency.")],
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
     individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
                                                         "prepare).", min=0)] = None,

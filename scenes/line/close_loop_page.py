@@ -18,8 +18,8 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     """Writes recording, extended model and report of a line; returns the result with their places."""
     page = Report(f"{result.scene.title or result.scene.name}: the loop closed", summary(result.diagnosis))
     before, after, oracle = (1e3 * e.mean for e in (result.before, result.after, result.oracle))
-    page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, of which "
-                    f"the line follower was not told. With the model as it was the tool is {before:.3g} mm beside the "
+    page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, which "
+                    f"the line follower did not know. With the model as it was the tool is {before:.3g} mm beside the "
                     f"line in the mean, with what the diagnosis of that run added {after:.3g} mm, with an oracle that "
                     f"knows that it is the latency {oracle:.3g} mm. " + page.summary)
     page.heading("Distance from the line before and after")

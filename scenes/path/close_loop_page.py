@@ -25,8 +25,8 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
     before, after, oracle = (1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle))
     hidden = " and ".join(f"{name.replace('_', ' ')} in joint {joint}" for name, joint in result.undeclared)
     page.summary = (f"The world held {hidden}, which the model did not know. With the model as it was the path "
-                    f"error is {before:.3g} mm, with what the diagnosis added {after:.3g} mm, with an oracle that was "
-                    f"told name and joint {oracle:.3g} mm. " + page.summary)
+                    f"error is {before:.3g} mm, with what the diagnosis added {after:.3g} mm, with an oracle that "
+                    f"knows name and joint {oracle:.3g} mm. " + page.summary)
     page.heading("What was tried, and what stays")
     page.table(["round", "change of the model", "stays", "measured E_car mm", "why not"], result.ladder(),
                f"Path error, aligned, as an arm measures it that knows: {SEES[result.measured]}.")

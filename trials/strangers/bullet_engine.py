@@ -100,7 +100,7 @@ def simulate(plant: Plant, motion: Motion) -> Run:
 
     Args:
         plant: the arm; its way through standstill is that of the world, by bristles.
-        motion: what it is told.
+        motion: desired motion, every ``STEP``.
     """
     with tempfile.TemporaryDirectory(prefix="stranger-") as folder:
         robot = robot_of(plant, Path(folder))

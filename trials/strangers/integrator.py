@@ -75,12 +75,15 @@ def motor_step(M: Array, push: Array, v: Array, level: Array, fluid: Array, kind
     """Velocities after a step ``v (n,)`` in place, bristles ``z`` and the dry and fluid ``friction`` with them.
 
     Args:
-        M: mass matrix of what moves with the motors ``(n, n)``.
-        push: torque without friction, velocity products taken off ``(n,)``.
-        v: velocity, changed.
-        level, fluid: of dry friction ``(n,)`` [N m] and over velocity ``(n,)``.
-        kinds, v_smooth, presliding: ways through standstill ``(n,)``.
-        z: bristles ``(n,)``, changed.
+        M: mass matrix of what moves with the motors ``(n, n)`` [kg m²].
+        push: torque without friction, velocity products taken off ``(n,)`` [N m].
+        v: velocity ``(n,)`` [rad/s], changed.
+        level: of dry friction ``(n,)`` [N m].
+        fluid: fluid friction over velocity ``(n,)`` [N m s/rad].
+        kinds: ways through standstill ``(n,)``, numbered as in ``trials.strangers.plant``.
+        v_smooth: velocity over which tanh turns the sign ``(n,)`` [rad/s].
+        presliding: way over which bristles turn the sign ``(n,)`` [rad].
+        z: bristles' deflection over the one of sliding ``(n,)``, changed.
         friction: the result ``(n,)`` [N m].
     """
     n = v.shape[0]
@@ -167,7 +170,7 @@ def simulate(plant: Plant, motion: Motion) -> Run:
 
     Args:
         plant: the arm.
-        motion: what it is told.
+        motion: desired motion, every ``STEP``.
 
     Raises:
         RuntimeError: the plant left its path.

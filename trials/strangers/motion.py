@@ -16,7 +16,7 @@ KINDS = ("fourier", "strokes", "cycles")
 
 @dataclass(frozen=True)
 class Motion:
-    """What the arm is told to do, every ``STEP``.
+    """Desired motion of the arm, every ``STEP``.
 
     Attributes:
         kind: one of ``KINDS``.

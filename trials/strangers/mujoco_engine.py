@@ -103,7 +103,7 @@ def _across(axis: Array) -> Array:
 @njit(cache=True)
 def _friction_of(kinds: Array, v: Array, out: Array, v_smooth: Array, presliding: Array, bristle_damping: Array,
                  z: Array, loss: Array, damping: Array, torque: Array, friction: Array) -> None:
-    """What MuJoCo is told of friction for the next step: its constraint, its damping, or the torque of bristles."""
+    """What MuJoCo gets as friction for the next step: its constraint, its damping, or the torque of bristles."""
     for j in range(v.shape[0]):
         level = out[LEVEL, j]
         loss[j], damping[j], torque[j] = 1e-9, out[FLUID, j], out[ACTING, j]
@@ -131,7 +131,7 @@ def simulate(plant: Plant, motion: Motion) -> Run:
 
     Args:
         plant: the arm.
-        motion: what it is told.
+        motion: desired motion, every ``STEP``.
     """
     n, N = plant.n, len(motion.t)
     model = mujoco.MjModel.from_xml_string(mjcf(plant))
