@@ -85,9 +85,16 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
 
 
 def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int, margin: float) -> Array:
-    """Minimum of ‖A x - b‖² subject to positive pseudo-inertias and rotor inertias."""
-    P = sparse.csc_matrix(np.triu(2.0 * A.T @ A))
-    q = -2.0 * A.T @ b
+    """Minimum of ‖A x - b‖² subject to positive pseudo-inertias and rotor inertias.
+
+    Solved for the difference from the nearest unconstrained point: with precise recordings ‖b‖² is so large that the
+    solver's relative tolerance would swallow what keeps the parameters that cannot be seen at their nominal values.
+    """
+    start = np.linalg.lstsq(A, b, rcond=None)[0]
+    gram = 2.0 * A.T @ A
+    size = 1.0 / np.sqrt(np.diag(gram))
+    P = sparse.csc_matrix(np.triu(gram * np.outer(size, size)))
+    q = np.zeros(A.shape[1])
     rows, rhs, cones = [], [], []
     for i in range(n):
         span = slice(10 * i, 10 * i + 10)
@@ -108,12 +115,15 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int, margin: flo
     cones.append(clarabel.NonnegativeConeT(n))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    solver = clarabel.DefaultSolver(P, q, sparse.csc_matrix(np.vstack(rows)), np.concatenate(rhs), cones, settings)
+    # What keeps the unseen parameters weighs little; its squares must still count.
+    settings.tol_gap_abs = settings.tol_gap_rel = 1e-13
+    G = np.vstack(rows)
+    solver = clarabel.DefaultSolver(P, q, sparse.csc_matrix(G * size), np.concatenate(rhs) - G @ start, cones, settings)
     result = solver.solve()
     if str(result.status) not in ("Solved", "AlmostSolved"):
         raise IdealRobotError(f"no physically possible inertias found near the identified ones ({result.status}); "
                               "check the warnings about excitation")
-    return np.array(result.x)
+    return np.asarray(start + size * np.array(result.x))
 
 
 def _triangle(matrix: Array) -> Array:

@@ -44,3 +44,17 @@ def test_impossible_parameters_become_possible_and_stay_near() -> None:
     assert np.all(result.full[60:66] >= -1e-9)
     # The truth is possible too, so what is nearest cannot be farther away than the truth is.
     assert np.linalg.norm(result.deviation) <= np.linalg.norm((base.of(full) - values) / std) + 0.1
+
+
+def test_precise_data_leave_what_they_cannot_show_at_its_nominal_value() -> None:
+    """With one joint only the sum of link and rotor inertia shows; the rotor once drifted from 1.0 to 0.02 kg m²."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "joint_1")
+    model.appendBodyToJoint(joint, pin.Inertia(10.0, np.zeros(3), np.diag([1.0, 1.0, 1.0])), pin.SE3.Identity())
+    base = base_parameters(model)
+    nominal = np.concatenate([link_parameters(model), [1.0], [0.0]])
+    values = base.of(nominal)
+    for precision in (1e-1, 1e-3, 1e-5):
+        covariance = np.diag((precision * np.maximum(np.abs(values), 1e-3)) ** 2)
+        full = consistent_parameters(base, values, covariance, nominal).full
+        np.testing.assert_allclose(full, nominal, atol=2e-3)
