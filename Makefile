@@ -6,7 +6,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all bench models check clean
+.PHONY: demo test test-all docs bench models check clean
 
 demo: .venv/installed
 	$(BIN)/ideal-robot run line --out out/line
@@ -17,6 +17,10 @@ test: .venv/installed check
 
 test-all: .venv/installed check
 	$(BIN)/pytest -n 2 -m ""
+
+docs: .venv/installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "open out/site/index.html in a browser"
 
 bench: .venv/installed
 	for b in benchmarks/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
@@ -32,7 +36,7 @@ check: .venv/installed
 .venv/installed: pyproject.toml constraints.txt
 	@test -n "$(PYTHON)" || { echo "ideal-robot needs Python 3.11 (python3.11 on the PATH; on newer ones also a C++ compiler for PyBullet): none was found."; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,view,cluster]'
+	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,docs,view,cluster]'
 	touch $@
 
 clean:

@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
+from ideal_robot.effects.domain import TCP_POSITION, prefix_of
 
 _BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
 _CURVE = 0.5
@@ -62,11 +63,14 @@ def contributions(diagnosis: Diagnosis) -> list[tuple[FoundEffect, Contribution]
     """What each effect adds to its channel, where the diagnosis kept it."""
     shown = []
     for names, traces in diagnosis.traces:
-        here = in_order([e for e in (*diagnosis.effects, *diagnosis.unknown) if e.fitted.channel in names])
+        domain = TCP_POSITION.prefix if names[0] == "x" else prefix_of(names[0])
+        # An effect may be reported under another name than the channel it acts in.
+        here = in_order([e for e in (*diagnosis.effects, *diagnosis.unknown)
+                         if e.fitted.channel in names or e.fitted.domain.prefix == domain])
         if len(here) != len(traces.added):
             continue
         for e, added in zip(here, traces.added, strict=True):
-            j = names.index(e.fitted.channel)
+            j = int(np.argmax(np.sum(added**2, axis=0)))
             shown.append((e, (names, traces, j, added[:, j])))
     return shown
 

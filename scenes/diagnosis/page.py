@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
+from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.base import EffectParameter
 from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure, over_signals, over_time
@@ -18,6 +18,8 @@ _WORDS = {
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
     "undecided": "This recording moves too little to decide anything.",
 }
+_MILLI = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
+"""Positions are told in thousandths: factor and unit."""
 
 
 def diagnosis_page(diagnosis: Diagnosis, title: str) -> Report:
@@ -48,8 +50,8 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
                 "unit", "before %", "after %"],
                [[c.channel, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit,
-                 100 * c.rms_before / max(c.rms_signal, 1e-300), 100 * c.rms_after / max(c.rms_signal, 1e-300)]
-                for c in diagnosis.channels], "Relative errors are 100·‖y − ŷ‖/‖y‖.")
+                 *_relative(c)] for c in diagnosis.channels],
+               "Relative errors are 100·‖y − ŷ‖/‖y‖; positions are deviations already, of which there is no share.")
     if diagnosis.effects or diagnosis.unknown:
         page.figure(ladder_figure(diagnosis), "Every step of the ladder is the error on held-out data with one more "
                     "effect in the model; dashed: the noise of the measurement, below which no model can get.")
@@ -87,8 +89,9 @@ def summary(diagnosis: Diagnosis) -> str:
              if c.rms_after < 0.98 * c.rms_before]
     if falls and diagnosis.verdict in ("effects", "unknown"):
         name, before, after, unit = max(falls, key=lambda f: f[1] / max(f[2], 1e-300))
-        text += (f" On data that had no part in finding it the error of {name} falls from {before:.3g} to {after:.3g} "
-                 f"{unit}.")
+        scale, unit = _MILLI.get(unit, (1.0, unit))
+        text += (f" On data that had no part in finding it the error of {name} falls from {scale * before:.3g} to "
+                 f"{scale * after:.3g} {unit}.")
     return text
 
 
@@ -99,6 +102,13 @@ def unexplained(diagnosis: Diagnosis) -> str:
     loud = _listed([f"{c.channel} ({c.rms_after / c.noise_floor:.0f} times)" for c in diagnosis.unexplained])
     return (f"What remains is several times the noise of the measurement in {loud}, and no signal that was looked at "
             "predicts it: short spikes, a filtered or saturated signal, or a cause that is not in the recording.")
+
+
+def _relative(c: ChannelResult) -> tuple[float | None, float | None]:
+    """Errors before and after relative to the signal [%], for torques."""
+    if not c.channel.startswith("tau"):
+        return None, None
+    return 100 * c.rms_before / max(c.rms_signal, 1e-300), 100 * c.rms_after / max(c.rms_signal, 1e-300)
 
 
 def _lowers(e: FoundEffect) -> bool:
@@ -149,7 +159,7 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
 def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: Traces) -> None:
     touched = [j for j, c in enumerate(names) if any(d.channel == c and d.rms_after < 0.99 * d.rms_before
                                                      for d in diagnosis.channels)] or [0]
-    page.heading("Measured, and what remained")
+    page.heading(f"Measured, and what remained: {', '.join(names)}")
     for j in touched[:7]:
         page.figure(over_time(traces, j, names[j], _unit(diagnosis, names[j])),
                     f"{names[j]}: the measurement (grey) and what the model leaves of it before (red) and after "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import EffectParameter
 from ideal_robot.effects.fitted import FittedEffect
-from scenes.diagnosis.figures import effect_figure, in_order, ladder_figure
+from scenes.diagnosis.figures import contributions, effect_figure, in_order, ladder_figure
 from scenes.diagnosis.page import _amount, diagnosis_page, summary
 
 
@@ -50,6 +52,14 @@ def test_the_ladder_has_a_step_an_effect_and_the_noise() -> None:
     (axes,) = figure.axes
     assert [round(bar.get_width(), 3) for bar in axes.patches] == [2.0, 0.9, 0.2]
     assert any(np.allclose(line.get_xdata(), 0.19) for line in axes.lines)
+
+
+def test_an_effect_reported_under_another_name_is_drawn_where_it_acts() -> None:
+    one = found(2.0, 0.2)
+    late = dataclasses.replace(one, fitted=dataclasses.replace(one.fitted, name="dead_time", channel="q_1"))
+    (shown,) = contributions(diagnosis(late))
+    assert shown[0] is late
+    assert shown[1][2] == 0
 
 
 def test_effects_stand_in_the_order_in_which_they_were_taken() -> None:
