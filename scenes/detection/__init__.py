@@ -1,0 +1,1 @@
+"""The line detector on a user's own pictures."""

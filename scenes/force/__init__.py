@@ -1,0 +1,1 @@
+"""Scenes that press: force on a surface, contours, camera and force together."""

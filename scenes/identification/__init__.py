@@ -1,0 +1,1 @@
+"""Planning, playing and reporting identification motions."""

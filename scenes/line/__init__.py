@@ -1,0 +1,1 @@
+"""Scenes that follow a drawn line with a camera."""

@@ -1,0 +1,1 @@
+"""Scenes of tool paths known beforehand."""

@@ -1,0 +1,1 @@
+"""Pages, replays and films."""

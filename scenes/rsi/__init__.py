@@ -1,0 +1,1 @@
+"""The ideal robot as a server of KUKA RSI."""
