@@ -59,12 +59,24 @@ class Displacement(Table):
     lateral_mm: float = pydantic.Field(default=10.0, ge=0, le=60)
     along_mm: float = pydantic.Field(default=5.0, ge=0, le=60)
     turn_deg: float = pydantic.Field(default=1.0, ge=0, le=20)
+    height_mm: float = pydantic.Field(default=0.0, ge=0, le=30)
+    """Of the surface against where the reference has it, along its normal."""
+    tilt_deg: float = pydantic.Field(default=0.0, ge=0, le=10)
+    """Of the surface against the reference, about each of its axes in the line's middle."""
 
     def draw(self, rng: np.random.Generator) -> tuple[float, float, float]:
         """Shift along and across [m], turn about the line's middle [rad]."""
         size = np.array([1e-3 * self.along_mm, 1e-3 * self.lateral_mm, math.radians(self.turn_deg)])
         along, across, turn = size * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
         return float(along), float(across), float(turn)
+
+    def draw_plane(self, rng: np.random.Generator, middle: Array) -> pin.SE3:
+        """How the true surface lies in the nominal plane's frame; ``middle (2,)`` is that of the line [m]."""
+        size = np.array([1e-3 * self.height_mm, math.radians(self.tilt_deg), math.radians(self.tilt_deg)])
+        height, about_x, about_y = size * rng.uniform(0.5, 1.0, 3) * rng.choice([-1.0, 1.0], 3)
+        about = pin.SE3(np.eye(3), np.array([*middle, 0.0]))
+        moved = pin.SE3(pin.rpy.rpyToMatrix(about_x, about_y, 0.0), np.array([0.0, 0.0, height]))
+        return about * moved * about.inverse()
 
 
 class Reference(Table):
@@ -103,7 +115,7 @@ class Geometry:
     """Where everything is, in the base frame.
 
     Attributes:
-        plane: pose of the surface.
+        plane: pose of the surface, where it really is.
         reference: points of the reference path with run-up and run-out ``(N, 3)`` [m].
         drawn: points of the drawn line, where it really is ``(N, 3)`` [m].
         drawn_xy: the same in the plane ``(N, 2)`` [m].
@@ -133,7 +145,8 @@ def geometry(scene: LineTables, rng: np.random.Generator) -> Geometry:
     drawn = turned + along * u + across * np.array([-u[1], u[0]])
     ends = [_straight(wanted[0], wanted[0] - wanted[1], scene.reference.run_up)[::-1], wanted,
             _straight(wanted[-1], wanted[-1] - wanted[-2], scene.reference.run_out)]
-    return Geometry(plane, _lifted(np.vstack(ends), plane), _lifted(drawn, plane), drawn, (along, across, turn))
+    true = plane * scene.displacement.draw_plane(rng, middle)
+    return Geometry(true, _lifted(np.vstack(ends), plane), _lifted(drawn, true), drawn, (along, across, turn))
 
 
 def _straight(start: Array, direction: Array, length: float) -> Array:

@@ -76,7 +76,7 @@ def set_up(scene: LineScene) -> Cell:
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera)
     true = true_camera(believed, scene.calibration, calibration)
-    reference = ReferencePath(where.reference, up=where.plane.rotation[:, 2], turning=1.0)
+    reference = ReferencePath(where.reference, up=scene.surface.pose().rotation[:, 2], turning=1.0)
     try:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
         begin = scene.reference.run_up
