@@ -61,7 +61,13 @@ def believed_camera(table: CameraTable) -> CameraModel:
 
 
 def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Generator) -> CameraModel:
-    """The camera as it is: the believed one with errors of the table's sizes; ``rng`` draws their signs."""
+    """The camera as it is: the believed one with errors of the table's sizes; ``rng`` draws their signs.
+
+    Args:
+        believed: the camera as it is calibrated.
+        table: sizes of the calibration errors, in the units of its keys.
+        rng: draws their signs.
+    """
     return believed.perturbed(**CalibrationError(**_sizes(table)).signed(rng))
 
 

@@ -35,10 +35,18 @@ class Task(Protocol):
     n_d: int
 
     @property
-    def q_start(self) -> Array: ...
+    def q_start(self) -> Array:
+        """Joint angles at which the arm rests before the first cycle ``(n,)`` [rad]."""
+        ...
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles ``q (n,)`` [rad] at ``t`` [s]; ``q_d (n_d, n)`` is the horizon of the last cycle."""
+        """Takes the motor angles at the begin of a cycle.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
         ...
 
     def plan(self, t: float, q_d: Array) -> Array:

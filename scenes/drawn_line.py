@@ -95,19 +95,29 @@ class LineTables(Protocol):
     """The tables of a scene that say where reference and drawn line are."""
 
     @property
-    def surface(self) -> Surface: ...
+    def surface(self) -> Surface:
+        """The plane that the line is drawn on."""
+        ...
 
     @property
-    def line(self) -> Line: ...
+    def line(self) -> Line:
+        """The drawn line."""
+        ...
 
     @property
-    def reference(self) -> Reference: ...
+    def reference(self) -> Reference:
+        """The path that the arm takes where no camera corrects it."""
+        ...
 
     @property
-    def displacement(self) -> Displacement: ...
+    def displacement(self) -> Displacement:
+        """By how much the drawn line lies beside its nominal place."""
+        ...
 
     @property
-    def folder(self) -> Path | None: ...
+    def folder(self) -> Path | None:
+        """Folder of the scene file, where files that it names are looked for."""
+        ...
 
 
 @dataclass(frozen=True)

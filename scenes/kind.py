@@ -19,19 +19,46 @@ from scenes.scene import Scene
 class Play(Protocol):
     """Plays a scene once; a kind may take further keywords, such as the sensors of a line scene."""
 
-    def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> RunResult: ...
+    def __call__(self, scene: Any, *, method: Any = None, out: Any = None, progress: Any = ...) -> RunResult:
+        """Plays it.
+
+        Args:
+            scene: of the kind's class.
+            method: key of the method, or a feedforward; the kind's usual one if None.
+            out: folder of recording and report; nothing is written if None.
+            progress: called with the share that is done, and what is being done.
+        """
+        ...
 
 
 class Compare(Protocol):
     """Plays a scene with several methods."""
 
-    def __call__(self, scene: Any, *, methods: Any = None, out: Any = None, progress: Any = ...) -> CompareResult: ...
+    def __call__(self, scene: Any, *, methods: Any = None, out: Any = None, progress: Any = ...) -> CompareResult:
+        """Plays it with each method.
+
+        Args:
+            scene: of the kind's class.
+            methods: keys of the methods; the kind's usual ones if None.
+            out: folder of recording and report; nothing is written if None.
+            progress: called with the share that is done, and what is being done.
+        """
+        ...
 
 
 class CloseLoop(Protocol):
     """Plays a scene, diagnoses what its model misses, and plays it again with what was found."""
 
-    def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> LoopResult: ...
+    def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> LoopResult:
+        """Plays, diagnoses, extends the model and plays again.
+
+        Args:
+            scene: of the kind's class.
+            measured: what the arm measures, see ``scenes.measured``.
+            out: folder of recording and report; nothing is written if None.
+            progress: called with the share that is done, and what is being done.
+        """
+        ...
 
 
 @dataclass(frozen=True)

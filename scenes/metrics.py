@@ -68,8 +68,9 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
     Args:
         t: instants at which the path counts ``(N,)`` [s].
         x_d: desired positions at ``t``, shape ``(N, 3)`` [m].
-        t_actual, x_actual: the motion ``(M,)`` [s], ``(M, 3)`` [m]; may begin earlier and end later than ``t``. Where
-            it does not, its first and last position hold.
+        t_actual: instants of the motion ``(M,)`` [s]; may begin earlier and end later than ``t``. Where they do not,
+            the first and last position hold.
+        x_actual: positions at them ``(M, 3)`` [m].
 
     Raises:
         InputError: fewer than four samples of either, or shapes that do not fit.
@@ -102,10 +103,16 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
 
 
 def distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array:
-    """Distance ``(N,)`` [m] of points ``x (N, 3)`` at instants ``t`` from the polyline ``x_path`` over ``t_path``.
+    """Distance ``(N,)`` [m] of points from a polyline near the same instants.
 
     Only the part of the path within 0.4 s of the point's own instant is looked at, so a path that crosses itself does
     not flatter the error.
+
+    Args:
+        t: instants of the points ``(N,)`` [s].
+        x: points ``(N, 3)`` [m].
+        t_path: instants of the corners of the polyline ``(M,)`` [s], rising.
+        x_path: its corners ``(M, 3)`` [m].
     """
     starts, steps = x_path[:-1], np.diff(x_path, axis=0)
     lengths = np.maximum(np.sum(steps**2, axis=1), 1e-24)

@@ -19,7 +19,13 @@ ORANGE, BLUE, GREY = "#e06000", "#1f5fa8", "#808080"
 
 
 def stiffness_page(analysis: StiffnessAnalysis, *, title: str, truth: Array | None = None) -> Report:
-    """The page; ``truth`` ``(n,)`` [N m/rad] adds the comparison that only a simulation allows."""
+    """The page.
+
+    Args:
+        analysis: what is shown.
+        title: of the page.
+        truth: true stiffness ``(n,)`` [N m/rad], for the comparison that only a simulation allows.
+    """
     report = Report(title, _summary(analysis, truth))
     for warning in analysis.warnings:
         report.warning(warning)

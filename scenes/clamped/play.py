@@ -38,7 +38,13 @@ def world_of(robot: Robot, table: dict[str, Any]) -> ClampWorld:
 
 
 def configurations(scene: ClampedScene, robot: Robot, rng: np.random.Generator) -> Array:
-    """The scene's configurations, or chosen ones ``(c, n)``."""
+    """The scene's configurations, or chosen ones ``(c, n)`` [rad].
+
+    Args:
+        scene: what to play; its own configurations count first [rad].
+        robot: the arm, with its limits.
+        rng: draws the candidates that configurations are chosen from.
+    """
     if scene.clamp.configurations:
         given = np.array(scene.clamp.configurations)
         if given.ndim != 2 or given.shape[1] != robot.n:

@@ -83,10 +83,11 @@ def effect_figure(effect: FoundEffect, name: str, unit: str, traces: Traces, j: 
 
     Args:
         effect: which.
-        name, unit: of its channel.
+        name: of its channel.
+        unit: of its channel, as text.
         traces: series of its domain.
-        j: channel.
-        added: what the effect adds to the channel ``(N,)``.
+        j: channel, from 0.
+        added: what the effect adds to the channel ``(N,)``, in its unit.
 
     Returns:
         The picture, and the sentence that says what to see in it.
@@ -144,9 +145,10 @@ def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
     """The measurement, and below it what the model leaves of it before and after.
 
     Args:
-        traces: series.
-        j: channel.
-        name, unit: of the channel.
+        traces: series of a domain.
+        j: channel, from 0.
+        name: of the channel.
+        unit: of the channel, as text.
     """
     figure = Figure(figsize=(10, 3.6))
     top, low = figure.subplots(2, 1, sharex=True)
@@ -169,7 +171,14 @@ def over_time(traces: Traces, j: int, name: str, unit: str) -> Figure:
 
 
 def over_signals(traces: Traces, j: int, name: str, unit: str) -> Figure:
-    """The residual over position and velocity of the joint and over time, arguments as ``over_time``."""
+    """The residual over position and velocity of the joint and over time.
+
+    Args:
+        traces: series of a domain.
+        j: channel, from 0.
+        name: of the channel.
+        unit: of the channel, as text.
+    """
     figure = Figure(figsize=(10, 3.0))
     axes = figure.subplots(1, 3, sharey=True)
     mask = traces.use[:, j]
@@ -190,7 +199,13 @@ def over_signals(traces: Traces, j: int, name: str, unit: str) -> Figure:
 
 
 def binned(x: Array, y: Array, bins: int = 24) -> tuple[Array, Array, Array]:
-    """Centres, means and standard errors of ``y`` in equally filled bins of ``x``."""
+    """Centres, means and standard errors of ``y`` in equally filled bins of ``x``.
+
+    Args:
+        x: signal ``(N,)``.
+        y: values at it ``(N,)``.
+        bins: number of bins; fewer samples than that are given back as they are.
+    """
     if len(x) < bins:
         return x, y, np.zeros_like(y)
     order = np.argsort(x)

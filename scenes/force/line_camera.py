@@ -116,7 +116,8 @@ class GlueCamera:
         """Distance of the true tip from the drawn line, seen along the plane's normal, while it is followed.
 
         Args:
-            t, tcp: true positions of the tip ``(N,)`` [s], ``(N, 3)`` [m], during the travel.
+            t: instants during the travel ``(N,)`` [s].
+            tcp: true positions of the tip at them ``(N, 3)`` [m].
 
         Returns:
             the figures for ``--json`` and the series (instants, signed distances [m]).

@@ -18,7 +18,8 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
 
     Args:
         arm: after the run.
-        scene, method: noted in the metadata.
+        scene: noted in the metadata.
+        method: its key, noted in the metadata.
         task: what was done.
     """
     recording, log = arm.recording(external=True), task.log

@@ -80,7 +80,13 @@ class StabilityMap:
 
 def stability_map(*, elasticity: tuple[float, ...] = ELASTICITY, distance: tuple[float, ...] = DISTANCE,
                   progress: Progress = silent) -> StabilityMap:
-    """Plays short versions of ``force_wave`` and ``glue`` with wrong assumptions."""
+    """Plays short versions of ``force_wave`` and ``glue`` with wrong assumptions.
+
+    Args:
+        elasticity: assumed over true elasticity of the contact, 1 among them.
+        distance: assumed over true distance of the camera, 1 among them.
+        progress: called with the share that is done.
+    """
     cases = [("elasticity", "force_wave", 0.4, elasticity), ("distance", "glue", 0.5, distance)]
     total = 2 * (len(elasticity) + len(distance))
     points: list[StabilityPoint] = []

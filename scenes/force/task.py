@@ -75,7 +75,13 @@ class ForceTask:
         return self.follower.q_start
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles at ``t``."""
+        """Takes the motor angles at ``t``.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad]; not needed.
+        """
         self.follower.observe(t, self._arm_angles(q))
 
     def plan(self, t: float, q_d: Array) -> Array:

@@ -64,6 +64,14 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
          workspace: Workspace | None = None) -> Plan:
     """Plans a motion from the robot's home posture.
 
+    Args:
+        robot: the arm.
+        method: ``joint`` (a Fourier motion) or ``two-step`` ([G] 3.1.2).
+        seed: of the search for a motion.
+        period: of the Fourier motion [s].
+        points: operating points of the two-step program.
+        workspace: where the arm may move; the limits of its joints alone if None.
+
     Raises:
         InputError: unknown method, or nothing possible within limits and workspace.
     """
@@ -78,7 +86,14 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
 
 
 def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: float) -> Array:
-    """Commands ``(N, n)`` from rest at ``start`` through one period of the motion and slow reversals about its end."""
+    """Commands ``(N, n)`` [rad] from rest through one period of the motion and slow reversals about its end.
+
+    Args:
+        robot: the arm, with its limits.
+        motion: the periodic motion.
+        start: joint angles at rest ``(n,)`` [rad].
+        t_ipo: cycle of the commands [s].
+    """
     v_max, a_max = finite_limits(robot)
     t = np.asarray(np.arange(1, round(motion.period / t_ipo) + 1) * t_ipo, dtype=float)
     q = motion.at(t)[0]
@@ -89,7 +104,14 @@ def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: f
 
 
 def slow_reversals(q0: Array, t_ipo: float, v_max: Array, duration: float = 8.0) -> Array:
-    """All joints back and forth about ``q0`` at up to eight per cent of their speed: what paths of tools look like."""
+    """All joints back and forth about ``q0`` at up to eight per cent of their speed: what paths of tools look like.
+
+    Args:
+        q0: joint angles at both ends ``(n,)`` [rad].
+        t_ipo: cycle of the commands [s].
+        v_max: largest joint velocities ``(n,)`` [rad/s].
+        duration: of the motion [s].
+    """
     t = np.arange(1, round(duration / t_ipo) + 1) * t_ipo
     w = 2.0 * np.pi / duration * np.array([2.0, 3.0, 5.0, 7.0, 4.0, 6.0])[np.arange(len(q0)) % 6]
     envelope = np.sin(np.pi * t / duration)[:, None] ** 2

@@ -15,7 +15,13 @@ from scenes.report.page import Report
 
 
 def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) -> CloseLineResult:
-    """Writes recording, extended model and report of a line; returns the result with their places."""
+    """Writes recording, extended model and report of a line; returns the result with their places.
+
+    Args:
+        result: what was found.
+        extended: the model with what the diagnosis added.
+        folder: of the files; it appears whole or not at all.
+    """
     page = Report(f"{result.scene.title or result.scene.name}: the loop closed", summary(result.diagnosis))
     before, after, oracle = (1e3 * e.mean for e in (result.before, result.after, result.oracle))
     page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, which "

@@ -25,8 +25,10 @@ def line_recording(arm: SimulatedArm, scene: LineScene, method: str, t: Array, q
 
     Args:
         arm: the arm after the run.
-        scene, method: noted in the metadata.
-        t, q_d: desired angles ``(K,)`` [s], ``(K, n)`` [rad].
+        scene: noted in the metadata.
+        method: its key, noted in the metadata.
+        t: begins of the cycles ``(K,)`` [s].
+        q_d: desired angles at them ``(K, n)`` [rad].
         fields: the camera fields that arrived.
         failure: why the run ended early, noted in the metadata.
         camera: as it is believed to be; where its optical axis meets the surface, and how far away, is noted.

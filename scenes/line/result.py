@@ -42,7 +42,13 @@ class ControlError:
 
     @classmethod
     def of(cls, t: Array, s: Array, lateral: Array) -> ControlError:
-        """From signed distances; without any, all figures are NaN."""
+        """From signed distances; without any, all figures are NaN.
+
+        Args:
+            t: instants ``(N,)`` [s].
+            s: arc length of the drawn line ``(N,)`` [m].
+            lateral: signed distance, positive to the left ``(N,)`` [m].
+        """
         if len(lateral) == 0:
             return cls(np.nan, np.nan, np.nan, t, s, lateral)
         size = np.abs(lateral)

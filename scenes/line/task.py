@@ -111,7 +111,13 @@ class LineTask:
         return (self._count + 0.5) * self._T
 
     def observe(self, t: float, q: Array, q_d: Array) -> None:
-        """Takes the motor angles at ``t``; the arm's are those less the gears' deflection, where a model knows it."""
+        """Takes the motor angles at ``t``; the arm's are those less the gears' deflection, where a model knows it.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad], from which the gears' deflection follows.
+        """
         self._new = self.camera.arrived(t)
         self.follower.observe(t, q if self._deflection is None else q - self._deflection.at(q_d))
 

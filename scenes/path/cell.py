@@ -107,7 +107,13 @@ def training_path(path: JointPath, t_ipo: float) -> JointPath:
 
 
 def about(path: JointPath, q_d: Array, t_ipo: float) -> JointPath:
-    """A joint motion ``q_d (N, n)`` [rad] at cycles of ``t_ipo`` [s] about a path, without a desired TCP of its own."""
+    """A joint motion about a path, without a desired TCP of its own.
+
+    Args:
+        path: what the motion is about; gives the tool path.
+        q_d: joint motion at the cycles ``(N, n)`` [rad].
+        t_ipo: cycle [s].
+    """
     counts = np.zeros(len(q_d), dtype=bool)
     counts[round(REST_BEFORE / t_ipo) : len(q_d) - round(REST_AFTER / t_ipo)] = True
     return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, path.tool)

@@ -20,7 +20,13 @@ SEES = {"motor": "motor angles and currents", "arm": "motor and arm angles, and 
 
 
 def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> CloseLoopResult:
-    """Writes recording, extended model and report; returns the result with their places."""
+    """Writes recording, extended model and report; returns the result with their places.
+
+    Args:
+        result: what was found.
+        extended: the model with what the diagnosis added.
+        folder: of the files; it appears whole or not at all.
+    """
     page = Report(f"{result.scene.title or result.scene.name}: the loop closed", summary(result.diagnosis))
     before, after, oracle = (1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle))
     hidden = " and ".join(f"{name.replace('_', ' ')} in joint {joint}" for name, joint in result.undeclared)

@@ -58,7 +58,8 @@ def play(robot: Robot, world: World, path: JointPath, feedforward: Feedforward, 
     """Plays ``path`` once, from rest at its start.
 
     Args:
-        robot, world: the arm.
+        robot: the arm as its data sheet has it.
+        world: the arm as it is.
         path: what is played.
         feedforward: what corrects it.
         rng: of the arm's noise.

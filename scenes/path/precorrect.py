@@ -44,7 +44,13 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
 
 
 def robot_of(model: Model, wanted: str | None, file: Path) -> Robot:
-    """The robot asked for, else the shipped one that the model of ``file`` names."""
+    """The robot asked for, else the shipped one that the model names.
+
+    Args:
+        model: identified model.
+        wanted: shipped robot or URDF; None for the one the model names.
+        file: the model's, for messages.
+    """
     name = wanted or model.robot_name
     if wanted is None and name not in SHIPPED:
         raise InputError(f"the model is of {name!r}, which is not shipped; give its URDF with --robot", file=file,
@@ -69,7 +75,12 @@ def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> t
 
 
 def columns_of(recording: Recording, arm: Robot, path: Path) -> tuple[Array, Array, str]:
-    """Times ``(N,)``, positions ``(N, n)`` and what the positions are called, ``q_d`` before ``q``.
+    """Times ``(N,)`` [s], positions ``(N, n)`` [rad] and what the positions are called, ``q_d`` before ``q``.
+
+    Args:
+        recording: ``t`` and ``q_d_i`` or ``q_i``.
+        arm: gives the number of joints.
+        path: the recording's file, for messages.
 
     Raises:
         InputError: columns are missing, or there are more than the arm has joints.

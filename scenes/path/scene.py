@@ -88,6 +88,11 @@ class JointPath:
 def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
     """Plans the scene's path in joint space.
 
+    Args:
+        scene: figure, speed and posture.
+        robot: kinematics and limits.
+        t_ipo: cycle [s].
+
     Raises:
         InputError: out of reach, or faster than a joint can.
     """

@@ -129,7 +129,13 @@ def travel(length: float, speed: float, acceleration: float, t: Array) -> tuple[
 
 
 def duration(length: float, speed: float, acceleration: float) -> float:
-    """Time of such a motion [s]."""
+    """Time of such a motion [s].
+
+    Args:
+        length: of the way from stop to stop [m].
+        speed: wanted path speed [m/s].
+        acceleration: largest path acceleration [m/s²].
+    """
     peak = min(speed, np.sqrt(length * acceleration / 2))
     return float(2 * peak / acceleration + length / peak)
 

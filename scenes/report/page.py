@@ -130,7 +130,13 @@ def write_run_files(result: Any, page: Callable[[Any], Report], out: Path, repla
 
 
 def write_comparison_files(comparison: Any, page: Callable[[Any], Report], out: Path) -> Any:
-    """Writes each run's recording, the common page and the figures into ``out``; arguments as ``write_run_files``."""
+    """Writes each run's recording, the common page and the figures into a folder; returns it all with its places.
+
+    Args:
+        comparison: what was found; has ``runs`` by method, ``recording_path`` of each, ``report`` and ``json``.
+        page: makes the page of it.
+        out: folder of the files.
+    """
     runs = {method: replace(run, recording_path=out / f"{method}.parquet") for method, run in comparison.runs.items()}
     comparison = replace(comparison, runs=runs, report=out / "report.html")
     with whole_folder(out) as new:

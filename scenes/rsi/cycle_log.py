@@ -25,7 +25,13 @@ class CycleLog:
         return self._count
 
     def add(self, state: RobotState, q_d: Array, q_c: Array) -> None:
-        """One cycle: the state before the command, desired and commanded position ``(n,)`` [rad]."""
+        """Writes one cycle down.
+
+        Args:
+            state: of the arm before the command.
+            q_d: desired position ``(n,)`` [rad].
+            q_c: commanded position ``(n,)`` [rad].
+        """
         if self._count < len(self._t):
             self._t[self._count] = state.t
             for values, row in zip(self._values, (q_d, q_c, state.q, state.tau), strict=True):

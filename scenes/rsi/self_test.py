@@ -114,7 +114,9 @@ def held_cycles(*, robot: str | None = None, model: Path | None = None, method: 
     """Plays rest to a process of its own that sends packets in real time.
 
     Args:
-        robot, model, method: see ``rsi_server``; the kr6 if none is named.
+        robot: shipped robot or URDF; the one the model names if None, the kr6 where no model is given either.
+        model: file of an identified model; None for the shipped one of the robot.
+        method: one of ``scenes.rsi.setup.methods()``.
         core: processor core to keep to; None for any.
         seconds: how long each cycle is tried [s].
         cycles_ms: cycles that are tried, longest first [ms].

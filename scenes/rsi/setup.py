@@ -15,9 +15,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.path_limits import require_within_limits
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.feedforward.passthrough import PassThrough
-from ideal_robot.feedforward.precorrection import Precorrection
+from ideal_robot.feedforward.method import Needs
+from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.feedforward.registry import method as described
+from ideal_robot.feedforward.registry import methods as known
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
@@ -30,11 +31,15 @@ from scenes.models import shipped_model
 from scenes.path.precorrect import desired_path, robot_of
 from scenes.rsi.server import RsiServer
 
-METHODS = ("ideal", "precorrected", "none")
 _ANSWER_MAX = 0.4
 """Time after which a loop has answered a command [s]."""
 _TRIED = 20.0
 """How much of the path is tried on the identified loop [s]."""
+
+
+def methods() -> tuple[str, ...]:
+    """Methods that a server can play: those that need no more than a model, for nothing is rehearsed."""
+    return known(Needs.MODEL)
 
 
 @contextmanager
@@ -47,7 +52,7 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
         path: CSV or Parquet with ``t`` and ``q_d_i`` or ``q_i``.
         robot: shipped robot or URDF; None for the one the model names.
         model: identified model; None for the shipped one of the robot. Not needed for ``none``.
-        method: one of ``METHODS``.
+        method: one of ``methods()``.
         cycle: interpolation cycle in place of the robot's [s]; the identified loop is brought to it.
         delay: whether the planner's delay of one cycle is in force.
         rest: rest before the path [s].
@@ -65,31 +70,35 @@ def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = Non
         link_options.setdefault("answers_within", answers_within(loop, arm))
         if cycle is not None:
             _require_better(law, loop, q_d, file)
-    meta = {"method": method, "model": None if method == "none" else str(file), "path": str(path)}
+    meta = {"method": method, "model": None if loop is None else str(file), "path": str(path)}
     with RsiRobot(arm, **link_options) as link:
         yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta)
 
 
 def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
              cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, LoopModel | None, Path]:
-    """Arm, feedforward and identified loop at one cycle, and the file of the model; see ``rsi_server``.
+    """Arm, feedforward and identified loop at one cycle, and the file of the model.
+
+    Args:
+        robot: shipped robot or URDF; None for the one the model names.
+        model: identified model; None for the shipped one of the robot.
+        method: one of ``methods()``.
+        cycle: interpolation cycle in place of the robot's [s].
+        delay: whether the planner's delay of one cycle is in force.
 
     Raises:
         InputError: anything of this cannot be used.
     """
-    if method not in METHODS:
-        raise InputError(f"expected one of {', '.join(METHODS)}", field="--method", value=method)
+    if method not in methods():
+        raise InputError(f"expected one of {', '.join(methods())}", field="--method", value=method)
     if cycle is not None and not (1e-3 <= cycle <= 0.1 and math.isclose(1e3 * cycle, round(1e3 * cycle))):
         raise InputError("expected whole milliseconds from 0.001 to 0.1 s", field="--cycle", value=cycle)
     arm, file = _arm(robot, model, method)
     if cycle is not None:
         arm = at_cycle(arm, cycle)
-    if method == "none":
-        return arm, PassThrough(arm.t_ipo), None, file
-    identified = Model.load(file)
-    loop = loop_model(identified, arm, delay=int(delay))
-    law = (Precorrection.complete(identified, arm, delay=int(delay)) if method == "precorrected" else IdealRobot(loop))
-    return arm, law, loop, file
+    identified = None if described(method).needs == Needs.NOTHING else Model.load(file)
+    law = feedforward(method, identified, arm, delay=int(delay))
+    return arm, law, None if identified is None else loop_model(identified, arm, delay=int(delay)), file
 
 
 def at_cycle(arm: Robot, cycle: float) -> Robot:
@@ -128,7 +137,7 @@ def _arm(robot: str | None, model: Path | None, method: str) -> tuple[Robot, Pat
         return robot_of(Model.load(model), None, model), model
     arm = Robot.load(robot)
     file = model or shipped_model(arm.name)
-    if method != "none" and not file.is_file():
+    if described(method).needs > Needs.NOTHING and not file.is_file():
         raise InputError("no such model file" if model else
                          f"no model is shipped for {arm.name}; identify one and give its path, or use --method none",
                          field="--model", value=str(model or arm.name))

@@ -48,7 +48,16 @@ def parameters(n: int) -> Array:
 
 @njit(cache=True, inline="always")
 def dry_level(P: Array, j: int, t: float, q: Array, v: float, load: float) -> float:
-    """Level of dry friction of joint ``j`` [N m]: what it is once the joint slides."""
+    """Level of dry friction of a joint [N m]: what it is once the joint slides.
+
+    Args:
+        P: parameter block ``(ROWS, n)``.
+        j: joint, from 0.
+        t: time, for warming up [s].
+        q: motor positions on the joint side ``(n,)`` [rad].
+        v: velocity of the joint [rad/s].
+        load: torque at the gear's output [N m].
+    """
     warm = 1.0 - math.exp(-t / P[THERMAL_TIME, j])
     level = P[COULOMB, j] * (1.0 - P[DRY_THERMAL, j] * warm)
     if P[SURPLUS, j] != 0.0:
@@ -68,7 +77,14 @@ def dry_level(P: Array, j: int, t: float, q: Array, v: float, load: float) -> fl
 
 @njit(cache=True, inline="always")
 def fluid(P: Array, j: int, t: float, v: float) -> float:
-    """Fluid friction over velocity [N m s/rad]; always positive, so that engines can take it implicitly."""
+    """Fluid friction over velocity [N m s/rad]; always positive, so that engines can take it implicitly.
+
+    Args:
+        P: parameter block ``(ROWS, n)``.
+        j: joint, from 0.
+        t: time, for warming up [s].
+        v: velocity of the joint [rad/s].
+    """
     warm = 1.0 - math.exp(-t / P[THERMAL_TIME, j])
     side = P[VISCOUS_SIDE, j] if v > 0.0 else 0.0
     return max(P[VISCOUS, j] * (1.0 - P[VISCOUS_THERMAL, j] * warm) + side
@@ -77,7 +93,14 @@ def fluid(P: Array, j: int, t: float, v: float) -> float:
 
 @njit(cache=True, inline="always")
 def resisted(P: Array, j: int, t: float, q: float) -> float:
-    """Torque of place and time that the motor works against [N m]."""
+    """Torque of place and time that the motor works against [N m].
+
+    Args:
+        P: parameter block ``(ROWS, n)``.
+        j: joint, from 0.
+        t: time [s].
+        q: position of the joint [rad].
+    """
     torque = 0.0
     if P[RIPPLE, j] != 0.0:
         angle = P[RIPPLE_ORDER, j] * q
@@ -106,9 +129,12 @@ def drive_step(k: int, every: int, P: Array, x: Array, q: Array, v: Array, load:
         every: steps per cycle of the controller.
         P: parameter block ``(ROWS, n)``.
         x: state of the controller ``(STATES, n)``, changed in place.
-        q, v: motor position and velocity on the joint side ``(n,)``.
+        q: motor position on the joint side ``(n,)`` [rad].
+        v: motor velocity on the joint side ``(n,)`` [rad/s].
         load: torque at the gear's output ``(n,)`` [N m].
-        q_d, qd_d, forward: desired position, velocity and torque ahead of the loops ``(n,)``.
+        q_d: desired position ``(n,)`` [rad].
+        qd_d: desired velocity ``(n,)`` [rad/s].
+        forward: torque added ahead of the loops ``(n,)`` [N m].
         out: ``(RESULTS, n)``, the result.
     """
     t = k * STEP

@@ -13,3 +13,5 @@ Engine = Callable[[Plant, Motion], Run]
 ENGINES: dict[str, Engine] = {
     "mujoco": mujoco_engine.simulate, "pybullet": bullet_engine.simulate, "integrator": integrator.simulate,
 }
+NOT_IN = {"pybullet": frozenset({"axis_coupling", "drive_gain"})}
+"""Effects that an engine has no means for."""

@@ -10,19 +10,12 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
 from trials.strangers.arm import draw_arm
-from trials.strangers.effects import (
-    AGAINST_MODEL,
-    ARM,
-    INSIDE,
-    NEW,
-    NOT_IN,
-    OUTSIDE,
-    Draw,
-    Drawn,
-    Setup,
-    Values,
-)
-from trials.strangers.engines import ENGINES
+from trials.strangers.drawn_effect import Draw, Drawn, Setup, Values
+from trials.strangers.effects_against_model import AGAINST_MODEL
+from trials.strangers.effects_beyond_library import NEW, OUTSIDE
+from trials.strangers.effects_of_arm_side import ARM
+from trials.strangers.effects_of_library import INSIDE
+from trials.strangers.engines import ENGINES, NOT_IN
 from trials.strangers.equivalents import right_names
 from trials.strangers.logger import Logger, draw_logger, record
 from trials.strangers.motion import Motion, draw_motion
@@ -208,8 +201,10 @@ class _Player:
         self._reading: Reading | None = None
 
     def scaled(self, effect: Drawn, target: float, kind: str) -> tuple[float, float, Run] | None:
-        """Amount of an effect that makes it about as large as wanted, how large it became, and what happened then; None
-        where it cannot become so large."""
+        """Amount of an effect that makes it about as large as wanted, how large it became, and what happened then.
+
+        None where it cannot become so large.
+        """
         if self._reading is None:
             self._reading = self._read(self.setup, self.run)
         amount = min(1.0, effect.largest)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
+from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.feedforward.registry import register, unregister
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from scenes.rsi.self_test import held_cycles
@@ -61,6 +63,23 @@ def test_what_was_granted_is_given_back() -> None:
         assert not gc.isenabled()
         assert granted
     assert (gc.isenabled(), gc.get_freeze_count(), sys.getswitchinterval()) == before
+
+
+def test_a_method_of_another_package_is_served() -> None:
+    register("mine", lambda setting: PassThrough(setting.robot.t_ipo), description="mine", needs=Needs.NOTHING)
+    try:
+        arm, law, loop, _ = prepared(robot="kr6", method="mine")
+    finally:
+        unregister("mine")
+    assert isinstance(law, PassThrough)
+    assert law.t_ipo == arm.t_ipo
+    assert loop is None
+
+
+@pytest.mark.parametrize("method", ["trained", "learned_1", "model_learned", "unheard_of"])
+def test_methods_that_need_more_than_a_model_are_refused(method: str) -> None:
+    with pytest.raises(InputError, match="expected one of none, precorrected_1, precorrected, ideal"):
+        prepared(robot="kr6", method=method)
 
 
 def test_the_kr6_keeps_its_own_cycle_where_none_is_given() -> None:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from tests.trials.strangers.plants import a_motion, a_plant, an_arm
-from trials.strangers.effects import INSIDE, Setup, torque_filter
+from trials.strangers.drawn_effect import Setup
+from trials.strangers.effects_beyond_library import torque_filter
+from trials.strangers.effects_of_library import INSIDE
 from trials.strangers.engines import ENGINES
 from trials.strangers.logger import draw_logger, record
 from trials.strangers.trial import KINDS, SHARES, draw_trial
