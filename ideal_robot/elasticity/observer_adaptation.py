@@ -46,7 +46,9 @@ class AdaptedObserver:
 
 def adapt_observer(recording: Recording, robot: Robot, model: Model, *, prior_percent: float = 25.0,
                    sigma: float = 5e-5, iterations: int = 3) -> AdaptedObserver:
-    """Adapts the stiffness to measured TCP components.
+    """Adapts the stiffness to measured TCP components ([L] 2.1, 3.3).
+
+    For scripts that have a device with fewer than six degrees of freedom beside the arm; no scene uses it.
 
     Args:
         recording: ``q_i`` and any of ``x``, ``y``, ``z`` [m] measured outside; NaN where nothing was measured.

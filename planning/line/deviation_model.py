@@ -78,6 +78,8 @@ class ConstantDeviation(DeviationModel):
 class SlowlyVaryingDeviation(ConstantDeviation):
     """A deviation that wanders with time, whatever the place: [L] 4.3, *time-invariant or slowly varying*.
 
+    For scripts that follow without a map, given to ``DeviationFilter``; scenes use ``PathDeviation``.
+
     Args:
         rate: standard deviation of the change in one second [m/√s].
     """

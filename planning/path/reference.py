@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,18 +93,6 @@ class ReferencePath:
         ups = CubicSpline(knots, np.column_stack([np.interp(where, chord, normals[:, i]) for i in range(3)]))
         self._ups = np.ascontiguousarray(ups.c.transpose(1, 0, 2))
         self._start, self._turn = self._orientation(knots, turning, turn_smoothing, rotation)
-
-    @classmethod
-    def from_formula(cls, formula: Callable[[Array], Array], u0: float, u1: float, **options: object) -> ReferencePath:
-        """The curve ``formula(u)``, ``(N,)`` to ``(N, 3)`` [m], for ``u`` from ``u0`` to ``u1``; options as above.
-
-        Args:
-            formula: points ``(N, 3)`` [m] of parameters ``(N,)``.
-            u0: parameter at the start.
-            u1: parameter at the end.
-            options: further arguments of ``ReferencePath``.
-        """
-        return cls(np.asarray(formula(np.linspace(u0, u1, 4001)), dtype=float), **options)  # type: ignore[arg-type]
 
     def frames(self, s: Array | float) -> PathFrames:
         """Points, tangents, lateral and surface normals and curvature at arc lengths ``s (m,)`` [m], or at one."""

@@ -121,12 +121,6 @@ class SpeedProfile:
         inside = np.clip(t, 0.0, self.duration)
         return np.where(inside == t, self._spline(inside, 2), 0.0)
 
-    def time_at(self, s: float) -> float:
-        """First instant at which the arc length ``s`` [m] is reached [s]; the end's if it lies beyond."""
-        ticks = TICK * np.arange(round(self.duration / TICK) + 1)
-        travelled = np.maximum.accumulate(self.s(ticks))
-        return float(ticks[min(int(np.searchsorted(travelled, s)), len(ticks) - 1)])
-
     @classmethod
     def plan(
         cls, robot: Robot, reference: ReferencePath, limits: Limits | float, joint_path: JointPath | None = None

@@ -26,7 +26,9 @@ class FeatureDistance:
 
 def distance_from_features(camera: CameraModel, pixels: Array, lengths: Array, *, sigma_px: float = 0.1
                            ) -> FeatureDistance:
-    """Distance from pairs of features, e.g. both edges of a line of known width in several rows.
+    """Distance from pairs of features, e.g. both edges of a line of known width in several rows ([L] 4.2).
+
+    For scripts that measure the height with the camera alone; no scene uses it.
 
     Args:
         camera: the camera as it is calibrated.

@@ -57,7 +57,8 @@ def equivalent_controller(world: World, n: int) -> EquivalentController:
     """The cascade of this world written as [G] (16), (17).
 
     With v_des = K_v e + f q̇_d, the P part K_p (v_des - q̇) is K_p K_v e + K_p f ė - K_p (1 - f) q̇; the velocity
-    filter adds its time constant times K_p on the acceleration.
+    filter adds its time constant times K_p on the acceleration. For scripts that compare an identified controller with
+    the true one; no scene uses it, for the model side must not see the truth.
     """
     k_v, f, k_p = (world.per_joint(name, n) for name in ("position_gain", "velocity_feedforward", "velocity_gain"))
     return EquivalentController(k_p=k_p * k_v, k_d=k_p * f, k_1=-k_p * (1.0 - f), k_2=k_p * world.velocity_filter,

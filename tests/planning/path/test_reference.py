@@ -16,12 +16,8 @@ from tests.planning.cell import reference, sine_points
 
 
 def circle(radius: float = 0.2, turns: float = 0.75) -> ReferencePath:
-    return ReferencePath.from_formula(
-        lambda u: np.column_stack([radius * np.cos(u), radius * np.sin(u), 0 * u]),
-        0.0,
-        2 * np.pi * turns,
-        smoothing=0.0,
-    )
+    u = np.linspace(0.0, 2 * np.pi * turns, 4001)
+    return ReferencePath(np.column_stack([radius * np.cos(u), radius * np.sin(u), 0 * u]), smoothing=0.0)
 
 
 def test_circle_has_its_length_curvature_and_centre() -> None:
@@ -73,9 +69,8 @@ def test_projection_is_the_inverse_of_the_path_coordinates(share: float, d: floa
 
 
 def test_projection_keeps_the_branches_of_a_crossing_apart() -> None:
-    eight = ReferencePath.from_formula(
-        lambda u: np.column_stack([0.3 * np.sin(u), 0.15 * np.sin(2 * u), 0 * u]), -np.pi / 2, 1.5 * np.pi
-    )
+    u = np.linspace(-np.pi / 2, 1.5 * np.pi, 4001)
+    eight = ReferencePath(np.column_stack([0.3 * np.sin(u), 0.15 * np.sin(2 * u), 0 * u]))
     # The figure runs through the origin a quarter and three quarters of the way.
     for share in (0.25, 0.75):
         got, lateral, _ = eight.project(np.zeros((1, 3)), share * eight.length + 0.03, 0.1)
@@ -116,9 +111,8 @@ def test_tool_turns_as_much_as_asked() -> None:
 
 
 def test_tool_turns_on_over_more_than_a_full_turn() -> None:
-    spiral = ReferencePath.from_formula(
-        lambda u: np.column_stack([0.1 * np.cos(u), 0.1 * np.sin(u), 0.01 * u]), 0.0, 5 * np.pi, turning=1.0
-    )
+    u = np.linspace(0.0, 5 * np.pi, 4001)
+    spiral = ReferencePath(np.column_stack([0.1 * np.cos(u), 0.1 * np.sin(u), 0.01 * u]), turning=1.0)
     s = np.linspace(0.0, spiral.length, 400)
     R = spiral.rotation(s)
     steps = [np.linalg.norm(pin.log3(a.T @ b)) for a, b in pairwise(R)]
