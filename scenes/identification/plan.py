@@ -21,6 +21,9 @@ from ideal_robot.whole_file import write_text
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
+_TRIES = 8
+"""How often a motion is looked for."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -81,8 +84,18 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
         return Plan(method, program.commands(robot.home, robot.t_ipo, robot), robot.t_ipo, program)
     if method != "joint":
         raise InputError("expected joint or two-step", field="method", value=method)
-    motion = design_excitation(robot, rng, period=period, workspace=workspace)
+    motion = _designed(robot, rng, period, workspace)
     return Plan(method, fourier_commands(robot, motion, robot.home, robot.t_ipo), robot.t_ipo, motion)
+
+
+def _designed(robot: Robot, rng: np.random.Generator, period: float, workspace: Workspace | None) -> FourierMotion:
+    """The best motion found; where joints turn far, most random motions hit the floor, so it is tried several times."""
+    for _ in range(_TRIES - 1):
+        try:
+            return design_excitation(robot, rng, period=period, workspace=workspace)
+        except InputError:
+            continue
+    return design_excitation(robot, rng, period=period, workspace=workspace)
 
 
 def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: float) -> Array:

@@ -40,10 +40,12 @@ class Player:
         self.running = gui.add_checkbox("play", initial_value=True)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="0.5 ×")
         self.said = gui.add_markdown("")
-        self._rows = np.unique(np.linspace(0, len(self._t) - 1, _PLOTTED).astype(int))
-        self.plot = gui.add_uplot((self._t[self._rows], replay.error[self._rows], self._mark(0)), (
+        # The plot takes no gaps: only where the error counts.
+        counts = np.flatnonzero(np.isfinite(replay.error))
+        self._rows = counts[np.unique(np.linspace(0, len(counts) - 1, _PLOTTED).astype(int))] if len(counts) else counts
+        self.plot = None if len(counts) < 2 else gui.add_uplot(self._plotted(0), (
             {"label": "t [s]"}, {"label": f"{replay.error_name} [{replay.unit}]", "stroke": "#e06a00", "width": 1.5},
-            {"label": "now", "stroke": "#1c2430", "points": {"show": True, "size": 10, "fill": "#1c2430"}}),
+            {"label": "until now", "stroke": "#1c2430", "width": 1, "fill": "rgba(28, 36, 48, 0.25)"}),
             scales={"x": {"time": False}}, axes=({"label": "t [s]"}, {"label": replay.unit}), aspect=1.8)
         self.picture = None if not self._pictures else gui.add_image(self._pictures[0][1], label="camera")
         self.slider.on_update(lambda event: self.show(self._at(float(self.slider.value))))
@@ -69,7 +71,8 @@ class Player:
         error = replay.error[k]
         self.said.content = f"**{self._t[k]:.2f} s**" + (
             f", {replay.error_name} {abs(error):.3g} {replay.unit}" if np.isfinite(error) else "")
-        self.plot.data = (self._t[self._rows], replay.error[self._rows], self._mark(k))
+        if self.plot is not None:
+            self.plot.data = self._plotted(k)
         if self.picture is not None:
             shown = min(self._pictures, key=lambda one: abs(one[0] - self._t[k]))[1]
             if shown is not self._shown_picture:
@@ -90,12 +93,10 @@ class Player:
     def _at(self, t: float) -> int:
         return min(int(np.searchsorted(self._t, t)), len(self._t) - 1)
 
-    def _mark(self, k: int) -> Array:
-        """The error at the plotted sample nearest to ``k``, NaN elsewhere."""
-        mark = np.full(len(self._rows), np.nan)
-        at = int(np.argmin(np.abs(self._rows - k)))
-        mark[at] = np.nan_to_num(self.replay.error[self._rows[at]])
-        return mark
+    def _plotted(self, k: int) -> tuple[Array, Array, Array]:
+        """Times, errors, and the errors until sample ``k``, zero after it."""
+        error = self.replay.error[self._rows]
+        return self._t[self._rows], error, np.where(self._rows <= k, error, 0.0)
 
 
 def error_colours(error: Array) -> Array:

@@ -89,7 +89,9 @@ class Viewer:
 
     def surface(self, corners: Array) -> None:
         """Draws a flat surface with ``corners (4, 3)`` [m]."""
-        self.server.scene.add_mesh_simple("/surface", vertices=np.asarray(corners),
+        # A little lower than it is, so that what is drawn on it can be seen.
+        lowered = np.asarray(corners) - [0.0, 0.0, 0.003]
+        self.server.scene.add_mesh_simple("/surface", vertices=lowered,
                                           faces=np.array([[0, 1, 2], [0, 2, 3]]), color=(245, 245, 240), side="double",
                                           cast_shadow=False)
 

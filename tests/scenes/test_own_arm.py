@@ -91,3 +91,12 @@ def _free_port() -> int:
     with socket.socket() as link:
         link.bind(("127.0.0.1", 0))
         return int(link.getsockname()[1])
+
+
+UR10E = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e" / "ur10e.urdf"
+
+
+@pytest.mark.skipif(not UR10E.is_file(), reason="needs the public data sets beside the repository")
+def test_an_arm_whose_joints_turn_far_gets_a_motion() -> None:
+    """Most random motions of such an arm hit the floor; with this seed the first search finds none."""
+    assert len(plan(Robot.load(UR10E), "joint", seed=2).commands) > 1000
