@@ -65,6 +65,8 @@ class Effect(ABC):
         depends_on_joint: whether its numbers are in the units of its joint: of a sliding one in N and m.
         geometric: whether it is a change of the arm's geometry, which another joint's may reproduce where axes are
             parallel.
+        caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
+            alone.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -83,6 +85,7 @@ class Effect(ABC):
     scanned: ClassVar[bool] = False
     depends_on_joint: ClassVar[bool] = True
     geometric: ClassVar[bool] = False
+    caution: ClassVar[float] = 1.0
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""

@@ -47,6 +47,9 @@ class Signals:
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
         frames: kinematics along the motion, or None.
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
+        bodies: regressor ``(N, n, 10)`` of a body rigidly on a link (from 1), or None.
+        gravity_across: torques ``(N, n, 2)`` of 1 m/s² of gravity along the base's x and y axes at positions
+            ``(N, n)``, or None.
         cutoff: of the zero-phase filter that the positions went through [Hz]; None where they are exact.
         v_small: velocity below which the direction of motion is lost in noise ``(n,)`` [rad/s]; None for exact data.
         sliding: direction of sliding ``(N, n)``, -1 to 1, of joints whose friction in the model builds up over a
@@ -64,6 +67,8 @@ class Signals:
     rigid: RigidBody | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     payload: Array | None = None
+    bodies: Callable[[int], Array] | None = None
+    gravity_across: Callable[[Array], Array] | None = None
     frames: Frames | None = None
     v_small: Array | None = None
     cutoff: float | None = None

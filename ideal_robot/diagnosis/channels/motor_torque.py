@@ -9,14 +9,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import interpolate
+from scipy import interpolate, ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.moving import apart_from_ends, apart_from_reversals, moving_samples, small_velocity
 from ideal_robot.diagnosis.channels.noise import noise_above_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.dynamics import regressor
-from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
+from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
@@ -24,7 +24,10 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
-HIGHEST_RATE = 100.0
+import os as _os
+HIGHEST_RATE = float(_os.environ.get("C_RATE","50"))
+C_CUT=float(_os.environ.get("C_CUT","15"))
+C_T=float(_os.environ.get("C_T","0.08"))
 """Rate after decimation [Hz]: far above what a robot arm's torque follows, low enough for whole recordings at once."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
@@ -55,7 +58,9 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     filtered = preprocess(recording, cutoff=cutoff)
     # The torque is looked at up to far above what the motion contains: ripple and spikes are there.
     wanted = min(0.5 * wanted, 0.5 * rate)
-    filtered = _differentiated(preprocess(recording, cutoff=filtered.cutoff, cutoff_decimation=wanted))
+    cut = min(filtered.cutoff, C_CUT) if cutoff is None else filtered.cutoff
+    cut = max(cut, float(_os.environ.get("C_CUTMIN","0")))
+    filtered = _differentiated(without_spikes(preprocess(recording, cutoff=cut, cutoff_decimation=wanted)))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
     temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
@@ -63,15 +68,19 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
 
     noise_velocity = small_velocity(recording, filtered)
     extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
-    body = regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (n - 1) :] if payload else None
+
+    def body_on(link: int) -> Array:
+        return regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link]
+
+    body = body_on(n) if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, temperature, extra=extra, payload=body,
-                      v_small=noise_velocity, cutoff=filtered.cutoff)
+                      v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None)
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
     moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    use = moving[:: filtered.factor][filtered.keep] & apart_from_reversals(qd[:: filtered.factor][filtered.keep])
+    use = apart_from_reversals(qd, moving, C_T * 1.0, filtered.dt)[:: filtered.factor][filtered.keep]
     use &= apart_from_ends(filtered)[:, None]
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
@@ -91,12 +100,20 @@ def about_model(made: Regression, model: Model) -> Regression:
     torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
     signals = replace(s, load=load, torque=torque, friction=friction,
                       sliding=model.friction.sliding(s.q, s.qd),
-                      rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c))
+                      rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c),
+                      gravity_across=lambda at: _gravity_across(chain, at))
     prediction = torque
     for effect in model.effects:
         if effect.domain == MOTOR_TORQUE:
             prediction = prediction + effect.contribution(signals)
     return replace(made, signals=signals, y=made.measured - made.filtered.decimate(prediction))
+
+
+def _gravity_across(chain: Chain, q: Array) -> Array:
+    """Torques ``(N, n, 2)`` of 1 m/s² of gravity along the base's x and y axes at positions ``(N, n)``."""
+    still = np.zeros_like(q)
+    sides = [chain._replace(gravity=np.eye(3)[axis]) for axis in range(2)]
+    return np.stack([inverse_dynamics(side, q, still, still) for side in sides], axis=2)
 
 
 def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:
@@ -131,12 +148,23 @@ def _differentiated(filtered: FilteredSignals) -> FilteredSignals:
     return replace(filtered, qd=spline(filtered.t, 1), qdd=spline(filtered.t, 2))
 
 
+def without_spikes(filtered: FilteredSignals) -> FilteredSignals:
+    """With single samples of the torque that stand out of their neighbours put back among them."""
+    tau = filtered.tau
+    if not np.all(np.isfinite(tau)):
+        return filtered
+    middle = ndimage.median_filter(tau, size=(5, 1), mode="nearest")
+    off = tau - middle
+    scale = 1.4826 * np.median(np.abs(off - np.median(off, axis=0)), axis=0)
+    return replace(filtered, tau=np.where(np.abs(off) > np.maximum(6.0 * scale, 0.05 * np.std(tau, axis=0)), middle, tau))
+
+
 def in_own_units(made: Regression) -> Regression:
     """Torque and load of the nominal model in the units of each joint's measurement, by one factor a joint."""
     nominal = made.decimate(made.signals.torque)
     factor = (nominal * made.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300)
     signals = replace(made.signals, torque=made.signals.torque * factor, load=made.signals.load * factor,
-                      friction=made.signals.friction * factor, rigid=None)
+                      friction=made.signals.friction * factor, rigid=None, gravity_across=None)
     return replace(made, signals=signals, y=made.measured, units=("A",) * len(made.units),
                    prismatic=(False,) * len(made.prismatic))
 

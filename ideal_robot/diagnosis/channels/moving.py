@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
@@ -53,17 +54,14 @@ def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
     return moving, undecided
 
 
-def apart_from_reversals(qd: Array, width: int = WIDTH) -> np.ndarray:
-    """Mask ``(N, n)`` without the samples next to each change of direction, ``width`` to either side.
-
-    When exactly friction changes sign between two samples nobody knows; each reversal would leave a spike of its own.
-    """
+def apart_from_reversals(qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest."""
+    near = ~moving
     change = np.diff(np.sign(qd), axis=0) != 0
-    mask = np.ones(qd.shape, dtype=bool)
-    for shift in range(width):
-        mask[: len(mask) - 1 - shift][change[shift:]] = False
-        mask[1 + shift :][change[: len(change) - shift]] = False
-    return mask
+    near[:-1] |= change
+    near[1:] |= change
+    half = max(1, round(width / dt))
+    return np.asarray(~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest"))
 
 
 def apart_from_ends(filtered: FilteredSignals) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field
 
 from ideal_robot.diagnosis.statistics.candidate import Candidate
@@ -27,9 +28,9 @@ class Options:
     """
 
     false_discovery: float = 0.01
-    smallest: float = 0.05
-    smallest_next: float = 0.10
-    smallest_learned: float = 0.10
+    smallest: float = float(os.environ.get("C_S","0.05"))
+    smallest_next: float = float(os.environ.get("C_SN","0.10"))
+    smallest_learned: float = float(os.environ.get("C_SL","0.10"))
     smallest_absorbed: float = 0.10
     smallest_torque: float = 0.002
     smallest_own: float = 0.0005

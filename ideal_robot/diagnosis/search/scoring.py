@@ -68,7 +68,7 @@ class Scoring:
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
         if candidate.effect.absorbed_by_base:
             return self.options.smallest_absorbed
-        return self.options.smallest_next if occupied else self.options.smallest
+        return candidate.effect.caution * (self.options.smallest_next if occupied else self.options.smallest)
 
     def is_large(self, s: Scored) -> bool:
         """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
