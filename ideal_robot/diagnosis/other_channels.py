@@ -8,6 +8,7 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
@@ -20,7 +21,9 @@ from ideal_robot.effects import SENSOR, library
 
 def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
     """The domains that the recording has beside the motor torque, after their search."""
-    torque, validation = found.problem.regression, found.validation
+    torque = in_position_band(found.problem.regression, case.recording)
+    validation = None if found.validation is None or case.validate is None else \
+        in_position_band(found.validation, case.validate)
     for build in (arm_angle_regression, tool_regression):
         made = build(case.recording, case.robot, torque, case.stiffness)
         if made is None:
@@ -45,7 +48,7 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None, bloc
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
     problem = Problem(made, blocks)
-    choices = Search(problem, effects, case.options, case.rng, absorbed=True, only=only).run()
+    choices = Search(problem, effects, case.options.finer(), case.rng, absorbed=True, only=only).run()
     choices = with_equivalents(problem, choices)
     final = problem.on_all_blocks().fit([c.candidate for c in choices], uncertainty=True)
     return DomainDiagnosis(problem, choices, final, validation, not sensor, case.recording.hash)

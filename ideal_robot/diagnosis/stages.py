@@ -49,12 +49,16 @@ def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
     """Effects that the motor torques show, selected one by one."""
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
     problem, warnings = found.problem, found.warnings
+    options = case.options
+    if case.validate is not None:
+        # The other recording decides what stays; a curve would only stand in the way of smaller physical causes.
+        options = replace(options.finer(), smallest_learned=options.smallest_learned)
     if case.given is None or not np.any(found.start.covariance):
-        choices = Search(problem, effects, case.options, case.rng, absorbed=False, only=case.only,
+        choices = Search(problem, effects, options, case.rng, absorbed=False, only=case.only,
                          progress=case.progress).run()
     else:
         prior = prior_precision(found.start, problem)
-        choices, holds = selected_against(problem, prior, effects, case.options, case.rng, only=case.only,
+        choices, holds = selected_against(problem, prior, effects, options, case.rng, only=case.only,
                                           progress=case.progress)
         problem = problem.with_prior(prior if holds else None)
         if not holds:

@@ -67,6 +67,8 @@ class Effect(ABC):
             parallel.
         caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
             alone.
+        flexible: whether its form bends to nearly any curve over the joint's angle, so that a learned curve has to be
+            only as good to replace it.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -86,6 +88,7 @@ class Effect(ABC):
     depends_on_joint: ClassVar[bool] = True
     geometric: ClassVar[bool] = False
     caution: ClassVar[float] = 1.0
+    flexible: ClassVar[bool] = False
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""

@@ -24,11 +24,16 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
-import os as _os
-HIGHEST_RATE = float(_os.environ.get("C_RATE","50"))
-C_CUT=float(_os.environ.get("C_CUT","15"))
-C_T=float(_os.environ.get("C_T","0.08"))
-"""Rate after decimation [Hz]: far above what a robot arm's torque follows, low enough for whole recordings at once."""
+BAND = 12.5
+"""Band in which torques are looked at [Hz]: above it are the loops of the controller and the vibrations of the arm, of
+which a rigid body with friction says nothing."""
+CUTOFF = 20.0
+"""Cut-off of the position filter [Hz]: as far above the band that the filter is flat within it, no further."""
+NEAR_REVERSAL = 0.12
+"""Time to either side of a reversal or a rest that does not count [s]: there friction goes through zero in a way of its
+own, and both filters remember it for so long."""
+POSITION_BAND = 50.0
+"""Band in which positions and forces are looked at [Hz]."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
 
@@ -54,13 +59,9 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     n = robot.n
     rate = (len(recording.t) - 1) / max(float(recording.t[-1] - recording.t[0]), 1e-9)
     duration = len(recording.t) / rate
-    wanted = min(HIGHEST_RATE, ROWS / (n * duration))
-    filtered = preprocess(recording, cutoff=cutoff)
-    # The torque is looked at up to far above what the motion contains: ripple and spikes are there.
-    wanted = min(0.5 * wanted, 0.5 * rate)
-    cut = min(filtered.cutoff, C_CUT) if cutoff is None else filtered.cutoff
-    cut = max(cut, float(_os.environ.get("C_CUTMIN","0")))
-    filtered = _differentiated(without_spikes(preprocess(recording, cutoff=cut, cutoff_decimation=wanted)))
+    cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
+    band = min(BAND * cutoff / CUTOFF, 0.5 * ROWS / (n * duration), 0.5 * rate)
+    filtered = _differentiated(without_spikes(preprocess(recording, cutoff=cutoff, cutoff_decimation=band)))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
     temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
@@ -80,7 +81,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
     moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    use = apart_from_reversals(qd, moving, C_T * 1.0, filtered.dt)[:: filtered.factor][filtered.keep]
+    use = apart_from_reversals(qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)[:: filtered.factor][filtered.keep]
     use &= apart_from_ends(filtered)[:, None]
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
@@ -146,6 +147,18 @@ def _differentiated(filtered: FilteredSignals) -> FilteredSignals:
     """
     spline = interpolate.make_interp_spline(filtered.t, filtered.q, k=5)
     return replace(filtered, qd=spline(filtered.t, 1), qdd=spline(filtered.t, 2))
+
+
+def in_position_band(made: Regression, recording: Recording) -> Regression:
+    """The times and filters of a regression of torques for what is measured of positions and forces.
+
+    Args:
+        made: of the torques.
+        recording: from which it was made.
+    """
+    rate = 1.0 / made.filtered.dt
+    filtered = preprocess(recording, cutoff=made.filtered.cutoff, cutoff_decimation=min(POSITION_BAND, 0.5 * rate))
+    return replace(made, t=filtered.t_decimated - filtered.t[0], filtered=filtered)
 
 
 def without_spikes(filtered: FilteredSignals) -> FilteredSignals:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.dependence import Dependence
@@ -21,6 +20,7 @@ class Options:
         smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
         smallest_absorbed: the same for an effect that is a change of the model's own parameters.
         smallest_torque: rms of an effect over the torque's standard deviation below which nothing is claimed.
+        smallest_beside: rms of an effect over that of the largest other one at the same joint, at least.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
         unknown_margin: a learned curve replaces the best effect of the library only if it reduces squares by so many
             times as much.
@@ -28,14 +28,21 @@ class Options:
     """
 
     false_discovery: float = 0.01
-    smallest: float = float(os.environ.get("C_S","0.05"))
-    smallest_next: float = float(os.environ.get("C_SN","0.10"))
-    smallest_learned: float = float(os.environ.get("C_SL","0.10"))
+    smallest: float = 0.15
+    smallest_next: float = 0.20
+    smallest_learned: float = 0.30
     smallest_absorbed: float = 0.10
-    smallest_torque: float = 0.002
+    smallest_torque: float = 0.003
+    smallest_beside: float = 0.05
     smallest_own: float = 0.0005
     unknown_margin: float = 1.6
     most: int = 24
+
+    def finer(self) -> Options:
+        """A third of the shares: for positions and forces, which no friction hides, and where another recording decides
+        what stays."""
+        return replace(self, smallest=self.smallest / 3.0, smallest_next=self.smallest_next / 2.0,
+                       smallest_learned=self.smallest_learned / 3.0)
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,8 @@ class LearnedCurves:
         """
         least = 0.0
         if best is not None:
-            least = self.options.unknown_margin * self.scoring.tested(fit, best.candidate).test.total
+            margin = 1.0 if best.candidate.effect.flexible else self.options.unknown_margin
+            least = margin * self.scoring.tested(fit, best.candidate).test.total
         problem = self.model.problem
         residual = self.model.residual(fit)
         selecting = problem.blocks.selecting[problem.blocks.of_samples()]

@@ -68,7 +68,9 @@ class Scoring:
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
         if candidate.effect.absorbed_by_base:
             return self.options.smallest_absorbed
-        return candidate.effect.caution * (self.options.smallest_next if occupied else self.options.smallest)
+        # The only joint of an arm has its clock for itself.
+        caution = candidate.effect.caution if self.signals.n > 1 else 1.0
+        return caution * (self.options.smallest_next if occupied else self.options.smallest)
 
     def is_large(self, s: Scored) -> bool:
         """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
@@ -81,7 +83,25 @@ class Scoring:
         weighted = float(((own**2).sum(axis=0) * self.model.weights[list(columns.channels)]).sum())
         if s.test.gain < self.options.smallest_own * weighted:
             return False
-        return bool(np.max(size / self.measured_std[list(columns.channels)]) > self.options.smallest_torque)
+        if np.max(size / self.measured_std[list(columns.channels)]) <= self.options.smallest_torque:
+            return False
+        # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
+        beside = self._sizes_at(s.candidate.joint)[list(columns.channels)]
+        return bool(np.any(size > self.options.smallest_beside * beside))
+
+    def _sizes_at(self, joint: int) -> Array:
+        """RMS of the largest effect taken at a joint in each channel ``(c,)``."""
+        result = np.zeros(self.model.problem.products.c)
+        at = self.model.problem.products.W.m
+        fit = self.model.fit()
+        for choice in self.model.choices:
+            group = self.model.design.groups[choice.candidate.key]
+            if choice.candidate.joint == joint:
+                channels = list(group.channels)
+                own = group.values @ fit.beta[at : at + group.m]
+                result[channels] = np.maximum(result[channels], np.sqrt(np.mean(own**2, axis=0)))
+            at += group.m
+        return result
 
     def refined(self, fit: Fit, s: Scored) -> Scored:
         """Theta by bounded search from the best start, all linear parameters eliminated."""

@@ -9,6 +9,10 @@ from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.signals import Signals
 
 
+_LEAST_WEIGHT = 0.02
+"""Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
+
+
 class GravitySpring(Effect):
     """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
 
@@ -28,6 +32,8 @@ class GravitySpring(Effect):
     discriminating_motion = (
         ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
     )
+    flexible = True
+    caution = 1.5
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
@@ -39,8 +45,14 @@ class GravitySpring(Effect):
         return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Below a range of half a radian the shape is a straight line."""
-        return bool(np.ptp(signals.q[:, joint - 1]) > 0.5)
+        """Below a range of half a radian the shape is a straight line; where gravity does nothing none is balanced."""
+        if np.ptp(signals.q[:, joint - 1]) <= 0.5:
+            return False
+        if signals.rigid is None:
+            return True
+        still = np.zeros_like(signals.q)
+        weight = signals.rigid(signals.q, still, still)[:, joint - 1]
+        return bool(np.max(np.abs(weight)) > _LEAST_WEIGHT * np.max(np.abs(signals.torque[:, joint - 1])))
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 2)``."""

@@ -10,8 +10,8 @@ from ideal_robot.effects.drive_change import DriveChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.signals.preprocess import lowpass
 
-_MOTION = 5.0
-"""The position filter lets pass ten times the motion's bandwidth; the load is looked at up to twice of it."""
+_MOTION = 2.5
+"""The position filter lets pass all of the band that is looked at; the load is looked at up to two thirds of that."""
 
 
 class JointElasticity(Effect):
