@@ -8,8 +8,8 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
-from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.diagnosis.search.equivalents import with_equivalents

@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.statistics.reversal_width import reversal_widths
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.transfer import transferring
+from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transferring
 from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.model.model import Model
 
@@ -70,13 +70,15 @@ def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
 
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:
-    """Effects that make the error of the validation recording worse are dropped."""
+    """Effects that make the error of the validation recording, or of the blocks kept apart, worse are dropped."""
     if case.validate is None:
-        return found
+        problem = found.problem
+        kept, dropped = transferring(problem, found.choices, problem.regression, held_out(problem))
+        return replace(found, choices=tuple(kept), not_transferred=dropped)
     validation = case.torque_regression(case.validate, found.start, cutoff=found.problem.regression.filtered.cutoff,
                                         reversal_width=found.reversal_width)
     validation = _with_signals(case, found, validation)
-    kept, dropped = transferring(found.problem, found.choices, validation)
+    kept, dropped = transferring(found.problem, found.choices, validation, deciding(validation))
     return replace(found, choices=tuple(kept), validation=validation, not_transferred=dropped)
 
 

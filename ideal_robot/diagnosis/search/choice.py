@@ -40,7 +40,8 @@ class Options:
 
     def finer(self) -> Options:
         """A third of the shares: for positions and forces, which no friction hides, and where another recording decides
-        what stays."""
+        what stays.
+        """
         return replace(self, smallest=self.smallest / 3.0, smallest_next=self.smallest_next / 2.0,
                        smallest_learned=self.smallest_learned / 3.0)
 

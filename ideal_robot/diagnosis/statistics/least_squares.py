@@ -10,7 +10,7 @@ from scipy import linalg, stats
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.block_products import BlockProducts, Columns
 
-_RIDGE = 3e-5
+_RIDGE = 1e-9
 """Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
 _SMOOTH = 3e-3
 """The same for the coefficients of a candidate with many columns, some of which a fold may hardly show."""

@@ -22,16 +22,23 @@ def deciding(validation: Regression) -> np.ndarray:
     return np.asarray(time_blocks(len(validation.t), dt, held_out=False).of_samples() % 2 == 0)
 
 
-def transferring(problem: Problem, choices: Sequence[Choice],
-                 validation: Regression) -> tuple[list[Choice], tuple[NotTransferred, ...]]:
-    """Drops, one after another, the effect without which the other recording is predicted better.
+def held_out(problem: Problem) -> np.ndarray:
+    """Samples ``(N,)`` of the recording itself that neither selection nor estimation saw."""
+    blocks = problem.blocks
+    return np.asarray(~blocks.selecting[blocks.of_samples()])
 
-    Each time everything else is fitted anew to the recording itself; the other one only compares.
+
+def transferring(problem: Problem, choices: Sequence[Choice], validation: Regression,
+                 samples: np.ndarray) -> tuple[list[Choice], tuple[NotTransferred, ...]]:
+    """Drops, one after another, the effect without which samples that took no part are predicted better.
+
+    Each time everything else is fitted anew to the selecting blocks; these samples only compare.
 
     Args:
         problem: that was searched.
         choices: what was selected in it.
-        validation: the regression of the other recording.
+        validation: the regression of another recording, or that of the problem.
+        samples: of ``validation`` that decide ``(N,)``.
 
     Returns:
         The choices that stay, in their order, and what was dropped with its errors.
@@ -40,7 +47,7 @@ def transferring(problem: Problem, choices: Sequence[Choice],
     design = problem.design(effects)
     weights = weights_of_channels(design, ["W", *[c.key for c in effects]], problem.prior, 1)
     columns = {c.key: validation.decimate(c.effect.columns(validation.signals, c.joint, c.theta)) for c in effects}
-    mask = validation.use & deciding(validation)[:, None]
+    mask = validation.use & samples[:, None]
     p = problem.products.W.m
 
     def error(kept: Sequence[Choice]) -> Array:

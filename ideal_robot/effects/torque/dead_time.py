@@ -42,7 +42,7 @@ class DeadTime(Effect):
                                   "only, a delay everywhere"),
     )
     source = "first-order expansion of a pure delay"
-    caution = 2.0
+    caution = 2.5
     longest = 0.06
     _shortest = 5e-5
 

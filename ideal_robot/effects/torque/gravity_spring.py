@@ -8,7 +8,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.signals import Signals
 
-
 _LEAST_WEIGHT = 0.02
 """Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
 

@@ -21,7 +21,7 @@ class PositionDeadTime(Effect):
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
     source = "first-order expansion of a pure delay"
-    caution = 2.0
+    caution = 2.5
     longest = 0.06
     _step = 1e-3
 
