@@ -81,7 +81,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
     moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    use = apart_from_reversals(qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)[:: filtered.factor][filtered.keep]
+    apart = apart_from_reversals(qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)
+    use = apart[:: filtered.factor][filtered.keep]
     use &= apart_from_ends(filtered)[:, None]
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
@@ -169,7 +170,8 @@ def without_spikes(filtered: FilteredSignals) -> FilteredSignals:
     middle = ndimage.median_filter(tau, size=(5, 1), mode="nearest")
     off = tau - middle
     scale = 1.4826 * np.median(np.abs(off - np.median(off, axis=0)), axis=0)
-    return replace(filtered, tau=np.where(np.abs(off) > np.maximum(6.0 * scale, 0.05 * np.std(tau, axis=0)), middle, tau))
+    stands_out = np.abs(off) > np.maximum(6.0 * scale, 0.05 * np.std(tau, axis=0))
+    return replace(filtered, tau=np.where(stands_out, middle, tau))
 
 
 def in_own_units(made: Regression) -> Regression:

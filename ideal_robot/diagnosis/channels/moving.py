@@ -10,8 +10,6 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
 from ideal_robot.signals.recording import Recording
 
-WIDTH = 2
-"""Samples left out to either side of a reversal."""
 _SLOW = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
 filter's cut-off, friction hangs on a direction that the filter has blurred, and those samples do not count."""
@@ -55,7 +53,16 @@ def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
 
 
 def apart_from_reversals(qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest."""
+    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest.
+
+    How friction goes through zero there is another matter in every drive, and no cause may be built on it.
+
+    Args:
+        qd: velocities ``(N, n)`` [rad/s or m/s].
+        moving: samples at which each joint moves ``(N, n)``.
+        width: time left out to either side [s].
+        dt: between samples [s].
+    """
     near = ~moving
     change = np.diff(np.sign(qd), axis=0) != 0
     near[:-1] |= change

@@ -39,8 +39,9 @@ class Options:
     most: int = 24
 
     def finer(self) -> Options:
-        """A third of the shares: for positions and forces, which no friction hides, and where another recording decides
-        what stays.
+        """A third of the shares.
+
+        For positions and forces, which no friction hides, and where another recording decides what stays.
         """
         return replace(self, smallest=self.smallest / 3.0, smallest_next=self.smallest_next / 2.0,
                        smallest_learned=self.smallest_learned / 3.0)

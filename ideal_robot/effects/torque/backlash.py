@@ -25,6 +25,9 @@ class Backlash(JointElasticity):
     coefficient_units = ("rad",)
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002: dead zone model"
 
+    _slow = 5.0
+    """A gap is crossed at once: what the position filter makes of that is not taken for load, up to half as far."""
+
     def usable(self, signals: Signals, joint: int) -> bool:
         """The load has to change sign."""
         load = signals.load[:, joint - 1]

@@ -10,9 +10,6 @@ from ideal_robot.effects.drive_change import DriveChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.signals.preprocess import lowpass
 
-_MOTION = 2.5
-"""The position filter lets pass all of the band that is looked at; the load is looked at up to two thirds of that."""
-
 
 class JointElasticity(Effect):
     """Seen in the motor torque: the arm moves on ``q_a = q - tau_load/K``.
@@ -26,6 +23,9 @@ class JointElasticity(Effect):
     coefficient_names = ("compliance",)
     coefficient_units = ("rad/(N m)",)
     source = "[J] (1), (2): elastic joint"
+
+    _slow = 2.5
+    """The position filter lets pass all of the band that is looked at; the load counts up to two thirds of that."""
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """The rigid body has to be known as a function, and there has to be a load."""
@@ -73,7 +73,7 @@ class JointElasticity(Effect):
         jumps, and that jump is no load of the arm. In recorded motions it is filtered out.
         """
         load = signals.load[:, joint - 1]
-        return load if signals.cutoff is None else lowpass(load, signals.dt, signals.cutoff / _MOTION)
+        return load if signals.cutoff is None else lowpass(load, signals.dt, signals.cutoff / self._slow)
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. A spring holds, and bends by less than a twentieth of a radian in use."""

@@ -139,9 +139,12 @@ def test_emps_asymmetry_and_delay_are_found_without_being_told():
     assert names[0] == "asymmetric_friction"
     assert "dead_time" in names
     channel = found.channels[0]
+    # In the band that is looked at, apart from reversals; the published 5.95 % are of all frequencies and samples.
     before, after = (100.0 * value / channel.rms_signal for value in (channel.rms_before, channel.rms_after))
-    assert before == pytest.approx(5.95, abs=0.15)
-    assert after <= 3.7
+    assert before > 4.0
+    assert after <= 3.2
+    whole = Recording.read(DATA / "emps" / "emps_validation.parquet")
+    assert found.model.predict(whole).relative_error_percent[0] <= 3.1
 
 
 @needs_data

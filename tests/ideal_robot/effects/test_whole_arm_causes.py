@@ -1,0 +1,63 @@
+"""Causes of the whole arm: what they add is what the changed arm does."""
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.effects.registry import find
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+
+def made():
+    robot = Robot.load("kr6")
+    t = np.arange(0.0, 6.0, 0.005)
+    q = 0.4 * np.sin(np.outer(t, np.linspace(1.0, 2.0, robot.n)) + np.arange(robot.n))
+    tau = np.zeros_like(q)
+    tau[300, 2] = 1e6
+    recording = Recording.from_arrays(t, q=q, tau=tau)
+    return robot, torque_regression(recording, robot, Model.nominal(robot), payload=True)
+
+
+def torques(model, signals):
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *row) for row in zip(signals.q, signals.qd, signals.qdd, strict=True)])
+
+
+def test_they_are_what_the_changed_arm_does():
+    robot, regression = made()
+    signals = regression.signals
+    before = torques(robot.pinocchio, signals)
+
+    tilted = robot.pinocchio.copy()
+    tilted.gravity.linear = tilted.gravity.linear + np.array([0.2, -0.1, 0.0])
+    columns = find("base_tilt", "tau").columns(signals, 0, ())
+    np.testing.assert_allclose(columns @ [0.2, -0.1], torques(tilted, signals) - before, atol=1e-6)
+
+    angle = 1e-4
+    signals_ahead = signals.q.copy()
+    signals_ahead[:, 2] += angle
+    column = find("zero_error", "tau").columns(signals, 3, ())[:, :, 0]
+    np.testing.assert_allclose(
+        angle * column, signals.rigid(signals_ahead, signals.qd, signals.qdd) - signals.load, atol=1e-4)
+
+    loaded = robot.pinocchio.copy()
+    point = pin.Inertia(2.0, np.zeros(3), np.zeros((3, 3)))
+    loaded.inertias[3] = loaded.inertias[3] + point
+    columns = find("link_load", "tau").columns(signals, 3, ())
+    np.testing.assert_allclose(columns @ [2.0, 0.0, 0.0, 0.0], torques(loaded, signals) - before, atol=1e-6)
+
+
+def test_one_filter_delays_every_joint():
+    _, regression = made()
+    signals = regression.signals
+    column = find("torque_filter", "tau").columns(signals, 0, (0.01,))[:, :, 0]
+    steps = round(0.01 / signals.dt)
+    late = signals.torque[100 - steps : -100 - steps] - signals.torque[100:-100]
+    np.testing.assert_allclose(0.01 * column[100:-100], late, atol=1e-9)
+
+
+def test_a_single_sample_that_stands_out_costs_nothing():
+    _, regression = made()
+    assert np.max(np.abs(regression.measured[:, 2])) == 0.0
