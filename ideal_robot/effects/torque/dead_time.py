@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 from scipy import ndimage
 
@@ -35,7 +37,7 @@ class DeadTime(Effect):
     theta_is_physical = False
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
-    discriminating_motion = (
+    discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("joint_elasticity", "the same path at half and at double speed: a delay grows with the torque's rate, a soft "
                              "gear with its second derivative"),
         ("presliding_hysteresis", "long strokes with few reversals at high speed: hysteresis shows after reversals "
