@@ -173,7 +173,6 @@ def find_rough_line(gray: Gray) -> RoughLine | None:
     """
     shrink = min(1.0, _LONGEST_SIDE / max(gray.shape))
     small = cv2.resize(gray, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA) if shrink < 1.0 else gray
-    # Slow changes of the light are no line.
     values = small.astype(np.float32)
     best: tuple[float, RoughLine] | None = None
     for dark in (True, False):
@@ -212,7 +211,7 @@ def _fitted(values: np.ndarray, mask: np.ndarray, sign: float, sigma: float) -> 
     extents = (int(np.ptp(columns)), int(np.ptp(rows)))
     along = int(extents[1] > extents[0])
     length = extents[along]
-    if length < _SHORTEST * max(values.shape) or length * 2 > len(rows) * 8 + 50 * sigma * length:
+    if length < _SHORTEST * max(values.shape):
         return None
     s, across = (columns, rows) if along == 0 else (rows, columns)
     places = np.unique(s)
