@@ -58,8 +58,8 @@ class StopConditions:
         self._robot, self._limits, self._T = robot, limits, robot.t_ipo
 
     def force(self, t: float, force: float) -> None:
-        """A contact force [N]. Raises ``EmergencyStopError`` above the limit."""
-        if force > self._limits.force:
+        """A contact force [N]. Raises ``EmergencyStopError`` above the limit, and where it is no number."""
+        if not force <= self._limits.force:
             raise EmergencyStopError(
                 "force",
                 t,

@@ -31,6 +31,7 @@ def test_what_is_allowed_passes(watch: StopConditions) -> None:
 
 @pytest.mark.parametrize(("call", "cause", "text"), [
     (lambda w, r: w.force(1.0, 51.0), "force", "51.0 N is above the limit 50.0 N"),
+    (lambda w, r: w.force(1.0, float("nan")), "force", "nan N is above the limit 50.0 N"),
     (lambda w, r: w.contact(1.0, 0.85), "contact", "150 ms ago, allowed are 100 ms"),
     (lambda w, r: w.approach(1.0, 0.06, 0.05), "contact", "no contact within 50 mm"),
     (lambda w, r: w.command(1.0, motion(r, 1.2 * r.v_max[1])), "velocity", "joint 2 would need velocity"),

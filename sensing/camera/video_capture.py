@@ -1,0 +1,79 @@
+"""Cameras that OpenCV reads: on USB, as a file, over RTSP or MJPEG."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import cv2
+import numpy as np
+
+from ideal_robot.errors import InputError
+from sensing.camera.frame_source import Frame
+from sensing.clock.clock_relation import ClockRelation
+from sensing.sensing_error import SensingError
+
+_LARGEST = 4096
+"""Columns or rows of a picture that are taken at most."""
+
+
+class VideoCapture:
+    """A ``FrameSource`` over ``cv2.VideoCapture``.
+
+    Most drivers tell when a picture was taken (``CAP_PROP_POS_MSEC``): V4L2 by the kernel's clock, RTSP by the
+    sender's, a file by its beginning. Where those stamps do not rise, or there are none, the arrival is the stamp.
+
+    Args:
+        source: number of a USB camera, path of a file, or URL.
+        least_delay: from mid-exposure to the picture's arrival, at least [s].
+        pace: whether a file is played at its own speed, as if it were a camera.
+
+    Raises:
+        InputError: it cannot be opened.
+    """
+
+    def __init__(self, source: int | str, least_delay: float = 0.0, *, pace: bool = False) -> None:
+        self._source, self._pace = source, pace
+        self._capture = cv2.VideoCapture(source)
+        # Old pictures are of no use; not every driver obeys.
+        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+        if not self._capture.isOpened():
+            raise InputError("OpenCV cannot open this camera, file or address", field="camera", value=source)
+        self.width = int(self._capture.get(cv2.CAP_PROP_FRAME_WIDTH))
+        self.height = int(self._capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
+        if not (0 < self.width <= _LARGEST and 0 < self.height <= _LARGEST):
+            self.close()
+            raise InputError(f"expected pictures of 1 to {_LARGEST} pixels each way", field="camera",
+                             value=(self.width, self.height))
+        self.clock = ClockRelation(least_delay)
+        self.stamps = "camera" if isinstance(source, int) else "stream"
+        self._number, self._last, self._begun = 0, -math.inf, math.nan
+
+    def read(self, timeout: float) -> Frame | None:
+        """See ``FrameSource.read``; how long it waits is the driver's matter, ``timeout`` is not known to it."""
+        there, image = self._capture.read()
+        arrived = time.perf_counter()
+        if not there or image is None:
+            raise SensingError(f"no picture comes from camera {self._source} any more")
+        stamp = 1e-3 * float(self._capture.get(cv2.CAP_PROP_POS_MSEC))
+        if self.stamps != "arrival" and not (math.isfinite(stamp) and stamp > self._last):
+            # From now on: two kinds of stamps must not be mixed.
+            self.stamps, self.clock = "arrival", ClockRelation(self.clock.least_delay)
+        if self.stamps == "arrival":
+            stamp = arrived
+        elif self._pace:
+            self._begun = self._begun if math.isfinite(self._begun) else arrived - stamp
+            time.sleep(max(self._begun + stamp - time.perf_counter(), 0.0))
+            arrived = time.perf_counter()
+        self._last = stamp
+        if not self.clock.add(stamp, arrived):
+            return None
+        gray = np.asarray(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+        if gray.shape != (self.height, self.width):
+            raise SensingError(f"camera {self._source} changed its picture's size on the way")
+        self._number += 1
+        return Frame(self._number, stamp, arrived, gray)
+
+    def close(self) -> None:
+        """See ``FrameSource.close``."""
+        self._capture.release()

@@ -1,0 +1,1 @@
+"""How the clocks of devices relate to this computer's."""

@@ -1,0 +1,62 @@
+"""Offset and drift of a device's clock are recovered from stamps and arrivals; what cannot be is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sensing.clock.clock_relation import ClockRelation
+
+
+def heard(relation: ClockRelation, *, offset: float, drift: float, seconds: float, rate: float = 50.0,
+          delay: float = 0.004, jitter: float = 0.0003, seed: int = 1) -> None:
+    """A device whose clock shows ``s`` at ``h = offset + (1 + drift) s``; exponential delays above the least one."""
+    rng = np.random.default_rng(seed)
+    for s in np.arange(0.0, seconds, 1.0 / rate):
+        relation.add(s, offset + (1.0 + drift) * s + delay + rng.exponential(jitter))
+
+
+@pytest.mark.parametrize("drift", [-50e-6, 20e-6, 50e-6])
+def test_offset_and_drift_are_recovered(drift: float) -> None:
+    relation = ClockRelation(least_delay=0.004)
+    heard(relation, offset=1234.5, drift=drift, seconds=60.0)
+    report = relation.report()
+    assert abs(1e-6 * report.drift_ppm - drift) < 4e-6
+    assert abs(relation.host(60.0) - (1234.5 + 60.0 * (1.0 + drift))) < 2e-4
+    assert abs(relation.stamp(relation.host(12.3)) - 12.3) < 1e-9
+    assert 0.0 <= report.late_ms < 1.0
+    assert report.refused == 0
+
+
+def test_a_short_while_tells_the_offset_and_leaves_the_drift_at_its_prior() -> None:
+    relation = ClockRelation()
+    heard(relation, offset=-7.0, drift=20e-6, seconds=0.6, delay=0.0)
+    assert abs(relation.host(0.5) - (-6.5)) < 2e-4
+    assert relation.report().drift_std_ppm > 50.0
+
+
+def test_late_messages_and_stalls_do_not_move_the_line() -> None:
+    relation, rng = ClockRelation(), np.random.default_rng(2)
+    for k in range(3000):
+        late = 0.3 - 0.02 * (k % 500 - 100) if 100 <= k % 500 < 115 else rng.exponential(0.001)
+        relation.add(0.02 * k, 100.0 + 0.02 * k + late)
+    assert abs(relation.host(60.0) - 160.0) < 5e-4
+
+
+@pytest.mark.parametrize("stamp", [np.nan, np.inf, 100.1, 50.0, 1e9])
+def test_one_impossible_stamp_is_refused_and_changes_nothing(stamp: float) -> None:
+    relation = ClockRelation()
+    heard(relation, offset=3.0, drift=0.0, seconds=100.0, rate=10.0, delay=0.0)
+    before = relation.host(100.0)
+    assert not relation.add(stamp, 103.0)
+    assert relation.host(100.0) == before
+    assert relation.report().refused == 1
+    assert relation.add(100.0, 103.0001)
+
+
+def test_a_device_that_began_anew_is_believed_after_three_stamps() -> None:
+    relation = ClockRelation()
+    heard(relation, offset=3.0, drift=0.0, seconds=100.0, rate=10.0, delay=0.0)
+    assert [relation.add(s, 105.0 + s) for s in (0.0, 0.1, 0.2)] == [False, False, True]
+    assert abs(relation.host(10.0) - 115.0) < 1e-3
+    assert relation.report().restarts == 1
