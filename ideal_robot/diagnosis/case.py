@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression
+from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Progress
@@ -26,6 +26,8 @@ class Case:
     Attributes:
         given: the model that was known before, or None.
         shared: whether the joints share inertias; not where torques are in amperes of unknown gain.
+        dead: joints (from 0) whose torque channel does not measure them, in one of the recordings.
+        cutoff: of the position filter [Hz], or None for the usual one.
     """
 
     recording: Recording
@@ -37,6 +39,8 @@ class Case:
     progress: Progress
     shared: bool
     only: Only | None
+    dead: tuple[int, ...] = ()
+    cutoff: float | None = None
 
     @property
     def stiffness(self) -> Array | None:
@@ -53,8 +57,9 @@ class Case:
             cutoff: of the position filter [Hz], from the data if None.
             reversal_width: speed over which dry friction changes sign ``(n,)`` [rad/s], from the data if None.
         """
-        made = torque_regression(recording, self.robot, model, cutoff=cutoff, shared=self.shared,
-                                 reversal_width=reversal_width, payload=self.given is not None)
+        made = torque_regression(recording, self.robot, model, cutoff=self.cutoff if cutoff is None else cutoff,
+                                 shared=self.shared, reversal_width=reversal_width, payload=self.given is not None)
+        made = without_dead_channels(made, self.dead)
         return made if self.shared else in_own_units(made)
 
 

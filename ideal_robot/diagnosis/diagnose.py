@@ -13,6 +13,7 @@ from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.channels import channel_findings, dead_joints
 from ideal_robot.signals.given import expect
 from ideal_robot.signals.recording import Recording
 
@@ -29,7 +30,7 @@ STAGES = (
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
              options: Options | None = None, seed: int = 0, progress: Progress = silent,
-             only: Only | None = None) -> Diagnosis:
+             only: Only | None = None, cutoff: float | None = None) -> Diagnosis:
     """Says which physical effect a model misses in a recording, in which joint, and what it is worth.
 
     Args:
@@ -43,6 +44,8 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         seed: of the null distributions.
         progress: called with the share done and a word.
         only: names and joints of the effects that may be looked for, for an oracle; then nothing is learned either.
+        cutoff: of the position filter [Hz]; 20 Hz if None, or a quarter of a slower sampling rate. The band in which
+            torques are looked at and the time left out around reversals follow it.
 
     Raises:
         InputError: a recording that cannot be used, or a model of another arm.
@@ -57,8 +60,11 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
         (validate,), more = checked([validate], robot)
         warnings += more
+    known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
+    warnings += [finding.warning for finding in known]
     case = Case(recording, robot, model, validate, options or Options(), np.random.default_rng(seed), progress,
-                shared=model is not None or not amperes, only=only)
+                shared=model is not None or not amperes, only=only, dead=tuple(dead_joints(tuple(known))),
+                cutoff=cutoff)
     found = stages.prepared(case, tuple(warnings))
     if len(found.problem.regression.undecided) == robot.n:
         return undecided(case, found)

@@ -16,7 +16,7 @@ from ideal_robot.diagnosis.search.equivalents import with_equivalents
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.effects import SENSOR, library
+from ideal_robot.effects import SENSOR, TCP_POSITION, library
 
 
 def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
@@ -45,6 +45,10 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None, bloc
     """The search in one regression; of a sensor nothing is learned, and what is reported as before is refitted."""
     effects = [effect for effect in library() if effect.domain == made.domain]
     sensor, only = made.domain == SENSOR, case.only
+    if made.domain == TCP_POSITION and made.absent:
+        # Two axes of three do not tell a length of the arm from an angle, nor a curve from either.
+        only = tuple((e.name, j) for e in effects if not e.geometric for j in range(case.robot.n + 1)
+                     if only is None or (e.name, j) in only)
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
     problem = Problem(made, blocks)

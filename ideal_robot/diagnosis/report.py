@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.channels.unused import unused_columns
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
@@ -17,14 +20,17 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     every = [effect for result in found.results for effect in result.found]
     effects = tuple(f for f in every if not f.fitted.effect.learned)
     unknown = tuple(f for f in every if f.fitted.effect.learned)
-    verdict = "unknown" if unknown else ("effects" if effects else "none")
-    return Diagnosis(verdict, tuple(channel for result in found.results for channel in result.channels), effects,
+    channels = tuple(channel for result in found.results for channel in result.channels)
+    left = bool(unknown) or any(channel.unexplained for channel in channels)
+    verdict = "unknown" if left else ("effects" if effects else "none")
+    return Diagnosis(verdict, channels, effects,
                      unknown, _held_out(case, found), found.domains[0].held_out_seconds,
                      found.problem.regression.undecided,
                      before=tuple(structure for result in found.results for structure in result.before),
                      remaining=tuple(structure for result in found.results for structure in result.remaining),
                      warnings=found.warnings, model=_extended(case, found, every),
-                     traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred)
+                     traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred,
+                     unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)))
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:
@@ -32,10 +38,11 @@ def undecided(case: Case, found: Findings) -> Diagnosis:
     made = found.problem.regression
     error, signal = (rms(values, made.use) for values in (made.y, made.measured))
     channels = tuple(ChannelResult(name, unit, float(error[j]), float(error[j]), float(error[j]),
-                                   float(made.noise_floor[j]), float(signal[j]))
+                                   float(made.noise_floor[j]), float(signal[j]), float(np.mean(made.use[:, j])))
                      for j, (name, unit) in enumerate(zip(made.channels, made.units, strict=True)))
     return Diagnosis("undecided", channels, (), (), "nothing: no joint moves enough to decide anything", 0.0,
-                     made.undecided, warnings=found.warnings, model=case.given)
+                     made.undecided, warnings=found.warnings, model=case.given,
+                     unused=unused_columns(case.recording, (made,)))
 
 
 def _held_out(case: Case, found: Findings) -> str:

@@ -87,12 +87,16 @@ def joint_fit(case: Case, found: Findings) -> Findings:
     final = found.problem.on_all_blocks().fit([c.candidate for c in found.choices], uncertainty=True)
     torque = DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
                              case.recording.hash)
-    return replace(found, domains=(torque,))
+    torque, dropped = torque.settled()
+    return replace(found, domains=(torque,), choices=tuple(torque.choices),
+                   not_transferred=found.not_transferred + dropped)
 
 
 def effects_of_other_channels(case: Case, found: Findings) -> Findings:
     """Arm angles, TCP positions, force sensor and camera, as far as the recording has them."""
-    return replace(found, domains=(*found.domains, *diagnosed_channels(case, found)))
+    settled = [domain.settled() for domain in diagnosed_channels(case, found)]
+    return replace(found, domains=(*found.domains, *(domain for domain, _ in settled)),
+                   not_transferred=found.not_transferred + tuple(d for _, dropped in settled for d in dropped))
 
 
 def errors_before_and_after(case: Case, found: Findings) -> Findings:

@@ -12,7 +12,7 @@ else that is linear: base parameters, friction, offsets.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -34,16 +34,36 @@ class EffectParameter:
     Attributes:
         name, unit: what it is.
         value, std: estimate and its standard deviation.
+        limit: ``≤`` or ``≥`` where the value stands at the end of what was searched, so that it says no more than
+            that, and ``std`` nothing; empty otherwise.
     """
 
     name: str
     value: float
     std: float
     unit: str
+    limit: str = ""
+
+    @property
+    def text(self) -> str:
+        """The parameter for people, with its uncertainty, both to what the uncertainty allows."""
+        if self.limit:
+            return f"{self.name} {self.limit} {self.value:.3g} {self.unit}"
+        if not (np.isfinite(self.std) and self.std > 0):
+            return f"{self.name} {self.value:.3g} {self.unit}"
+        return f"{self.name} {self.value:.3g} ± {self.std:.2g} {self.unit}"
 
     def to_dict(self) -> dict[str, Any]:
-        """The parameter as plain values for JSON."""
-        return {"name": self.name, "value": self.value, "std": self.std, "unit": self.unit}
+        """The parameter as plain values for JSON; ``std`` is None at a limit."""
+        return {"name": self.name, "value": self.value, "std": None if self.limit else self.std, "unit": self.unit,
+                **({"limit": self.limit} if self.limit else {})}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> EffectParameter:
+        """Reads what ``to_dict`` wrote."""
+        std = values["std"]
+        return cls(str(values["name"]), float(values["value"]), 0.0 if std is None else float(std),
+                   str(values["unit"]), str(values.get("limit", "")))
 
 
 class Effect(ABC):

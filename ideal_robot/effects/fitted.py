@@ -80,8 +80,7 @@ class FittedEffect:
             theta=tuple(float(v) for v in values.get("theta", ())),
             theta_std=tuple(float(v) for v in values.get("theta_std", ())),
             data=dict(values.get("data", {})),
-            parameters=tuple(EffectParameter(str(p["name"]), float(p["value"]), float(p["std"]), str(p["unit"]))
-                             for p in values.get("parameters", ())),
+            parameters=tuple(map(EffectParameter.from_dict, values.get("parameters", ()))),
             evidence=dict(values.get("evidence", {})),
         )
 

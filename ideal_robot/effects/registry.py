@@ -42,6 +42,7 @@ _TABLE = {
     "joint_elasticity/tau": "torque.joint_elasticity:JointElasticity",
     "backlash/tau": "torque.backlash:Backlash",
     "dead_time/qa": "arm.dead_time:ArmDeadTime",
+    "dead_time/qa_all": "arm.common_dead_time:CommonArmDeadTime",
     "joint_elasticity/qa": "arm.joint_elasticity:ArmElasticity",
     "transmission_error/qa": "arm.transmission_error:TransmissionError",
     "backlash/qa": "arm.backlash:ArmBacklash",

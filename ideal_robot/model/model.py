@@ -185,10 +185,8 @@ class Model(Summarised):
                              file=recording.source, field="q_i")
         used = self.provenance.get("filters", {})
         signals = preprocess(recording, cutoff=used.get("cutoff"), cutoff_decimation=used.get("cutoff_decimation"))
-        temperature = (np.column_stack([signals.columns[f"temp_{i + 1}"] for i in range(self.n)])
-                       if recording.has("temp") else None)
         tau = self.inverse_dynamics(signals.q, signals.qd, signals.qdd, t=signals.t - signals.t[0],
-                                    temperature=temperature, cutoff=signals.cutoff)
+                                    temperature=signals.temperature, cutoff=signals.cutoff)
         # The spread of the parameters needs no filtering: it is taken at the decimated instants.
         q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
         columns = sensitivity(self.kinematics, self.base, self.friction, q, qd, qdd, self.rigid_body(q, qd, qdd))

@@ -5,6 +5,7 @@ Each finding says what was seen and what to do about it. None changes the data; 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,13 +109,26 @@ def at_limits(values: Array, step: float) -> float:
         values: of the channel.
         step: between its levels; an extreme level that is not fuller than the one before it is no limit.
     """
-    share = 0.0
+    return float(sum(np.mean(top[:-2] & top[1:-1] & top[2:]) for top in _limits(values, step)))
+
+
+def clipped(values: Array) -> np.ndarray:
+    """Mask ``(N,)`` of samples at a limit that a channel ``(N,)`` stands at often enough to be clipped there."""
+    step = lattice(values)
+    if at_limits(values, step) <= _AT_LIMIT:
+        return np.zeros(len(values), dtype=bool)
+    return np.any(list(_limits(values, step)), axis=0)
+
+
+def _limits(values: Array, step: float) -> Iterator[np.ndarray]:
+    """For each side on which there is a limit, the samples that stand at it ``(N,)``."""
+    if np.ptp(values) == 0.0:
+        return
     for side in (values, -values):
         top = side >= side.max()
         below = ~top & (side >= side.max() - 1.5 * step)
         if top.sum() > 2 * below.sum():
-            share += float(np.mean(top[:-2] & top[1:-1] & top[2:]))
-    return share if np.ptp(values) > 0 else 0.0
+            yield top
 
 
 def filtered_above(values: Array, rate: float) -> float | None:

@@ -82,6 +82,15 @@ class FilteredSignals:
         return np.concatenate(parts)[self.keep]
 
     @property
+    def temperature(self) -> Array | None:
+        """Gear temperatures ``(N, n)`` [°C]; zero throughout for a joint without, None where no joint has one."""
+        known = [self.columns.get(f"temp_{j + 1}") for j in range(self.q.shape[1])]
+        kept = [values if values is not None and np.all(np.isfinite(values)) else None for values in known]
+        if all(values is None for values in kept):
+            return None
+        return np.column_stack([np.zeros(len(self.t)) if values is None else values for values in kept])
+
+    @property
     def t_decimated(self) -> Array:
         """Times of the decimated samples ``(M,)`` [s]."""
         return self.t[:: self.factor][self.keep]

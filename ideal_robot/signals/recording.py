@@ -109,6 +109,12 @@ class Recording(Summarised):
         """Whether all joints have a column ``prefix_i``."""
         return self.n > 0 and all(f"{prefix}_{i + 1}" in self.columns for i in range(self.n))
 
+    def having(self, prefix: str) -> np.ndarray:
+        """Which joints have a column ``prefix_i`` without gaps ``(n,)``."""
+        names = [f"{prefix}_{i + 1}" for i in range(self.n)]
+        return np.array([name in self.columns and bool(np.all(np.isfinite(self.columns[name]))) for name in names],
+                        dtype=bool)
+
     def joints(self, prefix: str) -> Array:
         """Columns ``prefix_1 … prefix_n`` side by side, shape ``(N, n)``.
 

@@ -20,6 +20,8 @@ def command(
     drive_data: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
                                                          "cycles; default: beside the URDF.")] = None,
     model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None,
+    cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: 20. The band of the torques and "
+                                                      "the time left out around reversals follow it.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
     out: Annotated[Path, typer.Option(help="Folder of the report.")] = Path("out/diagnose"),
@@ -34,7 +36,7 @@ def command(
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import progress_bar, show_table
-    from scenes.diagnosis.page import diagnosis_page, summary, unexplained
+    from scenes.diagnosis.page import diagnosis_page, summary, unexplained, unused
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
 
@@ -42,7 +44,8 @@ def command(
     with progress_bar("diagnose") as progress:
         arm = Robot.load(robot, drive_data)
         found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
-                         validate=None if validate is None else Recording.read(validate), seed=seed, progress=progress)
+                         validate=None if validate is None else Recording.read(validate), seed=seed, progress=progress,
+                         cutoff=cutoff)
         progress(0.97, "drawing")
         page = out / "report.html"
         better = None if found.model is None else model_out
@@ -53,22 +56,23 @@ def command(
             if model_file is not None and found.model is not None:
                 found.model.save(model_file)
     show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
-               ["channel", "before", "refitted", "after", "noise", "unit"],
-               [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit] for c in found.channels])
+               ["channel", "before", "refitted", "after", "noise", "unit", "samples that counted %"],
+               [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit, 100.0 * c.counted]
+                for c in found.channels])
     if found.effects or found.unknown:
         show_table("what was added", ["effect", "joint", "channel", "before", "after", "p", "parameters", "or"],
                    [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.0e}",
-                     ", ".join(e.depends_on) or "; ".join(f"{p.name} {p.value:.4g} ± {p.std:.2g} {p.unit}"
-                                                          for p in e.fitted.parameters),
+                     ", ".join(e.depends_on) or "; ".join(p.text for p in e.fitted.parameters),
                      ", ".join(e.indistinguishable_from)] for e in (*found.effects, *found.unknown)])
     for d in found.not_transferred:
-        typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); with it the error on the other "
-                   f"recording is {d.rms_with:.4g} instead of {d.rms_without:.4g}", err=True)
+        typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); {d.reason}", err=True)
     for joint, reason in sorted(found.undecided.items()):
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
     for warning in found.warnings:
         typer.echo(f"warning: {warning}", err=True)
     if loud := unexplained(found):
         typer.echo(f"warning: {loud}", err=True)
+    if found.unused:
+        typer.echo(f"not used: {unused(found)}")
     typer.echo(summary(found))
     typer.echo(f"report: {page}")

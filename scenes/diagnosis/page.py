@@ -16,6 +16,7 @@ _WORDS = {
             "looked at, above the smallest effect that is claimed.",
     "loud": "No effect could be named, though the model leaves more than the noise of the measurement.",
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
+    "left": "The model misses {effects}.",
     "undecided": "This recording moves too little to decide anything.",
 }
 _MILLI = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
@@ -45,13 +46,16 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
         page.warning(warning)
     if loud := unexplained(diagnosis):
         page.warning(loud)
+    if diagnosis.unused:
+        page.text(f"Not used: {unused(diagnosis)}.")
     page.heading("Error before and after, on held-out data")
     page.text(f"Held out: {diagnosis.held_out_how}.")
     page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
-                "unit", "before %", "after %"],
+                "unit", "before %", "after %", "samples that counted %"],
                [[c.channel, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit,
-                 *_relative(c)] for c in diagnosis.channels],
-               "Relative errors are 100·‖y − ŷ‖/‖y‖; positions are deviations already, of which there is no share.")
+                 *_relative(c), 100.0 * c.counted] for c in diagnosis.channels],
+               "Relative errors are 100·‖y − ŷ‖/‖y‖; positions are deviations already, of which there is no share. "
+               "Samples count where a joint moves, apart from reversals, rests and the ends of the recording.")
     if diagnosis.effects or diagnosis.unknown:
         page.figure(ladder_figure(diagnosis), "Every step of the ladder is the error on held-out data with one more "
                     "effect in the model; dashed: the noise of the measurement, below which no model can get.")
@@ -63,12 +67,12 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     _effects(page, diagnosis)
     if diagnosis.not_transferred:
         page.heading("What competed and lost")
-        page.table(["effect", "where", "channel", "p-value", "error without", "error with"],
+        page.table(["effect", "where", "channel", "p-value", "error without", "error with", "why not"],
                    [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, f"{d.p_value:.1e}",
-                     d.rms_without, d.rms_with] for d in diagnosis.not_transferred],
-                   "Found, but not added: these lower the error of the recording they were found in, but not that of "
-                   "the other recording (errors are on the blocks of it that decide): a phase that starts anew, or a "
-                   "habit of the motion.")
+                     d.rms_without, d.rms_with, d.reason] for d in diagnosis.not_transferred],
+                   "Found, but not added: these lower the error of the data they were found in, but not that of data "
+                   "that had no part in it (a phase that starts anew, or a habit of the motion), or are not what "
+                   "physics allows.")
     for names, traces in diagnosis.traces:
         _traces(page, diagnosis, names, traces)
     _remaining(page, diagnosis)
@@ -79,7 +83,9 @@ def summary(diagnosis: Diagnosis) -> str:
     named = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects if _lowers(e)]
     doubtful = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects if not _lowers(e)]
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
-    words = "loud" if diagnosis.verdict == "none" and diagnosis.unexplained else diagnosis.verdict
+    words = diagnosis.verdict
+    if words == "unknown" and not unknown:
+        words = "left" if named else "loud"
     text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has", unknown=_listed(unknown))
     if doubtful:
         words = _listed(doubtful)
@@ -99,9 +105,14 @@ def unexplained(diagnosis: Diagnosis) -> str:
     """What remains far above the noise and has no name, in a sentence; empty if there is nothing."""
     if diagnosis.verdict == "undecided" or not diagnosis.unexplained:
         return ""
-    loud = _listed([f"{c.channel} ({c.rms_after / c.noise_floor:.0f} times)" for c in diagnosis.unexplained])
+    loud = _listed([f"{c.channel} ({_times(c)})" for c in diagnosis.unexplained])
     return (f"What remains is several times the noise of the measurement in {loud}, and no signal that was looked at "
             "predicts it: short spikes, a filtered or saturated signal, or a cause that is not in the recording.")
+
+
+def unused(diagnosis: Diagnosis) -> str:
+    """What of the recording took no part, and why."""
+    return "; ".join(f"{names} ({reason})" for names, reason in diagnosis.unused.items())
 
 
 def _relative(c: ChannelResult) -> tuple[float | None, float | None]:
@@ -111,16 +122,18 @@ def _relative(c: ChannelResult) -> tuple[float | None, float | None]:
     return 100 * c.rms_before / max(c.rms_signal, 1e-300), 100 * c.rms_after / max(c.rms_signal, 1e-300)
 
 
+def _times(c: ChannelResult) -> str:
+    share = f", {100 * c.rms_after / c.spread:.0f} % of its spread" if np.isfinite(c.spread) and c.spread > 0 else ""
+    return f"{c.rms_after / c.noise_floor:.0f} times{share}"
+
+
 def _lowers(e: FoundEffect) -> bool:
     """Whether the error on data that had no part in finding the effect falls with it."""
     return e.rms_after < e.rms_before and e.transfers is not False
 
 
 def _amount(p: EffectParameter) -> str:
-    """A parameter with its uncertainty, both to what the uncertainty allows."""
-    if not (np.isfinite(p.std) and p.std > 0):
-        return f"{p.name} {p.value:.3g} {p.unit}"
-    return f"{p.name} {p.value:.3g} ± {p.std:.2g} {p.unit}"
+    return p.text
 
 
 def _where(e: FoundEffect) -> str:
@@ -158,7 +171,9 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
 
 def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: Traces) -> None:
     touched = [j for j, c in enumerate(names) if any(d.channel == c and d.rms_after < 0.99 * d.rms_before
-                                                     for d in diagnosis.channels)] or [0]
+                                                     for d in diagnosis.channels)]
+    if not touched:
+        touched = [j for j, c in enumerate(names) if any(d.channel == c for d in diagnosis.channels)][:1]
     page.heading(f"Measured, and what remained: {', '.join(names)}")
     for j in touched[:7]:
         page.figure(over_time(traces, j, names[j], _unit(diagnosis, names[j])),

@@ -19,27 +19,44 @@ def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
                    stiffness: Array | None) -> Regression | None:
     """Arm angle minus motor angle of each joint, and minus the gears' known deflection.
 
-    Only a constant difference is taken for granted.
+    Only a constant difference is taken for granted. Joints without an encoder on the arm's side are absent.
 
     Args:
-        recording: with ``qa_i``, else the result is None.
+        recording: with ``qa_i`` of some joints, else the result is None.
         robot: the arm.
         torque: the regression of its torques, for signals and filters.
         stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
     """
-    if not recording.has("qa"):
+    there = recording.having("qa")
+    if not there.any():
         return None
-    grid = torque.filtered.t
-    qa, q = (resampled(recording.t, recording.joints(key), grid) for key in ("qa", "q"))
     n = robot.n
-    y = torque.decimate(qa - q - deflection(torque, stiffness))
+    motor = resampled(recording.t, recording.joints("q"), torque.filtered.t)
+    y = torque.decimate(np.where(there, arm_angles(recording, torque, motor) - motor - deflection(torque, stiffness),
+                                 0.0))
     W = np.zeros((len(y), n, n))
     W[:, np.arange(n), np.arange(n)] = 1.0
     names = tuple(f"qa_{j + 1}" for j in range(n))
     units = tuple("m" if unit == "N" else "rad" for unit in torque.units)
+    without = {j + 1: "has no angle measured on the arm's side" for j in range(n) if not there[j]}
     return dataclasses.replace(torque, channels=names, units=units, y=y, measured=y - y.mean(axis=0),
-                               W=W, use=np.ones(y.shape, dtype=bool), noise_floor=noise_in_band(y, torque),
-                               domain=ARM_POSITION)
+                               W=W, use=np.tile(there, (len(y), 1)), noise_floor=noise_in_band(y, torque),
+                               undecided={**torque.undecided, **without}, domain=ARM_POSITION,
+                               absent=frozenset(int(j) for j in np.flatnonzero(~there)))
+
+
+def arm_angles(recording: Recording, torque: Regression, otherwise: Array) -> Array:
+    """Measured arm angles at the undecimated instants ``(N, n)``, where there are none something else.
+
+    Args:
+        recording: with ``qa_i`` of some joints.
+        torque: the regression of its torques, for the instants.
+        otherwise: for the other joints ``(N, n)``.
+    """
+    angles = np.array(otherwise)
+    for j in np.flatnonzero(recording.having("qa")):
+        angles[:, j] = resampled(recording.t, recording.columns[f"qa_{j + 1}"][:, None], torque.filtered.t)[:, 0]
+    return angles
 
 
 def deflection(torque: Regression, stiffness: Array | None) -> Array:

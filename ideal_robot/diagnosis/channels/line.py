@@ -15,6 +15,7 @@ import pinocchio as pin
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.arm_angle import arm_angles, deflection
 from ideal_robot.diagnosis.channels.blocks import Blocks
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import SENSOR, Signals
@@ -170,13 +171,9 @@ def _seen(recording: Recording) -> tuple[Array, np.ndarray, Array] | None:
 
 def _arm_angles(recording: Recording, torque: Regression, stiffness: Array | None) -> tuple[Array, Array]:
     """Times and arm angles ``(N, n)``: measured, or those of the motors less the deflection that is known."""
-    n = torque.signals.n
-    if all(f"qa_{i + 1}" in recording.columns for i in range(n)):
-        q = np.column_stack([recording.columns[f"qa_{i + 1}"] for i in range(n)])
-        if np.all(np.isfinite(q)):
-            return recording.t, q
-    q = torque.signals.q
-    return torque.filtered.t, q if stiffness is None else q - torque.signals.load / stiffness
+    if recording.having("qa").all():
+        return recording.t, recording.joints("qa")
+    return torque.filtered.t, arm_angles(recording, torque, torque.signals.q + deflection(torque, stiffness))
 
 
 def _smooth(t: Array, values: Array, at: Array) -> tuple[Array, Array]:

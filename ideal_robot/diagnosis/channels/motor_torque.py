@@ -6,6 +6,7 @@ all of its parameters (``ideal_robot.model.parametrisation``), both through the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.channels import clipped
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -64,9 +66,6 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     filtered = _differentiated(without_spikes(preprocess(recording, cutoff=cutoff, cutoff_decimation=band)))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
-    temperature = (np.column_stack([filtered.columns[f"temp_{i + 1}"] for i in range(n)])
-                   if recording.has("temp") else None)
-
     noise_velocity = small_velocity(recording, filtered)
     extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
 
@@ -75,7 +74,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
 
     body = body_on(n) if payload else None
     still = np.zeros_like(q)
-    signals = Signals(t, q, qd, qdd, still, still, still, temperature, extra=extra, payload=body,
+    signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
                       v_small=noise_velocity, cutoff=filtered.cutoff, bodies=body_on if payload else None)
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
@@ -83,7 +82,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
     apart = apart_from_reversals(qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)
     use = apart[:: filtered.factor][filtered.keep]
-    use &= apart_from_ends(filtered)[:, None]
+    use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
     units = tuple("N" if slides else "N m" for slides in prismatic)
@@ -91,6 +90,28 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
                       measured, measured, W, use, signals, filtered, undecided, noise_above_band(filtered), prismatic)
     made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
     return made if shared else replace(made, W=_own_copies(made.W))
+
+
+def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:
+    """The same regression where some torque channels (from 0) do not count, for they do not measure their joint."""
+    if not dead:
+        return made
+    use = made.use.copy()
+    use[:, list(dead)] = False
+    why = {j + 1: f"has a dead torque channel, tau_{j + 1}" for j in dead}
+    return replace(made, use=use, undecided={**made.undecided, **why})
+
+
+def _clipped(recording: Recording, filtered: FilteredSignals) -> np.ndarray:
+    """Rows ``(M, n)`` whose torque holds samples at a limit of the channel."""
+    grid, factor = filtered.t, filtered.factor
+    result = np.zeros((int(filtered.keep.sum()), recording.n), dtype=bool)
+    for j in range(recording.n):
+        at_limit = clipped(recording.columns[f"tau_{j + 1}"])
+        if at_limit.any():
+            near = np.interp(grid, recording.t, at_limit.astype(float)) > 0.0
+            result[:, j] = ndimage.maximum_filter1d(near, 4 * factor + 1)[::factor][filtered.keep]
+    return result
 
 
 def about_model(made: Regression, model: Model) -> Regression:

@@ -9,6 +9,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.signals.preprocess import FilteredSignals
 
+_FEWEST = 20
+"""Differences from which a level is estimated, at least."""
+
 
 def noise_above_band(filtered: FilteredSignals) -> Array:
     """Noise of the torque in the band that is looked at ``(n,)`` [N m]: the floor of its spectrum above that band."""
@@ -37,3 +40,16 @@ def noise_in_band(y: Array, torque: Regression) -> Array:
     # The median of an average of K periodograms lies below its mean.
     K = max(1.0, 2.0 * len(y) / length - 1.0)
     return np.asarray(np.sqrt(np.median(power[upper], axis=0) / (1.0 - 1.0 / (9.0 * K)) ** 3 * 0.5 * rate))
+
+
+def noise_left(residual: Array, use: np.ndarray) -> Array:
+    """What a residual ``(N, c)`` holds of white noise ``(c,)``; infinite where too few samples count.
+
+    Its third differences, in which no motion is left, over stretches that count ``(N, c)``: never more than noise, and
+    for a residual that is nothing else all of it.
+    """
+    third = np.diff(residual, 3, axis=0)
+    whole = use[3:] & use[2:-1] & use[1:-2] & use[:-3]
+    count = whole.sum(axis=0)
+    squares = (third**2 * whole).sum(axis=0) / np.maximum(count, 1)
+    return np.where(count >= _FEWEST, np.sqrt(squares / 20.0), np.inf)

@@ -28,6 +28,7 @@ class Regression:
         domain: where its effects act.
         prismatic: which joints slide and are measured in N and m ``(n,)``.
         noise_floor: level of the measurement's own noise per channel ``(c,)``, in the band that is looked at.
+        absent: channels (from 0) that the recording does not have; none of their samples counts.
     """
 
     t: Array
@@ -43,10 +44,16 @@ class Regression:
     noise_floor: Array
     prismatic: tuple[bool, ...]
     domain: Domain = MOTOR_TORQUE
+    absent: frozenset[int] = frozenset()
 
     def channel_of(self, joint: int) -> int | None:
         """Index of the channel of a joint; None where effects do not belong to one channel."""
         return joint - 1 if joint else None
+
+    @property
+    def recorded(self) -> np.ndarray:
+        """Which channels the recording has ``(c,)``."""
+        return np.array([j not in self.absent for j in range(len(self.channels))])
 
     def decimate(self, columns: Array) -> Array:
         """Filters and decimates columns ``(N_raw, …)`` to the rows of ``y``; untouched zeros stay exactly zero."""

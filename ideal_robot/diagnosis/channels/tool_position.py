@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.arm_angle import deflection
+from ideal_robot.diagnosis.channels.arm_angle import arm_angles, deflection
 from ideal_robot.diagnosis.channels.frames import frames_along
 from ideal_robot.diagnosis.channels.noise import noise_in_band
 from ideal_robot.diagnosis.channels.regression import Regression
@@ -40,38 +40,41 @@ def tool_regression(recording: Recording, robot: Robot, torque: Regression,
                    stiffness: Array | None) -> ToolRegression | None:
     """Measured TCP minus that of the nominal kinematics at the arm angles; None where it was not measured.
 
-    Where arm angles are not measured they are the motor angles with the gears' known deflection.
-
-    Where the measuring device stands (a small rotation and a shift) is fitted beside it.
+    Where arm angles are not measured they are the motor angles with the gears' known deflection. An axis that was not
+    measured is absent. Where the measuring device stands (a small rotation and a shift) is fitted beside it.
 
     Args:
-        recording: with ``x y z``, else the result is None.
+        recording: with some of ``x y z``, else the result is None.
         robot: the arm.
         torque: the regression of its torques, for signals and filters.
         stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
     """
-    if not all(axis in recording.columns for axis in "xyz"):
-        return None
-    measured = np.column_stack([recording.columns[axis] for axis in "xyz"])
-    if not np.all(np.isfinite(measured)):
+    there = measured_axes(recording)
+    if not there.any():
         return None
     grid = torque.filtered.t
-    xyz = resampled(recording.t, measured, grid)
-    behind = recording.has("qa")
-    q = (resampled(recording.t, recording.joints("qa"), grid) if behind
-         else torque.signals.q + deflection(torque, stiffness))
+    q = arm_angles(recording, torque, torque.signals.q + deflection(torque, stiffness))
     frames = frames_along(robot, q)
+    xyz = np.array(frames.tool)
+    for k in np.flatnonzero(there):
+        xyz[:, k] = resampled(recording.t, recording.columns["xyz"[k]][:, None], grid)[:, 0]
     y = torque.decimate(xyz - frames.tool)
     p = frames.tool - frames.tool.mean(axis=0)
     W = np.zeros((len(grid), 3, 6))
     W[:, :, :3] = np.eye(3)
     for i, axis in enumerate(np.eye(3)):
         W[:, :, 3 + i] = np.cross(axis, p)
-    # With measured arm angles the gears have no part in what is left.
-    load = np.zeros_like(q) if behind else torque.signals.load
+    # With a measured arm angle the gear has no part in what is left.
+    load = np.where(recording.having("qa"), 0.0, torque.signals.load)
     signals = dataclasses.replace(torque.signals, q=q, load=load, frames=frames)
     own = {f.name: getattr(torque, f.name) for f in dataclasses.fields(Regression)}
     own |= {"channels": ("x", "y", "z"), "units": ("m",) * 3, "y": y, "measured": y - y.mean(axis=0),
-            "W": torque.decimate(W), "use": np.ones(y.shape, dtype=bool), "signals": signals, "domain": TCP_POSITION,
-            "noise_floor": noise_in_band(y, torque)}
+            "W": torque.decimate(W), "use": np.tile(there, (len(y), 1)), "signals": signals, "domain": TCP_POSITION,
+            "noise_floor": noise_in_band(y, torque), "absent": frozenset(int(i) for i in np.flatnonzero(~there))}
     return ToolRegression(**own)
+
+
+def measured_axes(recording: Recording) -> np.ndarray:
+    """Which of ``x y z`` the recording has without gaps ``(3,)``."""
+    return np.array([axis in recording.columns and bool(np.all(np.isfinite(recording.columns[axis])))
+                     for axis in "xyz"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.candidate import Candidate
-from ideal_robot.effects import EffectParameter, FittedEffect
+from ideal_robot.effects import FittedEffect
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def fitted_effect(candidate: Candidate, found: Estimate, k: int, *, sliding: boo
     theta_std = tuple(float(v) for v in found.theta_std[k])
     parameters = effect.parameters(found.coefficients[k], found.std[k], theta, theta_std)
     if sliding:
-        parameters = [EffectParameter(p.name, p.value, p.std, linear_unit(p.unit)) for p in parameters]
+        parameters = [replace(p, unit=linear_unit(p.unit)) for p in parameters]
     return FittedEffect(effect.name, candidate.joint, effect.channel(candidate.joint),
                         tuple(float(v) for v in found.coefficients[k]), tuple(float(v) for v in found.std[k]), theta,
                         theta_std, effect.to_data(), tuple(parameters), evidence or {})

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.noise import noise_left
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.evidence import discriminating_motion, ranked_structure
-from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, Structure, Traces
+from ideal_robot.diagnosis.validation.limits import with_limits
+from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import SENSOR
 
@@ -74,20 +76,80 @@ class DomainDiagnosis:
         t = self.reported.t
         return float(self.held_out.sum() * (t[1] - t[0]))
 
+    def settled(self) -> tuple[DomainDiagnosis, tuple[NotTransferred, ...]]:
+        """The same without effects that do not hold in the end, one after another, and what was dropped.
+
+        An effect whose coefficients in the fit of everything together are not what physics allows, or with which the
+        error on the held-out data does not fall, is not missing.
+        """
+        domain = self
+        dropped: list[NotTransferred] = []
+        while domain.choices:
+            found = domain._unsound() or domain._worthless()
+            if found is None:
+                break
+            k, gone = found
+            kept = [choice for i, choice in enumerate(domain.choices) if i != k]
+            final = domain.problem.on_all_blocks().fit([c.candidate for c in kept], uncertainty=True)
+            domain, dropped = replace(domain, choices=kept, final=final), [*dropped, gone]
+        return domain, tuple(dropped)
+
+    def _unsound(self) -> tuple[int, NotTransferred] | None:
+        """The last effect whose coefficients in the final fit are not plausible."""
+        signals = self.problem.regression.signals
+        for k in reversed(range(len(self.choices))):
+            candidate, own = self.effects[k], self.final.coefficients[k]
+            if np.any(own) and not candidate.effect.plausible(own, candidate.theta, signals, candidate.joint):
+                said = ", ".join(p.text for p in fitted_effect(candidate, self.final, k).parameters)
+                return k, self._not_added(k, self._ladder()[1], "in the fit of everything together it has a sign or a "
+                                          f"size that physics does not allow ({said})")
+        return None
+
+    def _worthless(self) -> tuple[int, NotTransferred] | None:
+        """The effect with which the held-out error of its channel rises most, if there is one."""
+        levels = self._ladder()[1]
+        gains = [1.0 - after[j] / max(float(before[j]), 1e-300)
+                 for before, after, j in ((levels[k], levels[k + 1], self._channel(k, c, levels))
+                                          for k, c in enumerate(self.effects))]
+        k = int(np.argmin(gains))
+        return None if gains[k] > 0.0 else (k, self._not_added(k, levels, ""))
+
+    def _not_added(self, k: int, levels: Sequence[Array], why: str) -> NotTransferred:
+        candidate = self.effects[k]
+        j = self._channel(k, candidate, levels)
+        return NotTransferred(candidate.effect.name, candidate.joint, self.reported.channels[j],
+                              self.choices[k].p_value, float(levels[k][j]), float(levels[k + 1][j]), why)
+
+    def _ladder(self) -> tuple[list[Array], list[Array]]:
+        """Residuals of the reported regression with the first 0, 1, … effects, and their errors; see ``result``.
+
+        Against a given model the first error is that of the model as it was: an effect that could as well be a change
+        of its parameters is measured against it.
+        """
+        effects, reported = self.effects, self.reported
+        steps = [self.problem.fit(effects[:k]) for k in range(len(effects) + 1)]
+        residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
+        levels = [self._rms(residual) for residual in residuals]
+        if self.given:
+            levels[0] = self._rms(reported.y)
+        return residuals, levels
+
     def result(self, rng: np.random.Generator) -> DomainResult:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
         effects, own, reported = self.effects, self.problem.regression, self.reported
-        steps = [self.problem.fit(effects[:k]) for k in range(len(effects) + 1)]
-        residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
+        residuals, levels = self._ladder()
+        steps = [self.problem.fit(effects[:k]) for k in (0, len(effects))]
         before = reported.y if self.given else residuals[0]
-        levels = [self._rms(r) for r in residuals]
+        refit = self._rms(residuals[0])
         start, signal = self._rms(before), self._rms(reported.measured)
-        channels = tuple(ChannelResult(name, unit, float(start[j]), float(levels[0][j]), float(levels[-1][j]),
-                                       float(reported.noise_floor[j]), float(signal[j]))
-                         for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True)))
-        # An effect that could as well be a change of the model's parameters is measured against the model as it was.
-        if self.given:
-            levels[0] = start
+        # The floor belongs to the band of the residual, and is part of it.
+        after = self._rms(residuals[-1])
+        floor = np.minimum.reduce([reported.noise_floor, noise_left(residuals[-1], reported.use), after])
+        channels = tuple(ChannelResult(name, unit, float(start[j]), float(refit[j]), float(after[j]),
+                                       float(floor[j]), float(signal[j]), float(np.mean(own.use[:, j])),
+                                       float(self._spread(reported.measured)[j]))
+                         for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True))
+                         if j not in reported.absent)
         found = tuple(self._found(k, choice, levels) for k, choice in enumerate(self.choices))
         # Dependences are looked for in the recording that the fit was made on.
         first = own.y if self.given else steps[0].residual(own, [])
@@ -99,6 +161,11 @@ class DomainDiagnosis:
 
     def _rms(self, values: Array) -> Array:
         return rms(values, self.reported.use & self.held_out[:, None])
+
+    def _spread(self, values: Array) -> Array:
+        """Standard deviation per channel ``(c,)`` over the samples that count."""
+        use = self.reported.use
+        return rms(values - (values * use).sum(axis=0) / np.maximum(use.sum(axis=0), 1), use)
 
     def _found(self, k: int, choice: Choice, levels: Sequence[Array]) -> FoundEffect:
         """The effect of a choice; ``levels`` are the errors ``(c,)`` with the first 0, 1, … effects."""
@@ -112,6 +179,7 @@ class DomainDiagnosis:
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source}
         sliding = effect.depends_on_joint and candidate.joint > 0 and self.reported.prismatic[candidate.joint - 1]
         fitted = fitted_effect(candidate, self.final, k, sliding=sliding, evidence=evidence)
+        fitted = with_limits(fitted, candidate, self.problem.regression.signals)
         names = tuple(choice.dependence.names) if choice.dependence is not None else ()
         return FoundEffect(fitted, before, after, choice.p_value, rivals, discriminating_motion(effect.name, rivals),
                            transfers, names)

@@ -35,6 +35,8 @@ def ranked_structure(problem: Problem, residual: Array, rng: np.random.Generator
     dependence = DependenceTest(signals, problem.blocks.edges, rng)
     result = []
     for j, channel in enumerate(regression.channels):
+        if not use[:, j].any():
+            continue
         tests = [dependence.test(residual[:, j], use[:, j], j, term)
                  for term in terms(signals, j, False, regression.domain)]
         limit = 0.01 / max(len(tests) * len(regression.channels), 1)

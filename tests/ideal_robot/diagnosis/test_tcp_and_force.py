@@ -133,3 +133,13 @@ def test_a_wrench_without_columns_or_numbers_is_not_looked_at():
     for columns in ({"fx": gaps, "fy": gaps, "fz": gaps}, {"fx": gaps * 0 + 1.0}):
         found = diagnose(recorded(None, **columns), robot(), only=(("force_bias", 0),))
         assert not [c for c in found.channels if c.channel.startswith("f")]
+
+
+def test_a_late_device_that_measures_two_axes_only():
+    t, q, _ = motion()
+    late = np.column_stack([np.interp(t - 3e-4, t, x) for x in tcp(robot().pinocchio, q).T])
+    whole = recorded(late)
+    flat = Recording({name: values for name, values in whole.columns.items() if name != "z"})
+    found = diagnose(flat, robot(), only=(("dead_time", 0), ("kinematic_error", 1)))
+    within(found, "dead_time", 0, delay=3e-4)
+    assert [c.channel for c in found.channels if c.channel in "xyz"] == ["x", "y"]

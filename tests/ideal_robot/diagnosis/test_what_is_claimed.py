@@ -1,0 +1,135 @@
+"""What is claimed in the end: limits instead of numbers, no signs against physics, nothing that does not help."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
+from ideal_robot.diagnosis.search.choice import Choice
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.limits import sides, with_limits
+from ideal_robot.effects import FittedEffect
+from ideal_robot.effects.registry import find
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.diagnosis.page import summary
+from tests.ideal_robot.diagnosis.test_diagnose import arm
+
+
+def moved(seconds: float = 40.0, *, vibration: float = 0.0, stribeck: float = 0.0,
+          kicks: float = 0.0) -> tuple[Recording, np.ndarray]:
+    """One joint with gravity and friction, and what else there is; also its true torque."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, seconds, 0.004)
+    q = 0.6 * np.sin(0.7 * t) + 0.3 * np.sin(1.9 * t) + 0.2 * np.sin(3.1 * t)
+    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd
+    tau = tau + stribeck * np.exp(-((qd / 0.3) ** 2)) * np.tanh(qd / 2e-3) + vibration * np.sin(2 * np.pi * 110.0 * t)
+    for at in rng.integers(0, len(t) - 5, 150):
+        tau[at : at + 5] += kicks * rng.normal()
+    noisy = tau + 0.03 * rng.normal(size=len(t))
+    return Recording.from_arrays(t, q=q[:, None], tau=noisy[:, None]), tau
+
+
+@pytest.fixture
+def one(tmp_path: Path) -> Robot:
+    return arm(tmp_path)
+
+
+def domain_of(one: Robot, recording: Recording, *candidates: Candidate) -> DomainDiagnosis:
+    """A domain in which a search is said to have selected these."""
+    made = torque_regression(recording, one, Model.nominal(one))
+    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    return with_choices(problem, *candidates)
+
+
+def with_choices(problem: Problem, *candidates: Candidate) -> DomainDiagnosis:
+    choices = [Choice(candidate, 1e-9) for candidate in candidates]
+    final = problem.on_all_blocks().fit(list(candidates), uncertainty=True)
+    return DomainDiagnosis(problem, choices, final, None, False, "")
+
+
+def test_a_value_at_the_end_of_the_search_is_a_limit_without_a_deviation(one):
+    made = torque_regression(moved()[0], one, Model.nominal(one))
+    effect = find("presliding_hysteresis", "tau")
+    least = max(effect.bounds(made.signals, 1)[0][0], min(s[0] for s in effect.starts(made.signals, 1)) / 3.0)
+    for theta, limit in ((least, "≤"), (2.0 * least, "")):
+        candidate = Candidate(effect, 1, (theta,))
+        parameters = effect.parameters(np.array([1.0]), np.array([0.1]), (theta,), (1e-5,))
+        fitted = FittedEffect(effect.name, 1, "tau_1", (1.0,), (0.1,), (theta,), (1e-5,), {}, tuple(parameters))
+        level, way = with_limits(fitted, candidate, made.signals).parameters
+        assert (level.limit, way.limit) == ("", limit)
+        assert level.std == 0.1
+        if limit:
+            assert way.std == 0.0
+            assert "±" not in way.text
+            assert "≤" in way.text
+            again = json.loads(json.dumps(way.to_dict()))
+            assert again["std"] is None
+            assert type(way).from_dict(again) == way
+
+
+def test_both_ends_of_a_bound_and_what_lies_between(one):
+    signals = torque_regression(moved()[0], one, Model.nominal(one)).signals
+    effect = find("stribeck", "tau")
+    low, high = effect.bounds(signals, 1)[0]
+    reach = [theta[0] for theta in effect.starts(signals, 1)]
+    low, high = max(low, min(reach) / 3.0), min(high, 3.0 * max(reach))
+    assert [sides(Candidate(effect, 1, (v,)), signals)[0] for v in (low, np.sqrt(low * high), high)] == [-1, 0, 1]
+
+
+def test_friction_that_drives_is_not_added_in_the_end(one):
+    # Less friction near standstill than the law has: a Stribeck term would be negative.
+    effect = find("stribeck", "tau")
+    domain, dropped = domain_of(one, moved(stribeck=-0.8)[0], Candidate(effect, 1, (0.3,))).settled()
+    assert not domain.choices
+    assert [d.effect for d in dropped] == ["stribeck"]
+    assert "physics" in dropped[0].reason
+    domain, dropped = domain_of(one, moved(stribeck=0.8)[0], Candidate(effect, 1, (0.3,))).settled()
+    assert len(domain.choices) == 1
+    assert not dropped
+
+
+def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_either(one):
+    recording, _ = moved()
+    rng = np.random.default_rng(2)
+    qa = recording.columns["q_1"] + 1e-5 * rng.normal(size=len(recording.t))
+    recording = Recording({**recording.columns, "qa_1": qa})
+    torque = torque_regression(recording, one, Model.nominal(one))
+    made = arm_angle_regression(recording, one, in_position_band(torque, recording), None)
+    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    selecting = problem.blocks.selecting[problem.blocks.of_samples()]
+    # A ripple that the blocks kept apart contradict.
+    ripple = find("transmission_error", "qa")
+    column = made.decimate(ripple.columns(made.signals, 1, (40.0,)))[:, :, 0]
+    made = dataclasses.replace(made, y=made.y + 3e-5 * np.where(selecting, 1.0, -1.0)[:, None] * column)
+    domain, dropped = with_choices(dataclasses.replace(problem, regression=made),
+                                   Candidate(ripple, 1, (40.0,))).settled()
+    assert not domain.choices
+    assert dropped[0].rms_with > dropped[0].rms_without
+
+
+def test_the_noise_floor_is_that_of_the_band_and_never_above_the_residual(one):
+    # A vibration far above the band makes the torque's own spectrum a bad witness of the noise within.
+    quiet, shaken = (diagnose(moved(vibration=size)[0], one, only=()).channels[0] for size in (0.0, 3.0))
+    assert quiet.noise_floor == pytest.approx(0.03 * np.sqrt(12.5 / 125.0), rel=0.2)
+    assert shaken.noise_floor <= shaken.rms_after
+    assert shaken.noise_floor < 3.0 * quiet.noise_floor
+
+
+def test_none_is_said_only_where_nothing_is_left_that_matters(one):
+    clean, kicked = (diagnose(moved(kicks=size)[0], one) for size in (0.0, 4.0))
+    assert (clean.verdict, clean.unexplained) == ("none", ())
+    assert kicked.verdict == "unknown"
+    assert kicked.to_dict()["unexplained"] == ["tau_1"]
+    assert "Nothing is missing" not in summary(kicked)
