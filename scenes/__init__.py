@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from planning.line.deviation_sensor import Reading
-    from scenes.models import shipped_model
+    from scenes.model_files import shipped_model
     from scenes.play import compare_scene, run_scene
     from scenes.scene_file import load_scene
     from scenes.sweep import sweep_scene
@@ -27,7 +27,7 @@ _WHERE = {
     "compare_scene": "scenes.play",
     "load_scene": "scenes.scene_file",
     "run_scene": "scenes.play",
-    "shipped_model": "scenes.models",
+    "shipped_model": "scenes.model_files",
     "sweep_scene": "scenes.sweep",
 }
 

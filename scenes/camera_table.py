@@ -10,7 +10,6 @@ import pydantic
 
 from scenes.scene import Table
 from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
-from sim.camera.camera_settings import CameraSettings
 
 
 class CameraTable(Table):
@@ -69,11 +68,6 @@ def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Genera
         rng: draws their signs.
     """
     return believed.perturbed(**CalibrationError(**_sizes(table)).signed(rng))
-
-
-def camera_settings(table: CameraTable) -> CameraSettings:
-    """What the camera does to picture and time."""
-    return CameraSettings(**{key: getattr(table, key) for key in CameraSettings.__dataclass_fields__ if key != "phase"})
 
 
 def _sizes(table: Calibration) -> dict[str, Any]:

@@ -141,9 +141,7 @@ class Geometry:
 
 def geometry(scene: LineTables, rng: np.random.Generator) -> Geometry:
     """Reference path and drawn line of a scene; ``rng`` draws where the line really is."""
-    plane = scene.surface.pose()
-    nominal = Shape(**{key: getattr(scene.line, key) for key in Shape.model_fields}).curve(scene.folder)
-    wanted = nominal if scene.reference.shape is None else scene.reference.shape.curve(scene.folder)
+    nominal = _nominal(scene)
     along, across, turn = scene.displacement.draw(rng)
     chord = nominal[-1] - nominal[0]
     # "Along" and "across" are the line's own directions, start to end; a closed line takes its x axis.
@@ -153,10 +151,20 @@ def geometry(scene: LineTables, rng: np.random.Generator) -> Geometry:
     middle = nominal.mean(axis=0)
     turned = (nominal - middle) @ np.array([[c, -s], [s, c]]).T + middle
     drawn = turned + along * u + across * np.array([-u[1], u[0]])
+    true = scene.surface.pose() * scene.displacement.draw_plane(rng, middle)
+    return Geometry(true, reference_points(scene), _lifted(drawn, true), drawn, (along, across, turn))
+
+
+def reference_points(scene: LineTables) -> Array:
+    """Points of the reference path with run-up and run-out ``(N, 3)`` [m]."""
+    wanted = _nominal(scene) if scene.reference.shape is None else scene.reference.shape.curve(scene.folder)
     ends = [_straight(wanted[0], wanted[0] - wanted[1], scene.reference.run_up)[::-1], wanted,
             _straight(wanted[-1], wanted[-1] - wanted[-2], scene.reference.run_out)]
-    true = plane * scene.displacement.draw_plane(rng, middle)
-    return Geometry(true, _lifted(np.vstack(ends), plane), _lifted(drawn, true), drawn, (along, across, turn))
+    return _lifted(np.vstack(ends), scene.surface.pose())
+
+
+def _nominal(scene: LineTables) -> Array:
+    return Shape(**{key: getattr(scene.line, key) for key in Shape.model_fields}).curve(scene.folder)
 
 
 def _straight(start: Array, direction: Array, length: float) -> Array:

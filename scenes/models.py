@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from importlib import resources
-from pathlib import Path
-
-from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from scenes.model_files import model_at, shipped_model
 from scenes.prepared_model import prepared_model
 from scenes.result import Progress, silent
-from scenes.scene import OWN, SHIPPED, Scene
+from scenes.scene import OWN, Scene
 from sim.arm.world import World
 
-
-def shipped_model(robot_name: str) -> Path:
-    """File of the model that was identified beforehand on recordings of the robot's default world (``make models``)."""
-    return Path(str(resources.files("scenes"))) / "models" / f"{robot_name}.json"
+__all__ = ["model_for", "shipped_model"]
 
 
 def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
@@ -31,20 +24,6 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
     Raises:
         InputError: no shipped model for that robot, no such file, or a model of another robot.
     """
-    if scene.model == OWN:
-        path = prepared_model(robot, World.from_table(scene.robot, scene.world), progress).path
-    else:
-        path = shipped_model(robot.name) if scene.model == SHIPPED else Path(scene.model)
-    if not path.is_file():
-        raise InputError("no such model file" if scene.model != SHIPPED else
-                         f"no model is shipped for {robot.name}; identify one and give its path", field="model",
-                         value=scene.model)
-    model = _load(path, path.stat().st_mtime_ns)
-    model.require_arm(robot, file=path)
-    return model
-
-
-@lru_cache(maxsize=8)
-def _load(path: Path, changed: int) -> Model:
-    """Loads once as long as the file does not change."""
-    return Model.load(path)
+    if scene.model != OWN:
+        return model_at(scene.model, robot)
+    return model_at(str(prepared_model(robot, World.from_table(scene.robot, scene.world), progress).path), robot)

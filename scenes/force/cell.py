@@ -10,19 +10,12 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
-from ideal_robot.errors import InputError
-from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import FORCE_ERRORS, ContactSettings
-from planning.force.contour import ContourFollower, ContourSettings
-from planning.force.force_follower import SurfaceFollower
-from planning.line.fusion import DeviationFilter
 from planning.path.kinematics import InverseKinematics
-from planning.path.reference import ReferencePath
-from planning.path.speed_profile import Limits, SpeedProfile
-from planning.planning_error import OutOfReachError
 from scenes.drawn_line import Geometry, geometry
+from scenes.force.known import START_HEIGHT, Known, force_reference
 from scenes.force.scene import ForceScene
+from scenes.force.world import true_sensor, true_surface, true_tip
 from scenes.models import model_for
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
 from sim.arm.arm import SimulatedArm
@@ -30,56 +23,23 @@ from sim.arm.world import World
 from sim.contact.contact import HeightSurface, TipContact
 from sim.contact.force_sensor import ForceSensor
 
-N_D = 20
-"""Desired positions handed to the ideal robot [cycles]."""
-POSITION_NOISE = 3e-5
-"""Standard deviation of the estimated tip position [m]."""
-DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-"""Orientation of a tool that points down."""
-START_HEIGHT = 0.01
-"""Of the tip above the reference when the approach begins [m]."""
 
+@dataclass(kw_only=True)
+class Cell(Known):
+    """Everything of one run that is set up before anything moves: what the follower knows, and the world."""
 
-@dataclass
-class Cell:
-    """Everything of one run that is set up before anything moves."""
-
-    scene: ForceScene
-    robot: Robot
     world: World
-    model: Model
     surface: HeightSurface
     geometry: Geometry
-    reference: ReferencePath
-    profile: SpeedProfile
     sensor: ForceSensor
     noise: np.random.Generator
     camera_streams: tuple[np.random.Generator, np.random.Generator]
-
-    def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
-        """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
-        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
-        estimated = self.scene.assumed.elasticity_estimated
-        return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
-                               lateral=fusion is not None, start_height=START_HEIGHT,
-                               force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
-
-    def contour_follower(self, elasticity: float) -> ContourFollower:
-        """A fresh follower of a contour: of the reference it knows the starting point alone."""
-        scene, frames = self.scene, self.reference.frames(np.zeros(1))
-        out, up = frames.up[0], np.array([0.0, 0.0, 1.0])
-        start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + START_HEIGHT * out)
-        side = 1 if float(np.cross(up, -out) @ frames.tangent[0]) > 0 else -1
-        q_start = InverseKinematics(self.robot).search(start, self.robot.home)
-        settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
-                                   length=float(scene.line.length or 0.5))
-        return ContourFollower(self.robot, start, -out, up, side, q_start, N_D, settings)
 
 
 def scene_curves(scene: ForceScene) -> dict[str, Array]:
     """Reference path and the true surface above the line ``(N, 3)`` [m], for the viewer."""
     where = geometry(scene, _streams(scene)[0])
-    surface = scene.surface.truth()
+    surface = true_surface(scene.surface)
     on_plane = (where.drawn - where.plane.translation) @ where.plane.rotation
     return {"line": surface.points(on_plane[:, :2]), "reference": where.reference}
 
@@ -99,19 +59,11 @@ def set_up(scene: ForceScene) -> Cell:
     world = World.from_table(scene.robot, scene.world)
     place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
     where = geometry(scene, place)
-    out = where.plane.rotation[:, 2]
-    if scene.task == "contour":
-        # Pressed sideways, the tool keeps its orientation: straight down.
-        reference = ReferencePath(where.reference, up=out, rotation=DOWN)
-    else:
-        reference = ReferencePath(where.reference, up=out, turning=1.0)
-    try:
-        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=40.0))
-    except OutOfReachError as error:
-        raise InputError(f"the path is out of reach: {error}", field="surface.origin",
-                         value=list(scene.surface.origin)) from error
-    return Cell(scene, robot, world, model_for(scene, robot), scene.surface.truth(), where, reference, profile,
-                ForceSensor(scene.sensor.truth(), sensor_noise), noise, (camera_noise, calibration))
+    reference, profile = force_reference(scene, robot, where.reference)
+    return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
+                reference=reference, profile=profile, world=world, surface=true_surface(scene.surface), geometry=where,
+                sensor=ForceSensor(true_sensor(scene.sensor), sensor_noise), noise=noise,
+                camera_streams=(camera_noise, calibration))
 
 
 def calibrate_tool(cell: Cell) -> ToolLoad:
@@ -142,7 +94,7 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
     height, speed = START_HEIGHT, -0.03
     stamps, forces, times, places = [], [], [], []
     with SimulatedArm(cell.robot, cell.world, cell.noise, q) as arm:
-        contact = TipContact(arm, cell.surface, cell.scene.tip.truth())
+        contact = TipContact(arm, cell.surface, true_tip(cell.scene.tip))
         state = None
         for k in range(int(6.0 / T)):
             height += speed * T

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import TracebackType
-from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array
 from planning.force.contact import FORCE_ERRORS
 from planning.force.force_follower import SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter
-from scenes.camera_table import believed_camera, camera_settings, true_camera
-from scenes.force.cell import N_D, Cell
+from scenes.camera_table import believed_camera
+from scenes.force.known import N_D, Known
 from scenes.force.scene import ForceScene
 from sensing.camera.field import Field, Window
 from sensing.camera.line_detection import DetectionSettings, LineField, detect_line, search_windows
-from sim.camera.relief_camera import ReliefCamera
-from sim.camera.surface import DrawnLine
 
 KNOWN = 1e-6
 """Standard deviation of a relative error that is not estimated."""
@@ -28,13 +23,13 @@ CONFIRM = 0
 """No rival hypotheses: with two sensors one that agrees would always outvote the other."""
 
 
-def glue_fusion(cell: Cell) -> DeviationFilter:
+def glue_fusion(cell: Known) -> DeviationFilter:
     """One filter for both sensors: a map in two directions, and the camera's own errors."""
     sight = SightSettings()
     assumed = cell.scene.assumed
     camera = (sight.yaw, sight.stamp, sight.scale if assumed.distance_estimated else KNOWN)
     force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
-    ahead = (N_D + 6) * cell.world.t_ipo * cell.profile.top_speed + 0.2
+    ahead = (N_D + 6) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
     model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
                           rotation=0.05, shape=0.01, length=0.1)
     return DeviationFilter(model, biases={"camera": camera, "force": force}, confirm=CONFIRM)
@@ -44,39 +39,23 @@ class GlueCamera:
     """The camera in the loop of a ``glue`` scene.
 
     Args:
-        cell: the scene set up.
+        cell: what is known of the scene.
         follower: whose map the fields go into.
+        rng: draws what garbage shows, where the scene has such trouble.
     """
 
-    def __init__(self, cell: Cell, follower: SurfaceFollower) -> None:
+    def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
         scene: ForceScene = cell.scene
-        table = scene.camera
-        self._rng, calibration = cell.camera_streams
-        believed = believed_camera(table)
-        true = true_camera(believed, scene.calibration, calibration)
-        self.camera, self.follower, self._trouble = believed, follower, scene.trouble
-        where = cell.geometry
-        self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
-                              background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
-        self.rendered = ReliefCamera(true, self.line, cell.surface, camera_settings(table), self._rng)
-        self.detection = DetectionSettings(line_width=self.line.width, dark=scene.line.gray < scene.line.background)
+        self._rng, self.follower, self._trouble = rng, follower, scene.trouble
+        self.camera = believed_camera(scene.camera)
+        self.detection = DetectionSettings(line_width=1e-3 * scene.line.width_mm,
+                                           dark=scene.line.gray < scene.line.background)
         reference = cell.reference
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)
-        sight = SightSettings(latency=table.latency, distance_ratio=scene.assumed.distance_ratio)
-        self.sight = LineOnSurface(follower, believed.T_tool_camera, sight, span)
+        sight = SightSettings(latency=scene.camera.latency, distance_ratio=scene.assumed.distance_ratio)
+        self.sight = LineOnSurface(follower, self.camera.T_tool_camera, sight, span)
         self.fields: list[tuple[float, int, str]] = []
         self.first_used = float("nan")
-
-    def close(self) -> None:
-        """Frees the renderer."""
-        self.rendered.close()
-
-    def __enter__(self) -> GlueCamera:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
-        self.close()
 
     def windows(self, exposure: float) -> Sequence[Window] | None:
         """The windows to read out of the field exposed at ``exposure`` [s]; None while nothing arrives."""
@@ -111,28 +90,3 @@ class GlueCamera:
         points[:, 1] += beside
         return LineField(seen.t, points, seen.pixels, seen.lateral, seen.sigma, seen.quality, seen.used, seen.seen,
                          seen.reason)
-
-    def control_error(self, t: Array, tcp: Array) -> tuple[dict[str, Any], tuple[Array, Array]]:
-        """Distance of the true tip from the drawn line, seen along the plane's normal, while it is followed.
-
-        Args:
-            t: instants during the travel ``(N,)`` [s].
-            tcp: true positions of the tip at them ``(N, 3)`` [m].
-
-        Returns:
-            the figures for ``--json`` and the series (instants, signed distances [m]).
-        """
-        plane = self.line.plane
-        up = plane.rotation[:, 2]
-        nearest = self.line.nearest(tcp - np.outer((tcp - plane.translation) @ up, up))
-        inside = (nearest.s > 1e-6) & (nearest.s < self.line.polyline.s[-1] - 1e-6)
-        inside &= t >= self.first_used + 0.3 if np.isfinite(self.first_used) else False
-        lateral = nearest.lateral[inside]
-        size = 1e3 * np.abs(lateral)
-        nothing = {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
-        figures = nothing if not len(size) else {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)),
-                                                 "max": float(size.max())}
-        used = sum(1 for one in self.fields if one[1] > 0)
-        refused = sum(1 for one in self.fields if one[1] == 0)
-        return ({"control_error_mm": figures, "fields": {"seen": len(self.fields), "used": used, "left_out": refused}},
-                (t[inside], lateral))

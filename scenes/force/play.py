@@ -9,11 +9,13 @@ import numpy as np
 
 from planning.force.contact import Phase
 from scenes.cycle import CycleSettings, play_cycles
-from scenes.force.cell import calibrations, set_up
+from scenes.force.cell import Cell, calibrations, set_up
+from scenes.force.glue_world import GlueWorld
 from scenes.force.recording import force_recording
 from scenes.force.result import ForceResult, force_figures
 from scenes.force.scene import Assumed, CameraTrouble, Emergency, ForceScene
 from scenes.force.task import ForceTask
+from scenes.force.world import true_tip
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.result import Progress, silent
 from sim.arm.arm import SimulatedArm
@@ -52,12 +54,13 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
                                      "trouble": CameraTrouble(),
                                      "sensor": scene.sensor.model_copy(update={"drift": ()})})
     tool, elasticity = calibrations(alike.model_dump_json())
-    task = ForceTask(set_up(scene), method, gains, tool, elasticity)
-    cell = task.cell
+    cell = set_up(scene)
+    glue = GlueWorld(cell) if scene.task == "glue" else None
+    task = ForceTask(cell, method, gains, tool, elasticity, cell.camera_streams[0])
     with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:
-        contact = TipContact(arm, cell.surface, scene.tip.truth())
+        contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
-        camera = None if task.vision is None else CarriedCamera(task.vision.rendered, arm)
+        camera = None if glue is None else CarriedCamera(glue.rendered, arm)
         task.connect(sensor, camera)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [sensor] if camera is None else [camera, sensor]), cell.robot, task, task.log,
@@ -65,28 +68,28 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
                     progress)
         wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
-        result = _result(scene, method.key, task, arm, contact, wall)
-    if task.vision is not None:
-        task.vision.close()
+        result = _result(cell, method.key, task, glue, arm, contact, wall)
+    if glue is not None:
+        glue.close()
     return result
 
 
-def _result(scene: ForceScene, method: str, task: ForceTask, arm: SimulatedArm, contact: TipContact,
-            wall: float) -> ForceResult:
+def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, arm: SimulatedArm,
+            contact: TipContact, wall: float) -> ForceResult:
     """Collects what a run leaves behind."""
-    history, log = contact.history(), task.log
+    scene, history, log = cell.scene, contact.history(), task.log
     lateral: dict[str, Any] = {}
     series = (np.empty(0), np.empty(0))
     moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
-    if task.vision is not None and moving:
+    if task.vision is not None and glue is not None and moving:
         log.fields = task.vision.fields
         at = (history["t"] >= moving[0]) & (history["t"] <= moving[-1])
-        plane = task.cell.surface.plane
+        plane = cell.surface.plane
         tip = history["tip"][at] @ plane.rotation.T + plane.translation
-        lateral, series = task.vision.control_error(history["t"][at], tip)
+        lateral, series = glue.control_error(task.vision, history["t"][at], tip)
     return ForceResult(
         scene=scene, method=method, figures=force_figures(scene, history, log),
         elasticity=(task.follower.settings.elasticity, task.elasticity.std, scene.tip.stiffness),
         tool={"mass": task.tool.mass, "force_residual_N": float(task.tool.residual[0])}, history=history, log=log,
-        recording=force_recording(arm, scene, method, task), urdf=task.cell.robot.urdf,
+        recording=force_recording(arm, scene, method, task), urdf=cell.robot.urdf,
         real_time_factor=arm.t / wall, lateral=lateral, lateral_series=series, failure=log.failure)

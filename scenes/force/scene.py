@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import numpy as np
@@ -13,8 +12,6 @@ from scenes.camera_table import Calibration, CameraTable
 from scenes.drawn_line import Displacement, Line, Reference, Surface
 from scenes.scene import Scene, Table
 from scenes.shape import Shape
-from sim.contact.contact import HeightSurface, Tip, Wave
-from sim.contact.force_sensor import ForceSensorSettings
 
 
 class WaveTable(Table):
@@ -37,13 +34,6 @@ class UnknownSurface(Surface):
     crest_mm: float = 0.0
     wave: tuple[WaveTable, ...] = ()
 
-    def truth(self) -> HeightSurface:
-        """The surface as the world has it."""
-        waves = tuple(Wave(1e-3 * w.amplitude_mm, 1e-3 * w.wavelength_mm, math.radians(w.heading_deg),
-                           math.radians(w.phase_deg)) for w in self.wave)
-        return HeightSurface(self.pose(), waves, self.curvature, 1e-3 * self.crest_mm, 1e-3 * self.offset_mm,
-                             self.slope)
-
 
 class TipTable(Table):
     """The tool's elastic tip."""
@@ -51,10 +41,6 @@ class TipTable(Table):
     stiffness: float = pydantic.Field(default=4000.0, gt=0)
     damping: float = pydantic.Field(default=8.0, ge=0)
     friction: float = pydantic.Field(default=0.15, ge=0, le=2)
-
-    def truth(self) -> Tip:
-        """The tip as the world has it."""
-        return Tip(self.stiffness, self.damping, self.friction)
 
 
 class SensorTable(Table):
@@ -70,10 +56,6 @@ class SensorTable(Table):
     drift: tuple[float, ...] = ()
     """What the bias has changed by since calibration, six components [N, N m]."""
     lie: tuple[float, ...] = ()
-
-    def truth(self) -> ForceSensorSettings:
-        """The sensor as the world has it."""
-        return ForceSensorSettings(**self.model_dump())
 
 
 class Assumed(Table):

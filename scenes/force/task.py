@@ -11,7 +11,7 @@ from planning.follower import ForceFollower
 from planning.force.contact import Phase
 from planning.force.direct_force import DirectForceFeedback
 from planning.force.stop_conditions import StopConditions
-from scenes.force.cell import N_D, Cell
+from scenes.force.known import N_D, Known
 from scenes.force.line_camera import GlueCamera, glue_fusion
 from scenes.force.result import ForceLog
 from scenes.methods import DIRECT, SceneMethod
@@ -28,17 +28,18 @@ class ForceTask:
     """Pressing and moving with one method; a ``scenes.cycle.Task``.
 
     Args:
-        cell: the scene set up.
+        cell: what is known of the scene.
         method: how ``q_d`` becomes ``q_c``.
         gains: K_p [m/N per cycle], K_d [m/N] of direct feedback.
         tool: bias and weight, from calibration.
         elasticity: of tip and surface, from calibration.
+        rng: draws what a camera in trouble shows.
     """
 
     n_d = N_D
 
-    def __init__(self, cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
-                 elasticity: ContactElasticity) -> None:
+    def __init__(self, cell: Known, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
+                 elasticity: ContactElasticity, rng: np.random.Generator) -> None:
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
         self.assumed_stiffness = assumed = cell.scene.assumed.elasticity_ratio * elasticity.stiffness
         self.vision: GlueCamera | None = None
@@ -49,15 +50,15 @@ class ForceTask:
         else:
             glue = cell.scene.task == "glue"
             self.follower = self._surface = cell.follower(assumed, glue_fusion(cell) if glue else None)
-            self.vision = GlueCamera(cell, self._surface) if glue else None
+            self.vision = GlueCamera(cell, self._surface, rng) if glue else None
             if method.key == DIRECT and gains is not None:
                 self._direct = DirectForceFeedback(self._surface, *gains)
         self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
         self._filter = WrenchFilter(WINDOW)
         model = cell.model if method.knows_model else None
-        self.feedforward = method.following(Setting(cell.robot, model, N_D, int(cell.world.correction_delay)))
+        self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay))
         # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
-        self._observer = None if model is None else ArmObserver(model, cell.world.t_ipo)
+        self._observer = None if model is None else ArmObserver(model, cell.robot.t_ipo)
         self._arm = self._observer.init(self.q_start) if self._observer is not None else None
         self._state = self.feedforward.init(self.q_start)
         self.log = ForceLog()

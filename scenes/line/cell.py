@@ -9,22 +9,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.elasticity.deflection import GearDeflection
-from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning.line.line_follower import FollowerSettings, LineFollower
-from planning.path.reference import ReferencePath
-from planning.path.speed_profile import Limits, SpeedProfile
-from planning.planning_error import OutOfReachError
-from scenes.camera_table import believed_camera, camera_settings, true_camera
+from scenes.camera_table import believed_camera, true_camera
+from scenes.camera_world import camera_settings
 from scenes.drawn_line import Geometry, geometry
 from scenes.line.appearance import look_at_line
 from scenes.line.calibration import calibrate_by_moving
+from scenes.line.known import Known, line_follower, span_of
 from scenes.line.scene import LineScene
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import DETECTORS, LineDetector
+from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
 from sensing.sensing_error import SensingError
@@ -34,27 +31,15 @@ from sim.camera.camera import RenderedCamera
 from sim.camera.surface import DrawnLine
 from sim.camera.surface import Feature as DrawnFeature
 
-HORIZON = 0.3
-"""Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
-START = 0.48
-"""Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
 
+@dataclass(kw_only=True)
+class Cell(Known):
+    """Everything of one run that is set up before anything moves: what the follower knows, and the world."""
 
-@dataclass
-class Cell:
-    """Everything of one run that is set up before anything moves."""
-
-    scene: LineScene
-    robot: Robot
     world: World
     geometry: Geometry
     line: DrawnLine
     true_camera: CameraModel
-    camera: CameraModel
-    """As it is believed: by hand at first, then as calibrated."""
-    reference: ReferencePath
-    follower: LineFollower
-    detector: LineDetector
     noise: np.random.Generator
     camera_noise: np.random.Generator
 
@@ -76,21 +61,10 @@ def set_up(scene: LineScene) -> Cell:
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera)
     true = true_camera(believed, scene.calibration, calibration)
-    reference = ReferencePath(where.reference, up=scene.surface.pose().rotation[:, 2], turning=1.0)
-    try:
-        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
-        begin = scene.reference.run_up
-        follower = LineFollower(
-            robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START,
-            line_span=(begin, reference.length - scene.reference.run_out),
-            settings=FollowerSettings(measurement=scene.measurement, max_blind=scene.max_gap,
-                                      max_search=scene.max_gap + 0.05,
-                                      stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
-    except OutOfReachError as error:
-        raise InputError(f"the line is out of reach: {error}", field="surface.origin",
-                         value=list(scene.surface.origin)) from error
-    return Cell(scene, robot, world, where, line, true, believed, reference, follower, detector, noise,
-                camera_noise)
+    reference, follower = line_follower(scene, robot, where.reference)
+    return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), world=world, geometry=where, line=line,
+                true_camera=true, camera=believed, reference=reference, follower=follower, detector=detector,
+                noise=noise, camera_noise=camera_noise)
 
 
 def streams(scene: LineScene) -> list[np.random.Generator]:
@@ -128,7 +102,7 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
     cell = set_up(scene)
     with RenderedCamera(cell.true_camera, cell.line, camera_settings(scene.camera), cell.camera_noise) as camera:
         detection, hand_eye, reasons = DetectionSettings(), None, []
-        span = (scene.reference.run_up, cell.reference.length - scene.reference.run_out)
+        span = span_of(scene, cell.reference)
         model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
         with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
             try:

@@ -14,7 +14,7 @@ from ideal_robot.model.model import Model
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
 from scenes.cycle import CycleLog
-from scenes.line.cell import START, Cell
+from scenes.line.known import START, Known
 from scenes.line.result import FieldShown
 from scenes.methods import DIRECT, SceneMethod
 from sensing.camera.camera_device import Camera
@@ -62,7 +62,7 @@ class LineTask:
     """Following a line with one method; a ``scenes.cycle.Task``.
 
     Args:
-        cell: the scene set up.
+        cell: what is known of the scene.
         method: how ``q_d`` becomes ``q_c``.
         camera: what sees the line.
         model: of the arm; None for a method that knows of none.
@@ -72,19 +72,19 @@ class LineTask:
         detection: how the line looks; the usual line if None.
     """
 
-    def __init__(self, cell: Cell, method: SceneMethod, camera: Camera, model: Model | None,
+    def __init__(self, cell: Known, method: SceneMethod, camera: Camera, model: Model | None,
                  gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = (),
                  detection: DetectionSettings | None = None) -> None:
         self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
         self.follower = follower = cell.follower
         self.n_d = follower.n_d
         given = min(self.n_d, cell.scene.n_d or self.n_d)
-        self._T = cell.world.t_ipo
+        self._T = cell.robot.t_ipo
         self._count = int(np.ceil((START + follower.duration + REST) / self._T))
         self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
         self._new: list[Field] = []
         self._detection = detection or DetectionSettings()
-        self.feedforward = method.following(Setting(cell.robot, model, given, int(cell.world.correction_delay)))
+        self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
         self._latency = assumed_latency(model) if model is not None else 0.0
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None

@@ -27,7 +27,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
-from scenes.models import shipped_model
+from scenes.model_files import shipped_model
 from scenes.path.precorrect import desired_path, robot_of
 from scenes.rsi.server import RsiServer
 

@@ -1,0 +1,74 @@
+"""What is known of a line scene before anything moves, by whoever follows the line: nothing of the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from planning.line.line_follower import FollowerSettings, LineFollower
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import Limits, SpeedProfile
+from planning.planning_error import OutOfReachError
+from scenes.line.scene import LineScene
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import LineDetector
+
+HORIZON = 0.3
+"""Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
+START = 0.48
+"""Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
+
+
+@dataclass(kw_only=True)
+class Known:
+    """What a follower of the line is given.
+
+    Attributes:
+        scene: the file; of its tables those of the world are not looked at.
+        robot: as its data sheet has it, with the controller's cycles.
+        delay: cycles between the hand-over of a command and the begin of its interpolation.
+        camera: as it is believed: by hand at first, then as calibrated.
+        reference: the reference path.
+        follower: plans along it.
+        detector: finds the line's points in a field.
+    """
+
+    scene: LineScene
+    robot: Robot
+    delay: int
+    camera: CameraModel
+    reference: ReferencePath
+    follower: LineFollower
+    detector: LineDetector
+
+
+def line_follower(scene: LineScene, robot: Robot, points: Array) -> tuple[ReferencePath, LineFollower]:
+    """Reference path and follower of a scene.
+
+    Args:
+        scene: speed, limits and what is measured.
+        robot: the arm with the controller's cycle.
+        points: of the reference ``(N, 3)`` [m].
+
+    Raises:
+        InputError: line out of reach, unreachable speed.
+    """
+    reference = ReferencePath(points, up=scene.surface.pose().rotation[:, 2], turning=1.0)
+    try:
+        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
+        follower = LineFollower(
+            robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
+            settings=FollowerSettings(measurement=scene.measurement, max_blind=scene.max_gap,
+                                      max_search=scene.max_gap + 0.05,
+                                      stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
+    except OutOfReachError as error:
+        raise InputError(f"the line is out of reach: {error}", field="surface.origin",
+                         value=list(scene.surface.origin)) from error
+    return reference, follower
+
+
+def span_of(scene: LineScene, reference: ReferencePath) -> tuple[float, float]:
+    """Arc lengths of the reference between which the line ought to be [m]."""
+    return scene.reference.run_up, reference.length - scene.reference.run_out
