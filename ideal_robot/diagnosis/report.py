@@ -8,7 +8,7 @@ import numpy as np
 
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.unused import unused_columns
-from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
+from ideal_robot.diagnosis.statistics.with_parameters import with_parameters, with_possible_inertias
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.model.model import Model
@@ -59,7 +59,7 @@ def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> Model | 
     if not case.shared:
         return None
     final = found.domains[0].final
-    model = with_parameters(found.start, final.change, final.covariance)
+    model = with_possible_inertias(with_parameters(found.start, final.change, final.covariance))
     provenance = dict(model.provenance)
     provenance["diagnosis"] = {"recording": case.recording.source, "hash": case.recording.hash,
                                "effects": [f.fitted.name for f in added]}

@@ -26,6 +26,8 @@ class Chain(NamedTuple):
         mass, com, inertia: of the body behind each joint: [kg] ``(n,)``, centre of mass in the joint's frame ``(n, 3)``
             [m], inertia about it ``(n, 3, 3)`` [kg m²].
         gravity: in the base frame ``(3,)`` [m/s²].
+        armature: inertia that resists the joint's own acceleration alone ``(n,)`` [kg m², kg]; negative where a share
+            of the bodies' is counted to the rotor.
     """
 
     rotation: Array
@@ -36,10 +38,11 @@ class Chain(NamedTuple):
     com: Array
     inertia: Array
     gravity: Array
+    armature: Array
 
 
 def chain_of(model: pin.Model) -> Chain:
-    """The chain of a Pinocchio model.
+    """The chain of a Pinocchio model, without armature: rotors are not part of the links.
 
     Raises:
         InputError: the model branches, or a joint has more than one degree of freedom.
@@ -60,7 +63,7 @@ def chain_of(model: pin.Model) -> Chain:
         axis[i] = motion[:3] if prismatic[i] else motion[3:]
         rotation[i], position[i] = placement.rotation, placement.translation
         mass[i], com[i], inertia[i] = body.mass, body.lever, body.inertia
-    return Chain(rotation, position, axis, prismatic, mass, com, inertia, np.array(model.gravity.linear))
+    return Chain(rotation, position, axis, prismatic, mass, com, inertia, np.array(model.gravity.linear), np.zeros(n))
 
 
 @numba.njit(cache=True, inline="always")
@@ -172,7 +175,8 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
             moment[i, r] = x[r] + y[r] + z[r]
     for i in range(n - 1, -1, -1):
         load = force[i] if chain.prismatic[i] > 0.5 else moment[i]
-        tau[i] = chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1] + chain.axis[i, 2] * load[2]
+        tau[i] = (chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1] + chain.axis[i, 2] * load[2]
+                  + chain.armature[i] * qdd[i])
         if i > 0:
             _turned(R[i], force[i], x)
             _turned(R[i], moment[i], y)

@@ -49,7 +49,7 @@ def joint_errors(robot: Robot, q_d: Array, error: Array, *, axes: tuple[str, ...
     data, tool = robot.pinocchio.createData(), robot.tool_id
     out = np.empty_like(q_d)
     for k, q in enumerate(q_d):
-        J = pin.computeFrameJacobian(robot.pinocchio, data, q, tool, pin.LOCAL_WORLD_ALIGNED)[rows]
+        J = pin.computeFrameJacobian(robot.pinocchio, data, q, tool, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[rows]
         WJ = weights[k][:, None] * J.T
         if common is not None:
             WJ = WJ + np.outer(common[k], J @ common[k])

@@ -15,24 +15,8 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import base_parameters, full_regressor
 from ideal_robot.errors import InputError
+from ideal_robot.identification.workspace import Workspace, clear_of_obstacles
 from ideal_robot.robots.robot import Robot
-
-
-@dataclass(frozen=True)
-class Workspace:
-    """Where the tool and the links may go, in the base frame.
-
-    Attributes:
-        z_min: lowest height of the tool and of every joint above the first two [m].
-        r_min: smallest distance of the tool from the base axis while it is lower than ``z_free`` [m].
-        z_free: height above which the base column is no obstacle [m].
-        beyond: extra length beyond the tool frame that must also keep clear [m].
-    """
-
-    z_min: float = 0.15
-    r_min: float = 0.35
-    z_free: float = 1.2
-    beyond: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -70,7 +54,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         rng: source of the random search.
         period: of the motion [s].
         harmonics: number of sines and cosines per joint, at least 3.
-        workspace: keeps the arm off floor and column; the default suits arms of one to two metres. None of it is
+        workspace: keeps the arm off floor and column; one in proportion to its reach if None. None of it is
             checked against cells or fixtures: look at the motion first.
         trials: random motions that the search begins with.
         refinements: changes that are tried of the best one.
@@ -84,7 +68,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
     if harmonics < 3:
         raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
                          field="harmonics", value=harmonics)
-    search = _Search(robot, period, harmonics, workspace or Workspace(), speed, acceleration, travel)
+    search = _Search(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
     best: FourierMotion | None = None
     for _ in range(trials):
         motion = search.scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)), rng)
@@ -169,24 +153,6 @@ class _Search:
         flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
         s = np.linalg.svd(flat, compute_uv=False)
         return float(s[0] / max(s[-1], 1e-12))
-
-
-def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
-    """Whether the arm keeps off floor and base column in all postures ``(N, n)``.
-
-    Args:
-        robot: the arm.
-        q: postures ``(N, n)`` [rad].
-        workspace: floor and base column.
-    """
-    model, data, tool, w = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id, workspace
-    for q_k in q:
-        pin.framesForwardKinematics(model, data, q_k)
-        tip = data.oMf[tool].act(np.array([0.0, 0.0, w.beyond]))
-        heights = [data.oMi[i].translation[2] for i in range(3, model.njoints)]
-        if min([tip[2], *heights]) < w.z_min or (tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min):
-            return False
-    return True
 
 
 def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:

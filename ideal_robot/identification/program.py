@@ -15,7 +15,8 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles
+from ideal_robot.identification.excitation import approach
+from ideal_robot.identification.workspace import Workspace, clear_of_obstacles
 from ideal_robot.robots.robot import Robot
 
 FRICTION_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5)
@@ -135,7 +136,7 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
         rng: draws the postures.
         points: operating points.
         candidates: random postures to choose from.
-        workspace: keeps the arm off floor and column; the default if None.
+        workspace: keeps the arm off floor and column; one in proportion to its reach if None.
 
     Raises:
         InputError: no postures within limits and workspace.
@@ -143,7 +144,7 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     n = robot.n
     v_max, a_max = finite_limits(robot)
     amplitude = np.minimum(0.12, 0.08 * (robot.q_max - robot.q_min))
-    postures = _postures(robot, rng, candidates, amplitude, workspace or Workspace())
+    postures = _postures(robot, rng, candidates, amplitude, workspace or Workspace.of(robot))
     base = base_parameters(robot.pinocchio)
     rows = np.stack([observation_rows(robot, base, q) for q in postures])
     size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)

@@ -12,6 +12,9 @@ from ideal_robot.model.model import Model
 from ideal_robot.signals.preprocess import lowpass, preprocess, resampled
 from ideal_robot.signals.recording import Recording
 
+_PASSED = 20.0
+"""Twists are compared with loads up to this frequency at least [Hz]: gears of arms resonate at 10 to 20 Hz."""
+
 
 def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[Array, Array]:
     """Stiffness and damping of each joint, ``k (q_m - q) + d (q̇_m - q̇) = load``, by least squares.
@@ -29,11 +32,14 @@ def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[A
     Raises:
         InputError: no arm angles in a recording.
     """
+    # Accelerations of a coarse encoder need the filter that the identification chose: noise in the load would make
+    # gears look stiff. Damping shows near the gears' resonance, which must pass.
+    cutoff = max(_PASSED, model.provenance.get("filters", {}).get("cutoff", 0.0))
     twists, rates, loads = [], [], []
     for recording in recordings:
         if not recording.has("qa"):
             raise InputError("arm angles qa_1 to qa_n are needed for stiffness", file=recording.source, field="qa_1")
-        s = preprocess(recording)
+        s = preprocess(recording, cutoff=cutoff)
         arm = resampled(recording.t, recording.joints("qa"), s.t, smooth=True)
         raw = resampled(recording.t, recording.joints("q"), s.t, smooth=True) - arm
         twist = lowpass(raw, s.dt, s.cutoff)

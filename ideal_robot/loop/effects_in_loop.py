@@ -30,7 +30,7 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
         bend[j] = max(bend[j], change.presliding)
         offset[j] += change.offset
         if change.rotor_inertia:
-            rotor[j] = max(rotor[j] + change.rotor_inertia, 1e-6)
+            rotor[j] = max(rotor[j] + change.rotor_inertia, 0.0)
         if change.ripple is not None:
             row = np.zeros((1, 3, len(offset)))
             row[0, :, j] = change.ripple

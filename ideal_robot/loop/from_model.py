@@ -9,6 +9,7 @@ from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.errors import InputError
 from ideal_robot.loop.effects_in_loop import with_effects
 from ideal_robot.loop.loop_model import LoopModel, low_pass_taps, velocity_grid
+from ideal_robot.loop.rotors import with_rotors
 from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -45,15 +46,17 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
     whole = round(controller.delay / robot.t_ipo) if delay is None else delay
     # What the delay has beyond whole cycles, and the low-pass, make the command filter.
     rest = max(0.0, controller.delay - round(controller.delay / robot.t_ipo) * robot.t_ipo)
+    chain, rotor_inertia = with_rotors(chain_of(model.dynamics), np.array(model.rotor_inertia), robot.q_min,
+                                       robot.q_max)
     loop = LoopModel(
-        chain=chain_of(model.dynamics),
-        rotor_inertia=np.maximum(model.rotor_inertia, 1e-6),
+        chain=chain,
+        rotor_inertia=rotor_inertia,
         friction_velocity=grid,
         friction_torque=np.maximum(unloaded, 0.0),
         friction_load=np.array([law.coefficients[-1, 0] if law.loaded else 0.0 for law in laws]),
         friction_bend=np.array([law.shape[-1, 0] if law.presliding else 0.0 for law in laws]),
         offset=np.array(model.offset),
-        stiffness=_elastic(model),
+        stiffness=_elastic(model, rotor_inertia),
         damping=np.zeros(n) if model.damping is None else np.array(model.damping),
         k_v=k_v, k_ff=k_ff, k_p=k_p, k_i=k_i,
         t_filter=np.clip(controller.k_2 / k_p, 0.0, _LAG_MAX),
@@ -64,14 +67,18 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         tau_max=np.array(robot.tau_max), q_min=np.array(robot.q_min), q_max=np.array(robot.q_max),
         v_max=np.array(robot.v_max), ripple=np.zeros((0, 3, n)),
     )
-    return with_effects(loop, model.effects) if model.effects else loop
+    if not model.effects:
+        return loop
+    loop = with_effects(loop, model.effects)
+    chain, rotor_inertia = with_rotors(loop.chain, loop.rotor_inertia, robot.q_min, robot.q_max)
+    return loop.replace(chain=chain, rotor_inertia=rotor_inertia)
 
 
-def _elastic(model: Model) -> Array:
+def _elastic(model: Model, rotor_inertia: Array) -> Array:
     """Stiffness ``(n,)`` [N m/rad]; ``inf`` where none is known or the gear cannot be told from a rigid one."""
     if model.stiffness is None:
         return np.full(model.n, np.inf)
-    rigid = model.stiffness > (2 * np.pi * _FASTEST) ** 2 * np.maximum(model.rotor_inertia, 1e-6)
+    rigid = model.stiffness > (2 * np.pi * _FASTEST) ** 2 * rotor_inertia
     return np.where(rigid, np.inf, model.stiffness)
 
 

@@ -85,12 +85,20 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
     reference = low_passed(interpolated(q_c, q0, loop), q0, loop.command_filter)
     external = np.zeros_like(q_c) if tau_ext is None else np.ascontiguousarray(tau_ext, dtype=float)
     elastic = np.isfinite(loop.stiffness)
-    # Rigid gears are played as gears whose own oscillation (80 Hz, well damped) nobody sees at the arm.
     R, p, M = np.empty((loop.n, 3, 3)), np.empty((loop.n, 3)), np.empty((loop.n, loop.n))
     joint_frames(loop.chain, q0, R, p)
     mass_matrix(loop.chain, R, p, M)
-    stiffness = np.where(elastic, loop.stiffness, (2 * np.pi * 80) ** 2 * np.diag(M))
-    damping = np.where(elastic, loop.damping, 2 * 0.5 * np.sqrt(stiffness * np.diag(M)))
+    # Rigid gears are played as gears whose own oscillation (80 Hz, well damped) nobody sees at the arm. Behind a rigid
+    # gear it does not matter who has the inertia: a link much lighter than its rotor gets a share of it, else it would
+    # sag; a rotor much lighter than its link must stand the gear at this step.
+    given = np.where(~elastic & (np.diag(M) < 0.1 * loop.rotor_inertia), 0.1 * loop.rotor_inertia, 0.0)
+    loop = loop.replace(chain=loop.chain._replace(armature=loop.chain.armature + given),
+                        rotor_inertia=loop.rotor_inertia - given)
+    link = np.diag(M) + given
+    held = np.minimum((2 * np.pi * 80) ** 2 * link, loop.rotor_inertia / loop.t_velocity**2)
+    stiffness = np.where(elastic, loop.stiffness, held)
+    damping = np.where(elastic, loop.damping, np.minimum(2 * 0.5 * np.sqrt(held * link),
+                                                         0.8 * loop.rotor_inertia / loop.t_velocity))
     tau0 = np.empty(loop.n)
     torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
     q_a, q_m, tau = _play(loop.chain, loop.drives(stiffness, damping), reference, external, tau0, q0, loop.t_position,

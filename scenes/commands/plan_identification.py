@@ -18,7 +18,8 @@ def command(
     period: Annotated[float, typer.Option(help="Period of the Fourier motion [s].", min=1.0)] = 20.0,
     points: Annotated[int, typer.Option(help="Operating points of the two-step method.", min=2)] = 10,
     seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
-    z_min: Annotated[float, typer.Option(help="Lowest height of tool and links [m].")] = 0.15,
+    z_min: Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; default: 0.15, less for "
+                                                     "arms that reach less than 1 m or stand low.")] = None,
     play: Annotated[bool, typer.Option("--play", help="Play it on the simulated arm and record it.")] = False,
     json: Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")] = None,
     out: Annotated[Path, typer.Option(help="Folder of program, commands and recording.")] = Path("out/plan"),
@@ -31,7 +32,9 @@ def command(
 
     Example: `ideal-robot plan-identification --robot kr15 --method two-step --play --out out/kr15`
     """
-    from ideal_robot.identification.excitation import Workspace
+    from dataclasses import replace
+
+    from ideal_robot.identification.workspace import Workspace
     from ideal_robot.robots.robot import Robot
     from scenes.commands.common import progress_bar, show_table
     from scenes.identification.plan import plan, play_plan
@@ -40,8 +43,11 @@ def command(
 
     check_outputs({"--out": out}, json=json)
     arm = Robot.load(robot, drive_data)
+    workspace = Workspace.of(arm)
+    if z_min is not None:
+        workspace = replace(workspace, z_min=z_min)
     with progress_bar("plan") as progress:
-        planned = plan(arm, method, seed=seed, period=period, points=points, workspace=Workspace(z_min=z_min))
+        planned = plan(arm, method, seed=seed, period=period, points=points, workspace=workspace)
         progress(0.2, "playing" if play else "")
         content = planned.json()
         recording = play_plan(planned, arm, seed,

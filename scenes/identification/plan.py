@@ -13,8 +13,9 @@ import pandas as pd
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import FourierMotion, Workspace, approach, design_excitation
+from ideal_robot.identification.excitation import FourierMotion, approach, design_excitation
 from ideal_robot.identification.program import Program, finite_limits, plan_two_step
+from ideal_robot.identification.workspace import Workspace
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
@@ -73,7 +74,7 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
         seed: of the search for a motion.
         period: of the Fourier motion [s].
         points: operating points of the two-step program.
-        workspace: where the arm may move; the limits of its joints alone if None.
+        workspace: where the arm may move; in proportion to its reach if None.
 
     Raises:
         InputError: unknown method, or nothing possible within limits and workspace.

@@ -17,6 +17,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.recording import Recording
 from scenes.report.page import Report
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
 
 
 def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None, method: str = "ideal",
@@ -24,7 +26,7 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     """Reads a joint path, corrects it and checks the result against the robot's limits.
 
     Args:
-        path: CSV or Parquet with ``t`` and ``q_d_i`` or ``q_i``.
+        path: CSV or Parquet with ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.
         model_file: identified model.
         robot: shipped robot or URDF; None for the one the model names.
         method: see ``ideal_robot.execution.precorrect.precorrect``.
@@ -62,7 +64,7 @@ def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> t
     """Times ``(N,)`` and path ``q_d (N, n)`` of a recording at the interpolation cycle, with rest before and behind.
 
     Args:
-        recording: ``t`` and ``q_d_i`` or ``q_i``.
+        recording: ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.
         arm: cycle and number of joints.
         path: the recording's file, for messages.
         rest: rest before the path [s].
@@ -75,42 +77,83 @@ def desired_path(recording: Recording, arm: Robot, path: Path, rest: float) -> t
 
 
 def columns_of(recording: Recording, arm: Robot, path: Path) -> tuple[Array, Array, str]:
-    """Times ``(N,)`` [s], positions ``(N, n)`` [rad] and what the positions are called, ``q_d`` before ``q``.
+    """Times ``(N,)`` [s], positions ``(N, n)`` [rad] and what the positions are called.
+
+    ``q_d`` comes before ``q`` before ``q_c``: commands alone, as of a planned motion, are a path too.
 
     Args:
-        recording: ``t`` and ``q_d_i`` or ``q_i``.
+        recording: ``t`` and ``q_d_i``, ``q_i`` or ``q_c_i``.
         arm: gives the number of joints.
         path: the recording's file, for messages.
 
     Raises:
         InputError: columns are missing, or there are more than the arm has joints.
     """
-    for prefix in ("q_d", "q"):
+    for prefix in ("q_d", "q", "q_c"):
         names = [f"{prefix}_{i + 1}" for i in range(arm.n)]
         if all(name in recording.columns for name in names):
             if f"{prefix}_{arm.n + 1}" in recording.columns:
                 raise InputError(f"the path has more joints than {arm.name} ({arm.n})", file=path,
                                  field=f"{prefix}_{arm.n + 1}")
             return recording.t, np.column_stack([recording.columns[name] for name in names]), prefix
-    raise InputError(f"columns q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}) are needed", file=path, field="q_d_1")
+    raise InputError(f"columns q_d_1 to q_d_{arm.n} (or q_1 to q_{arm.n}, or q_c_1 to q_c_{arm.n}) are needed",
+                     file=path, field="q_d_1")
 
 
-def table(result: PrecorrectedPath) -> tuple[list[str], list[list[Any]]]:
-    """One row a joint."""
+def played(result: PrecorrectedPath, arm: Robot, seed: int, *, delay: bool = False) -> tuple[Array, Array]:
+    """What the simulated arm makes of the corrected path, and of the path itself.
+
+    Args:
+        result: the corrected path.
+        arm: as its data sheet has it; the world's differs.
+        seed: of the world's noise.
+        delay: whether the planner's delay of one cycle is in force.
+
+    Returns:
+        Error of the arm angles, corrected and uncorrected ``(N, n)`` each [rad].
+    """
+    world = World.default(arm).replace(correction_delay=delay)
+    errors = []
+    for commands in (result.q_c, result.q_d):
+        with SimulatedArm(arm, world, np.random.default_rng(seed), result.q_d[0]) as simulated:
+            reached = []
+            for q_c in commands:
+                reached.append(simulated.q_a.copy())
+                simulated.cycle(q_c)
+        errors.append(np.asarray(result.q_d - np.array(reached)))
+    return errors[0], errors[1]
+
+
+def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None) -> tuple[list[str], list[list[Any]]]:
+    """One row a joint.
+
+    Args:
+        result: the corrected path.
+        measured: errors with the corrected path and without, where it was played ``(N, n)`` each [rad].
+    """
     largest = np.max(np.abs(result.q_c - result.q_d), axis=0)
     after, before = result.expected_rms
-    rows = [[i + 1, 1e3 * float(largest[i]), 1e3 * float(before[i]), 1e3 * float(after[i])]
-            for i in range(result.q_d.shape[1])]
-    return ["joint", "largest correction mrad", "expected error before mrad", "after mrad"], rows
+    columns = ["joint", "largest correction mrad", "expected error before mrad", "after mrad"]
+    values = [largest, before, after]
+    if measured is not None:
+        columns += ["played: error before mrad", "after mrad"]
+        values += [np.sqrt(np.mean(error**2, axis=0)) for error in measured[::-1]]
+    return columns, [[i + 1, *(1e3 * float(value[i]) for value in values)] for i in range(result.q_d.shape[1])]
 
 
-def write_page(result: PrecorrectedPath, path: Path) -> Path:
-    """The page about a corrected path."""
+def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Array] | None = None) -> Path:
+    """The page about a corrected path.
+
+    Args:
+        result: the corrected path.
+        path: of the page.
+        measured: errors with the corrected path and without, where it was played ``(N, n)`` each [rad].
+    """
     after, before = (1e3 * float(np.max(rms)) for rms in result.expected_rms)
     report = Report(f"Corrected path for {result.robot_name}",
                     f"Expected from the identified model: {after:.3f} mrad root mean square "
                     f"on the worst joint with the corrected path, {before:.2f} mrad without.")
-    report.table(*table(result))
+    report.table(*table(result, measured))
     figure = Figure(figsize=(9.0, 4.0))
     axes = figure.add_subplot()
     for i in range(result.q_d.shape[1]):

@@ -22,7 +22,7 @@ def frames_along(robot: Robot, q: Array) -> Frames:
     for k in range(N):
         pin.framesForwardKinematics(model, data, q[k])
         tip[k] = data.oMf[tool].translation
-        full = pin.computeFrameJacobian(model, data, q[k], tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        full = _jacobian(robot, data, q[k])
         jacobian[k] = full[:3]
         for j in range(n):
             placement = data.oMi[j + 1]
@@ -30,6 +30,12 @@ def frames_along(robot: Robot, q: Array) -> Frames:
             axis[k, j] = full[3:, j] if not prismatic[j] else full[:3, j]
             x[k, j] = placement.rotation @ normals[j]
     return Frames(axis, x, position, tip, jacobian)
+
+
+def _jacobian(robot: Robot, data: pin.Data, q: Array) -> Array:
+    """Jacobian of the tool's place ``(6, n)``; Pinocchio's has one dimension where there is one joint."""
+    full = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    return np.asarray(full).reshape(6, robot.n)
 
 
 def _normals(robot: Robot, prismatic: NDArray[np.bool_]) -> Array:
@@ -41,7 +47,7 @@ def _normals(robot: Robot, prismatic: NDArray[np.bool_]) -> Array:
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     n = model.nv
-    full = pin.computeFrameJacobian(model, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    full = _jacobian(robot, data, q)
     axes = [full[:3, j] if prismatic[j] else full[3:, j] for j in range(n)]
     places = [*[data.oMi[j + 1].translation for j in range(n)], data.oMf[robot.tool_id].translation]
     result = np.empty((n, 3))

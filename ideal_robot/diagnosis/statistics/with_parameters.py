@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.dynamics.consistency import consistent_parameters
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 
@@ -37,3 +38,17 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
         covariance=model.covariance if covariance is None else covariance,
         # The full parameters that have these base parameters and lie closest to those of before.
         consistent=model.base.nearest_full(base_values, model.consistent))
+
+
+def with_possible_inertias(model: Model) -> Model:
+    """The model with inertias that bodies can have, nearest to its base parameters.
+
+    A fit of all parameters leaves what the data hardly tell anywhere within its uncertainty, also where no body could
+    have it; such an arm cannot be simulated. Predicted torques do not change, they come from the base parameters.
+
+    Raises:
+        IdealRobotError: there are none near.
+    """
+    b = model.base.count
+    possible = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], model.consistent)
+    return dataclasses.replace(model, consistent=possible.full)

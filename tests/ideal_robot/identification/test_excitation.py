@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles, design_excitation
+from ideal_robot.identification.excitation import approach, design_excitation
 from ideal_robot.identification.program import plan_two_step, trapezoid
+from ideal_robot.identification.workspace import Workspace, clear_of_obstacles
 from tests.ideal_robot.identification.arm import motion, robot
 
 

@@ -12,7 +12,7 @@ from ideal_robot.errors import InputError, LimitError
 from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.signals.recording import Recording
 from scenes.models import shipped_model
-from scenes.path.precorrect import precorrected_path
+from scenes.path.precorrect import played, precorrected_path, table
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
 
 MODEL = shipped_model("kr15")
@@ -71,3 +71,19 @@ def test_bad_input_names_file_and_field(tmp_path):
         precorrected_path(write(tmp_path, motion()), MODEL, method="magic")
     with pytest.raises(InputError, match="no such"):
         precorrected_path(tmp_path / "missing.csv", MODEL)
+
+
+def test_a_planned_motion_is_a_path_too(tmp_path):
+    """What plan-identification writes has commands only; it was refused."""
+    q = motion(lead=2)
+    result = precorrected_path(write(tmp_path, q, prefix="q_c"), MODEL)
+    rest = round(0.6 / T)
+    np.testing.assert_allclose(result.q_d[rest : rest + len(q)], q, atol=1e-9)
+
+
+def test_played_on_the_simulated_arm_the_corrected_path_is_the_better_one(tmp_path):
+    result = precorrected_path(write(tmp_path, motion(lead=2)), MODEL)
+    after, before = played(result, ROBOT, 1)
+    assert np.all(np.sqrt(np.mean(after**2, axis=0)) < 0.1 * np.sqrt(np.mean(before**2, axis=0)))
+    columns, rows = table(result, (after, before))
+    assert len(columns) == len(rows[0]) == 6
