@@ -40,7 +40,7 @@ def test_every_command_works_as_printed(arm: str, tmp_path: Path) -> None:
     for line in COMMANDS:
         words = [robot if word == "kr6" else word for word in shlex.split(line)[1:]]
         # A viewer waits for the user otherwise; figures are read from the file that every verb writes on request.
-        words += ["--once", "--port", "0"] if words[0] == "view" else ["--json", f"{words[0]}.json"]
+        words += ["--once"] if words[0] == "view" else ["--json", f"{words[0]}.json"]
         done = subprocess.run([sys.executable, "-m", "scenes.cli", *words], cwd=tmp_path, capture_output=True,
                               text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
         assert done.returncode == 0, f"{line}\n{done.stdout[-1500:]}\n{done.stderr[-3000:]}"
