@@ -114,6 +114,9 @@ class PathDeviation(DeviationModel):
         displacement, rotation: expected rigid motion, standard deviations [m], [rad].
         shape: expected change of shape, standard deviation [m].
         length: distance over which the change of shape becomes another [m].
+        height, tilt: with two directions, the expected displacement along the surface normal [m] and turn about the
+            surface's axes [rad]; ``displacement`` and ``rotation`` if None.
+        bow, bow_length: the same as ``shape`` and ``length`` of the height [m]; those if None.
     """
 
     def __init__(
@@ -128,6 +131,10 @@ class PathDeviation(DeviationModel):
         rotation: float = 0.05,
         shape: float = 0.003,
         length: float = 0.1,
+        height: float | None = None,
+        tilt: float | None = None,
+        bow: float | None = None,
+        bow_length: float | None = None,
     ) -> None:
         self.directions, self.reference = directions, reference
         self._knot, self._behind = knot, behind
@@ -137,24 +144,28 @@ class PathDeviation(DeviationModel):
         self.size = self._rigid + directions * self._count
         self._centre = reference.position(np.linspace(0.0, reference.length, 50)).mean(axis=0)
         distance = knot * np.abs(np.subtract.outer(np.arange(self._count), np.arange(self._count)))
-        process = shape**2 * _matern(distance, length)
+        bend = shape if bow is None else bow
+        processes = [
+            (shape, shape**2 * _matern(distance, length)),
+            (bend, bend**2 * _matern(distance, bow_length or length)),
+        ]
         self._prior = np.zeros((self.size, self.size))
         plane = [displacement] * 2 + [rotation]
+        up, turn = displacement if height is None else height, rotation if tilt is None else tilt
         self._prior[: self._rigid, : self._rigid] = np.diag(
-            np.square(plane if directions == 1 else [displacement] * 3 + [rotation] * 3)
+            np.square(plane if directions == 1 else [displacement] * 2 + [up] + [turn] * 2 + [rotation])
         )
-        for block in self._blocks():
-            self._prior[block, block] = process
-        # The new coefficient given its predecessors, of the same process.
-        old, new = process[:-1, :-1], process[-1, :-1]
-        gain = np.linalg.solve(old + 1e-10 * shape**2 * np.eye(self._count - 1), new)
         self._F, self._Q = np.eye(self.size), np.zeros((self.size, self.size))
-        for block in self._blocks():
+        for block, (sigma, process) in zip(self._blocks(), processes, strict=False):
+            self._prior[block, block] = process
+            # The new coefficient given its predecessors, of the same process.
+            old, new = process[:-1, :-1], process[-1, :-1]
+            gain = np.linalg.solve(old + 1e-10 * sigma**2 * np.eye(self._count - 1), new)
             shift = np.eye(self._count, k=1)
             shift[-1, 1:] = gain
             self._F[block, block] = shift
             last = block.stop - 1
-            self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * shape**2)
+            self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * sigma**2)
         # Axes of the surface at the path's start span the rigid motion.
         start = reference.frames(0.0)
         self._axes = np.stack([start.tangent, start.normal, start.up])

@@ -22,6 +22,8 @@ from planning.path.vectors import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 MEASUREMENTS = ("polynomial", "points")
+BEND = 0.4
+"""Distance over which a surface's bend becomes another [m]."""
 SILENCE = 0.25
 """Time without any field after which the line counts as not seen [s]."""
 
@@ -38,6 +40,9 @@ class FollowerSettings:
         common: lateral error common to all points of a field, different from field to field [m].
         yaw: error of the camera's mounting about the surface normal, standard deviation [rad]; estimated on the way.
         stamp: error of the time stamps, standard deviation [s]; estimated on the way.
+        height, tilt, bow: how far the surface may be from the reference's along its normal [m], how far tilted about
+            its axes [rad], how far bent [m], standard deviations. All are estimated on the way from what moving over
+            the line shows ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
         max_blind: distance that may be travelled without seeing the line [m].
@@ -51,9 +56,12 @@ class FollowerSettings:
     cutoff: float = 15.0
     correction: float = 4.0
     noise: float = 2e-5
-    common: float = 3e-5
+    common: float = 1e-4
     yaw: float = 0.003
     stamp: float = 0.0005
+    height: float = 0.003
+    tilt: float = 0.015
+    bow: float = 0.0003
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
     max_blind: float = 0.15
@@ -67,7 +75,7 @@ class FollowerSettings:
         for key in ("cutoff", "correction", "max_blind", "max_search"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
-        for key in ("frozen", "noise", "common", "yaw", "stamp", "latency"):
+        for key in ("frozen", "noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
             if not getattr(self, key) >= 0:
                 raise InputError("expected zero or a positive number", field=key, value=getattr(self, key))
         if not 0 <= self.view[0] < self.view[1]:
@@ -82,7 +90,15 @@ class LineFollower:
     pose of the exposure. The deviations are fused into a map over arc length, so it does not matter when and how often
     a place was seen. The desired path is :math:`x_r(s(t)) + d(t)\, n(s(t))`, [L] (6), with the smoothed deviation
     ``d``; its speed is the reference's. In directions that are not sensed it is the reference. Other sensors are fused
-    with ``fuse`` ([L] 4.3); with a filter of two directions the desired path also follows the height they measure.
+    with ``fuse`` ([L] 4.3).
+
+    "If multiple features can be sensed it is further possible to extract the distance d" ([L] 4.2): a pixel is a ray,
+    so where the surface is higher than assumed by h, the point is displaced along the ray, and what is measured is
+
+    .. math:: z = d - \frac{r_n}{r_u} h
+
+    with the ray's components across the path and out of the surface. One place seen under different rays, as the line
+    comes nearer in a curve, tells d and h apart; the map holds both, and the desired path follows both.
 
     Args:
         robot: the arm.
@@ -94,6 +110,7 @@ class LineFollower:
         t_start: controller time at which the travel begins [s].
         joint_path: the reference in joint space, if it is known already.
         line_span: arc lengths of the reference between which the line is [m]; all of it by default.
+        eye: where the camera is in the tool frame ``(3,)`` [m]; without it heights cannot be told.
     """
 
     def __init__(
@@ -108,6 +125,7 @@ class LineFollower:
         t_start: float = 0.0,
         joint_path: JointPath | None = None,
         line_span: tuple[float, float] | None = None,
+        eye: Array | None = None,
     ) -> None:
         self.robot, self.reference, self.profile, self.n_d = robot, reference, profile, n_d
         self.settings = settings = settings or FollowerSettings()
@@ -116,8 +134,12 @@ class LineFollower:
         self._T = robot.t_ipo
         # A little more than the horizon and what the smoothing looks ahead behind it.
         ahead = max(0.3, (n_d + 12) * self._T * profile.top_speed + 0.05)
+        self._eye = eye
+        directions = 1 if eye is None or settings.height == 0 else 2
         self.fusion = fusion or DeviationFilter(
-            PathDeviation(reference, ahead=ahead), biases={"camera": (settings.yaw, settings.stamp)}
+            PathDeviation(reference, directions=directions, ahead=ahead, height=settings.height, tilt=settings.tilt,
+                          bow=settings.bow, bow_length=BEND),
+            biases={"camera": (settings.yaw, settings.stamp)},
         )
         self.path = DesiredPath(
             robot,
@@ -173,14 +195,22 @@ class LineFollower:
         s_tcp = self.profile.at(t - self.t_start)[0]
         s = s_tcp + (self._where_to_look(t) if ahead is None else ahead)
         step, m = 1e-3, len(s)
-        H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))[:, 0]
-        mean, variance = self.fusion.mean_and_variance(H[:m])
-        slope = (H[2 * m :] - H[m : 2 * m]) @ self.fusion.state / (2 * step)
+        H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))
+        mean, variance = self.fusion.mean_and_variance(H[:m, 0])
+        deviation = H @ self.fusion.state
+        slope = (deviation[2 * m :] - deviation[m : 2 * m]) / (2 * step)
         frames = self.reference.frames(s)
-        # Derivative of p + d n by arc length: (1 - κ d) t + d' n.
+        # Derivative of p + d n + h u by arc length: (1 - κ d) t + d' n + h' u.
         stretch = 1.0 - frames.curvature * mean
-        tangents = unit(stretch[:, None] * frames.tangent + slope[:, None] * frames.normal)
-        return LineAhead(s, frames.position + mean[:, None] * frames.normal, tangents, frames.up, np.sqrt(variance))
+        tangents = stretch[:, None] * frames.tangent + slope[:, :1] * frames.normal
+        points, up = frames.position + mean[:, None] * frames.normal, frames.up
+        if deviation.shape[1] > 1:
+            tangents = tangents + slope[:, 1:] * up
+            points = points + deviation[:m, 1:] * up
+        tangents = unit(tangents)
+        if deviation.shape[1] > 1:
+            up = unit(up - dot(up, tangents)[:, None] * tangents)
+        return LineAhead(s, points, tangents, up, np.sqrt(variance))
 
     def _where_to_look(self, t: float) -> Array:
         """What the TCP passes before the field has come and gone into the plan need not be looked at."""
@@ -237,7 +267,8 @@ class LineFollower:
         """
         pose = self.history.pose(t) if pose is None else pose
         lever = points_tcp @ pose.rotation.T
-        s, value, _ = self.reference.project(lever + pose.translation, self.profile.at(t - self.t_start)[0] + 0.06)
+        points = lever + pose.translation
+        s, value, height = self.reference.project(points, self.profile.at(t - self.t_start)[0] + 0.06)
         frames = self.reference.frames(s)
         covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
         # A turned camera moves a point by up × lever, a wrong time stamp by the velocity it has on the tool.
@@ -252,6 +283,10 @@ class LineFollower:
         if self.fusion.model.directions > 1:
             direction = np.zeros((len(s), self.fusion.model.directions))
             direction[:, 0] = 1.0
+            if self._eye is not None:
+                ray = lever - pose.rotation @ self._eye
+                direction[:, 1] = -dot(ray, frames.normal) / dot(ray, frames.up)
+                value = value + direction[:, 1] * height
         return Measurement(t, s, value, covariance, direction, bias=np.column_stack([turned, moved]))
 
     def deviation(self, s: Array) -> tuple[Array, Array]:

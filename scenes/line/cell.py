@@ -44,8 +44,13 @@ class Cell(Known):
     camera_noise: np.random.Generator
 
 
-def set_up(scene: LineScene) -> Cell:
+def set_up(scene: LineScene, hand_eye: HandEye | None = None) -> Cell:
     """Builds world, camera, reference and follower of a scene.
+
+    Args:
+        scene: what to play.
+        hand_eye: camera and surface as moving over the line has shown them, if it has: the reference is laid on that
+            surface. What it could not tell is left to the follower.
 
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
@@ -61,7 +66,10 @@ def set_up(scene: LineScene) -> Cell:
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera)
     true = true_camera(believed, scene.calibration, calibration)
-    reference, follower = line_follower(scene, robot, where.reference)
+    if hand_eye is not None:
+        believed = hand_eye.camera
+    reference, follower = line_follower(scene, robot, where.reference, believed,
+                                        None if hand_eye is None else hand_eye.surface)
     return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), world=world, geometry=where, line=line,
                 true_camera=true, camera=believed, reference=reference, follower=follower, detector=detector,
                 noise=noise, camera_noise=camera_noise)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import pinocchio as pin
+
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
@@ -17,6 +19,8 @@ from sensing.camera.detector import LineDetector
 
 HORIZON = 0.3
 """Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
+FOUND = (0.001, 0.0005)
+"""What calibration by moving leaves open of the surface's height [m] and slope [rad], standard deviations."""
 START = 0.48
 """Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
 
@@ -44,24 +48,34 @@ class Known:
     detector: LineDetector
 
 
-def line_follower(scene: LineScene, robot: Robot, points: Array) -> tuple[ReferencePath, LineFollower]:
+def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None
+                  ) -> tuple[ReferencePath, LineFollower]:
     """Reference path and follower of a scene.
 
     Args:
         scene: speed, limits and what is measured.
         robot: the arm with the controller's cycle.
         points: of the reference ``(N, 3)`` [m].
+        camera: as it is believed.
+        surface: motion that takes the surface to where calibration saw it: the reference is laid on it. What it could
+            not tell, or all of it where there was none, is left to the follower.
 
     Raises:
         InputError: line out of reach, unreachable speed.
     """
-    reference = ReferencePath(points, up=scene.surface.pose().rotation[:, 2], turning=1.0)
+    up = scene.surface.pose().rotation[:, 2]
+    height, tilt = FollowerSettings.height, FollowerSettings.tilt
+    if surface is not None:
+        points, up = points @ surface.rotation.T + surface.translation, surface.rotation @ up
+        height, tilt = FOUND
+    reference = ReferencePath(points, up=up, turning=1.0)
     try:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
-            settings=FollowerSettings(measurement=scene.measurement, max_blind=scene.max_gap,
-                                      max_search=scene.max_gap + 0.05,
+            eye=camera.T_tool_camera.translation,
+            settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt,
+                                      max_blind=scene.max_gap, max_search=scene.max_gap + 0.05,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",

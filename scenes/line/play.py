@@ -57,15 +57,13 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
         scene, method = scene.changed(measurement="points"), SceneMethod(POINTS, registered(IDEAL).make)
     if shared is None:
         with prepared(scene, progress) as own:
-            return _play(set_up(scene), method, gains, own, sensors, progress, pictures)
-    return _play(set_up(scene), method, gains, shared, sensors, progress, pictures)
+            return _play(set_up(scene, own.hand_eye), method, gains, own, sensors, progress, pictures)
+    return _play(set_up(scene, shared.hand_eye), method, gains, shared, sensors, progress, pictures)
 
 
 def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, shared: Prepared,
           sensors: Sequence[DeviationSensor], progress: Progress, pictures: bool) -> LineResult:
     scene, follower = cell.scene, cell.follower
-    if shared.hand_eye is not None:
-        cell.camera = shared.hand_eye.camera
     log = LineLog()
     with SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm:
         camera = CarriedCamera(shared.camera, arm)

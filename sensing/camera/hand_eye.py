@@ -13,12 +13,13 @@ d and s being lateral distance from and arc length on the reference path: Gauss-
 
     ∂d/∂θ = n · ∂x/∂θ,   ∂s/∂θ = t · ∂x/∂θ
 
-n, t the reference's normal and tangent at the foot of x.
+n, t the reference's normal and tangent at the foot of x. The surface's slope is solved for as well: it is the same in
+the base frame at all poses, the camera's errors are the same in the tool frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +31,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.polyline import Polyline
 from sensing.sensing_error import SensingError
 
+TILT = "surface_tilt"
 PRIOR = {
     "roll": 0.01,
     "pitch": 0.01,
@@ -42,8 +44,11 @@ PRIOR = {
     "principal_v": 2.0,
     "k1": 0.03,
     "time_offset": 0.003,
+    TILT: 0.02,
 }
-"""Standard deviations of a camera mounted by hand: 0.6°, 3 mm, 1 %, 2 px, 3 ms."""
+"""Standard deviations of a camera mounted by hand: 0.6°, 3 mm, 1 %, 2 px, 3 ms; and of the surface's slope along the
+line, 1°. What one line shows stays the same where the surface turns about it, or where camera and surface rise
+together: neither is a parameter."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +78,7 @@ class HandEye:
         time_offset: what has to be added to a time stamp [s].
         parameters, sigma: corrections found and their standard deviations, by name, as in ``PRIOR``.
         covariance: of the parameters, in the order of ``parameters``.
+        surface: motion in the base frame that takes the surface from where it was assumed to where it was seen.
         residual_before, residual_after: root mean square distance of the points from one common curve [m].
         used: points used, after outliers were dropped.
     """
@@ -85,6 +91,7 @@ class HandEye:
     residual_before: float
     residual_after: float
     used: int
+    surface: pin.SE3 = field(default_factory=pin.SE3.Identity)
 
 
 def calibration_poses(
@@ -151,10 +158,11 @@ def calibrate(
     fit = problem.solve(first.values, scale)
     sigma = np.sqrt(np.diag(fit.covariance))
     values = dict(zip(names, (float(v) for v in fit.values), strict=True))
-    corrected = camera.perturbed(**{name: value for name, value in values.items() if name != "time_offset"})
+    corrected = camera.perturbed(**{name: value for name, value in values.items()
+                                    if name not in ("time_offset", TILT)})
     return HandEye(
         corrected, values.get("time_offset", 0.0), values, dict(zip(names, (float(v) for v in sigma), strict=True)),
-        fit.covariance, before.rms, fit.rms, problem.count,
+        fit.covariance, before.rms, fit.rms, problem.count, problem.surface(values),
     )  # fmt: skip
 
 
@@ -186,7 +194,10 @@ class _Problem:
         turning = np.array([pin.skew(o.angular_velocity) for o in observations]).reshape(-1, 3, 3)
         self.rotation_rate = turning @ self.rotation
         self.owner = np.repeat(np.arange(len(found)), [int(f.sum()) for f in found])
-        self.offset = float(normal @ reference.points[0])
+        self.centre = reference.points.mean(axis=0)
+        along = reference.points[-1] - reference.points[0]
+        along = along - along @ normal * normal
+        self.along = along / np.linalg.norm(along)
         self.good = np.ones(len(self.pixels), dtype=bool)
         if self.count:
             s = self.reference.nearest(self._on_surface(np.zeros(len(names))), self.normal).s
@@ -198,11 +209,19 @@ class _Problem:
     def count(self) -> int:
         return int(self.good.sum())
 
+    def surface(self, values: Mapping[str, float]) -> pin.SE3:
+        """How the surface is moved in the base frame: a turn about the line's middle."""
+        # With a positive tilt the surface rises along the line.
+        R = pin.exp3(-values.get(TILT, 0.0) * np.cross(self.normal, self.along))
+        return pin.SE3(R, self.centre - R @ self.centre)
+
     def _on_surface(self, values: Array) -> Array:
         """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
         given = dict(zip(self.names, values, strict=True))
         delay = given.pop("time_offset", 0.0)
-        camera = self.camera.perturbed(**given)
+        moved = self.surface(given)
+        normal, centre = moved.rotation @ self.normal, moved.act(self.centre)
+        camera = self.camera.perturbed(**{name: value for name, value in given.items() if name != TILT})
         T = camera.T_tool_camera
         directions = camera.rays(self.pixels) @ T.rotation.T
         # To first order in the delay: milliseconds at a few rad/s.
@@ -210,7 +229,7 @@ class _Problem:
         position = self.position + delay * self.velocity
         ray = np.einsum("ijk,ik->ij", rotation[self.owner], directions)
         origin = (position + rotation @ T.translation)[self.owner]
-        depth = (self.offset - origin @ self.normal) / (ray @ self.normal)
+        depth = (centre - origin) @ normal / (ray @ normal)
         return np.asarray(origin + depth[:, None] * ray)
 
     def solve(self, values: Array, scale: Array, steps: int = 6) -> _Fit:

@@ -10,7 +10,7 @@ import pytest
 
 from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CalibrationError, CameraModel
-from sensing.camera.hand_eye import HandEye, Observation, calibrate, calibration_poses
+from sensing.camera.hand_eye import PRIOR, TILT, HandEye, Observation, calibrate, calibration_poses
 from sensing.camera.polyline import Polyline
 from sensing.sensing_error import SensingError
 
@@ -140,3 +140,23 @@ def test_calibration_poses_look_at_the_line() -> None:
         look = pose.act(np.array([0.065, 0.0, 0.0])) - ORIGIN
         assert np.linalg.norm(look[:2]) < 0.041
         assert 0.0 <= look[2] <= 0.0301
+
+
+def test_the_slope_of_the_surface_is_told_from_the_camera_that_looks_at_it() -> None:
+    rng = np.random.default_rng(9)
+    believed = CameraModel.default()
+    true = believed.perturbed(**ERROR.signed(rng))
+    # All of the cell turned about the base's y axis: the line rises by 1°, the poses stay as they are.
+    slope = math.radians(1.0)
+    R = pin.exp3(slope * np.array([0.0, 1.0, 0.0]))
+    poses = calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / math.hypot(1.0, 0.3), UP, 0.065)
+    seen = observations(true, rng, poses=[pin.SE3(R.T @ p.rotation, R.T @ (p.translation - ORIGIN) + ORIGIN)
+                                          for p in poses])  # fmt: skip
+    told = [Observation(pose, one.pixels, one.sigma) for pose, one in zip(poses, seen, strict=True)]
+    result = calibrate(believed, told, REFERENCE, UP)
+    assert abs(result.parameters["surface_tilt"]) == pytest.approx(slope, abs=4 * result.sigma["surface_tilt"])
+    # Across the line nothing is told of it.
+    np.testing.assert_allclose(result.surface.rotation @ UP, R @ UP, atol=3e-3)
+    assert np.abs(measuring_error(true, result.camera)).mean() < 1e-4
+    flat = calibrate(believed, told, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != TILT})
+    assert flat.residual_after > 2.0 * result.residual_after
