@@ -28,6 +28,7 @@ VERBS = {
     "plan-identification": "plan_identification",
     "stiffness": "stiffness",
     "diagnose": "diagnose",
+    "plan-diagnosis": "plan_diagnosis",
     "close-loop": "close_loop",
     "precorrect": "precorrect",
     "rsi": "rsi",

@@ -124,7 +124,7 @@ def _torque_effect(rng: np.random.Generator, s: Scene, name: str, joint: int,
     if name in STRUCTURAL:
         return _structural(rng, s, name, joint, noise, times)
     column = (INSIDE | OUTSIDE)[name](rng, s, joint)
-    size = _visible(s, column, joint, noise)
+    size = visible(s, column, joint, noise)
     if size <= 0.0:
         return None
     column = column * times / size
@@ -134,8 +134,15 @@ def _torque_effect(rng: np.random.Generator, s: Scene, name: str, joint: int,
     return s.q, column
 
 
-def _visible(s: Scene, column: Array, joint: int, noise: Array) -> float:
-    """Size of an effect at a joint in multiples of the smallest that can be seen."""
+def visible(s: Scene, column: Array, joint: int, noise: Array) -> float:
+    """Size of an effect at a joint in multiples of the smallest that can be seen.
+
+    Args:
+        s: the motion.
+        column: its torque ``(N, n)`` [N m].
+        joint: from 0.
+        noise: standard deviation of the torque ``(n,)`` [N m].
+    """
     rows = slice(None, None, max(1, len(s.t) // 600))
     data = s.arm.model.createData()
     base = []
@@ -186,10 +193,10 @@ def _structural(rng: np.random.Generator, s: Scene, name: str, joint: int, noise
         exact = scene(s.arm, s.t, s.q, np.gradient(s.q, s.t, axis=0),
                       np.gradient(np.gradient(s.q, s.t, axis=0), s.t, axis=0))
         seen = exact.load - again.load
-    visible = _visible(s, seen, joint, noise)
-    if visible <= 0.0:
+    times_visible = visible(s, seen, joint, noise)
+    if times_visible <= 0.0:
         return None
-    size = small * times / visible
+    size = small * times / times_visible
     largest = {"dead_time": 0.03, "joint_elasticity": 0.02 / float(np.max(np.abs(s.load[:, joint])) + 1e-9),
                "backlash": 0.005}[name]
     return recorded(size) if size < largest else None

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from ideal_robot.diagnosis.asking.plan import DiagnosisPlan, plan_diagnosis
+from ideal_robot.diagnosis.asking.questions import Open, open_questions, read_questions
 from ideal_robot.diagnosis.diagnose import diagnose
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect
 
-__all__ = ["Diagnosis", "FoundEffect", "Options", "diagnose"]
+__all__ = ["Diagnosis", "DiagnosisPlan", "FoundEffect", "Open", "Options", "diagnose", "open_questions",
+           "plan_diagnosis", "read_questions"]

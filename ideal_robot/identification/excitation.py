@@ -68,10 +68,18 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
     if harmonics < 3:
         raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
                          field="harmonics", value=harmonics)
-    search = _Search(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
+    search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
+    independent = list(base_parameters(robot.pinocchio).independent)
+
+    def scaled(coefficients: Array, centre: Array | None = None) -> FourierMotion | None:
+        motion = search.scaled(coefficients, rng, centre)
+        if motion is None:
+            return None
+        return replace(motion, condition_number=_condition(robot, independent, *motion.at(search.t)))
+
     best: FourierMotion | None = None
     for _ in range(trials):
-        motion = search.scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)), rng)
+        motion = scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)))
         if motion is not None and (best is None or motion.condition_number < best.condition_number):
             best = motion
     if best is None:
@@ -81,19 +89,26 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         step = np.zeros((2, harmonics, robot.n))
         step[rng.integers(2), rng.integers(harmonics), rng.integers(robot.n)] = rng.normal(scale=0.5)
         size = np.abs(np.stack([best.a, best.b])).max(axis=(0, 1))
-        motion = search.scaled(np.stack([best.a, best.b]) + step * size, rng, best.centre)
+        motion = scaled(np.stack([best.a, best.b]) + step * size, best.centre)
         if motion is not None and motion.condition_number < best.condition_number:
             best = motion
     return best
 
 
-class _Search:
-    """What stays the same over all candidates."""
+class MotionSpace:
+    """Fourier motions of one period within the limits of an arm.
+
+    Args:
+        robot: limits and kinematics; nominal inertias only weigh torque against its limit.
+        period: of the motions [s].
+        harmonics: number of sines and cosines per joint.
+        workspace: where tool and links may go.
+        speed, acceleration, travel: shares of the limits that may be used.
+    """
 
     def __init__(self, robot: Robot, period: float, harmonics: int, workspace: Workspace, speed: float,
                  acceleration: float, travel: float) -> None:
         self.robot, self.period, self.workspace = robot, period, workspace
-        self.independent = list(base_parameters(robot.pinocchio).independent)
         half = 0.5 * travel * (robot.q_max - robot.q_min)
         # Several turns of a wrist joint excite nothing that one does not.
         self.half = np.minimum(half, np.pi)
@@ -107,7 +122,13 @@ class _Search:
 
     def scaled(self, coefficients: Array, rng: np.random.Generator,
                centre: Array | None = None) -> FourierMotion | None:
-        """The motion with these coefficients, made to start at rest and scaled into the limits; None if impossible."""
+        """The motion with these coefficients, made to start at rest and scaled into the limits; None if impossible.
+
+        Args:
+            coefficients: of sines and cosines ``(2, harmonics, n)``; their size does not matter.
+            rng: draws the posture about which it goes, where none is given.
+            centre: that posture ``(n,)`` [rad], moved into the limits.
+        """
         a, b = coefficients[0].copy(), coefficients[1].copy()
         k = np.arange(1, len(a) + 1)[:, None]
         a -= a.mean(axis=0)
@@ -128,7 +149,7 @@ class _Search:
             candidate = FourierMotion(at - gain * middle, a * gain, b * gain, self.period, np.inf)
             q, qd, qdd = candidate.at(self.t)
             if clear_of_obstacles(self.robot, q, self.workspace) and self._strong(q, qd, qdd):
-                return replace(candidate, condition_number=self._condition(q, qd, qdd))
+                return candidate
         return None
 
     def _strong(self, q: Array, qd: Array, qdd: Array) -> bool:
@@ -139,20 +160,30 @@ class _Search:
         return all(np.all(np.abs(pin.rnea(self.robot.pinocchio, data, a, b, c) + rotor * c) <= limit)
                    for a, b, c in zip(q[::3], qd[::3], qdd[::3], strict=True))
 
-    def _condition(self, q: Array, qd: Array, qdd: Array) -> float:
-        n = self.robot.n
-        W = full_regressor(self.robot.pinocchio, q, qd, qdd)[:, :, self.independent]
-        friction = np.zeros((len(q), n, 2 * n))
-        joints = np.arange(n)
-        friction[:, joints, joints] = qd
-        friction[:, joints, n + joints] = np.sign(qd)
-        W = np.concatenate([W, friction], axis=2)
-        # A newton metre weighs as much as the joint can give of it.
-        weight = np.where(np.isfinite(self.robot.tau_max), self.robot.tau_max, np.std(W, axis=(0, 2)) + 1e-9)
-        flat = (W / weight[:, None]).reshape(len(q) * n, -1)
-        flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
-        s = np.linalg.svd(flat, compute_uv=False)
-        return float(s[0] / max(s[-1], 1e-12))
+
+def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: Array) -> float:
+    """Condition number of the scaled observation matrix, viscous and dry friction included.
+
+    Args:
+        robot: the arm.
+        independent: which parameters are base parameters.
+        q: the motion ``(N, n)`` [rad].
+        qd: its velocity ``(N, n)`` [rad/s].
+        qdd: its acceleration ``(N, n)`` [rad/s²].
+    """
+    n = robot.n
+    W = full_regressor(robot.pinocchio, q, qd, qdd)[:, :, independent]
+    friction = np.zeros((len(q), n, 2 * n))
+    joints = np.arange(n)
+    friction[:, joints, joints] = qd
+    friction[:, joints, n + joints] = np.sign(qd)
+    W = np.concatenate([W, friction], axis=2)
+    # A newton metre weighs as much as the joint can give of it.
+    weight = np.where(np.isfinite(robot.tau_max), robot.tau_max, np.std(W, axis=(0, 2)) + 1e-9)
+    flat = (W / weight[:, None]).reshape(len(q) * n, -1)
+    flat /= np.maximum(np.linalg.norm(flat, axis=0), 1e-12)
+    s = np.linalg.svd(flat, compute_uv=False)
+    return float(s[0] / max(s[-1], 1e-12))
 
 
 def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -46,6 +46,21 @@ class Workspace:
         # An axis that slides stands on no column that its tool could hit.
         column = 0.0 if robot.prismatic[0] else small * cls.r_min
         return cls(min(small * cls.z_min, highest - 0.5 * abs(highest)), column, small * cls.z_free)
+
+    def widened(self, robot: Robot, q: Array) -> Workspace:
+        """The workspace, wider where the arm has been already: what was recorded touched nothing.
+
+        Args:
+            robot: the arm.
+            q: recorded postures ``(N, n)`` [rad].
+        """
+        data, low, near = robot.pinocchio.createData(), self.z_min, self.r_min
+        for posture in q[:: max(1, len(q) // 400)]:
+            tip, heights = _points(robot, data, posture, self.beyond)
+            low = min(low, float(tip[2]), *heights)
+            if tip[2] < self.z_free:
+                near = min(near, float(np.hypot(tip[0], tip[1])))
+        return replace(self, z_min=low, r_min=near)
 
 
 def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:

@@ -12,7 +12,7 @@ from ideal_robot.diagnosis.search.forward_selection import Only, Progress, Searc
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import Effect
 
-_HELD = 1e4
+HELD = 1e4
 """Times the prior's precision with which parameters are held while their changes are effects."""
 _AS_GOOD = 1.05
 _NEARLY_AS_GOOD = 1.1
@@ -37,7 +37,7 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
     Returns:
         The choices, and whether the model holds.
     """
-    held = Search(problem.with_prior(_HELD * prior), effects, options, rng, absorbed=True, only=only,
+    held = Search(problem.with_prior(HELD * prior), effects, options, rng, absorbed=True, only=only,
                   progress=progress)
     held.run()
     held.settle(prior)

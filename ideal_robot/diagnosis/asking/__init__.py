@@ -1,0 +1,1 @@
+"""What a diagnosis could not tell, and the motion that would."""

@@ -1,0 +1,155 @@
+"""The causes that a diagnosis names, with their numbers, and the pairs that are to be told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.asking.questions import Named, Open
+from ideal_robot.diagnosis.asking.separation import Cause, Pair
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.search.choice import Choice, Options, Scored
+from ideal_robot.diagnosis.search.comparison import overlap
+from ideal_robot.diagnosis.search.pool import candidates
+from ideal_robot.diagnosis.search.present_model import PresentModel
+from ideal_robot.diagnosis.search.scoring import Scoring
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.effects import MOTOR_TORQUE, Domain, Effect, library
+from ideal_robot.identification.program import finite_limits
+from ideal_robot.robots.robot import Robot
+
+_MOST_THETAS = 12
+
+
+@dataclass(frozen=True)
+class Asked:
+    """One pair of a domain that is to be told apart; without a rival, a joint that is to be decided."""
+
+    domain: Domain
+    pair: Pair
+    undecided: int = 0
+
+
+class Causes:
+    """Fits what a diagnosis names to the recording of one domain.
+
+    Args:
+        problem: the regression of the domain.
+        options: thresholds of the diagnosis.
+    """
+
+    def __init__(self, problem: Problem, options: Options) -> None:
+        self.problem = problem
+        self.model = PresentModel(problem)
+        self.scoring = Scoring(self.model, options)
+
+    def pairs(self, questions: Open) -> tuple[list[Asked], list[str]]:
+        """The pairs of this domain that are open, and what could not be asked."""
+        made, silent = self.problem.regression, list[str]()
+        named = [one for one in questions.found if any(e.domain == made.domain for e in _effects(one.name, one.prefix))]
+        taken: list[tuple[Named, Choice]] = []
+        for one in named:
+            best = self.best(self.pool(_effects(one.name, one.prefix), one.joint))
+            if best is None:
+                silent.append(f"{one.name} at joint {one.joint} does not show in this recording")
+                continue
+            choice = Choice(best.candidate, best.p_value)
+            self.model.take(choice)
+            taken.append((one, choice))
+        asked: list[Asked] = []
+        for one, choice in taken:
+            for rival, joint in one.rivals:
+                pair = self._pair(choice, rival, joint)
+                if pair is None:
+                    silent.append(f"{rival} as a rival of {one.name} does not show in this recording")
+                else:
+                    asked.append(Asked(made.domain, pair))
+        return asked, silent
+
+    def _pair(self, choice: Choice, rival: str, joint: int | None) -> Pair | None:
+        """The choice and its best rival of a name, each fitted in the other's place."""
+        own = choice.candidate
+        effects = [e for e in library() if e.name == rival and e.domain == self.problem.regression.domain]
+        self.model.add_columns(own)
+        pool = [starts for starts in self.pool(effects, joint) if starts[0].place != own.place]
+        best = self.best(pool, choice)
+        if best is None:
+            return None
+        fit = self.model.fit(without=choice)
+        weights = self.model.weights
+        others = tuple(c.candidate for c in self.model.choices if c is not choice)
+        return Pair(self._cause(own, fit.gain(own.key)[1]),
+                    self._cause(best.candidate, fit.gain(best.candidate.key)[1]), others, weights,
+                    colour_of(self.model), self.model.problem.prior)
+
+    def best(self, pool: list[list[Candidate]], instead_of: Choice | None = None) -> Scored | None:
+        """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
+        fit = self.model.fit(without=instead_of)
+        scored = [s for s in self.scoring.scored(fit, pool)
+                  if instead_of is None or overlap(self.model, instead_of.candidate, s.candidate)]
+        if not scored:
+            return None
+        return self.scoring.refined(fit, max(scored, key=lambda s: s.test.total))
+
+    def pool(self, effects: Sequence[Effect], joint: int | None) -> list[list[Candidate]]:
+        """Every start of the effects, at one joint or (None) at all."""
+        made = self.problem.regression
+        return [starts for starts in candidates(effects, made.signals, made.undecided, True)
+                if joint is None or starts[0].joint == joint]
+
+    def _cause(self, candidate: Candidate, coefficients: Array) -> Cause:
+        return Cause(candidate, coefficients, thetas_of(candidate, self.problem.regression))
+
+
+def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> list[Asked]:
+    """Joints that moved too little: every cause of the library there, as large as the noise, against none.
+
+    Args:
+        problem: the regression of the motor torques.
+        robot: the arm, whose speeds say where theta starts.
+        joints: that moved too little, from 1.
+    """
+    made = problem.regression
+    level = np.maximum(made.noise_floor, 1e-3 * np.std(made.measured, axis=0) + 1e-9)
+    # The joint as it will move, so that what depends on range and speed begins somewhere.
+    turn = np.linspace(0.0, 20.0 * np.pi, len(made.signals.t))[:, None]
+    half = np.minimum(0.25 * (robot.q_max - robot.q_min), 1.0)
+    signals = replace(made.signals, q=half * np.sin(turn), qd=0.5 * finite_limits(robot)[0] * np.cos(turn))
+    asked = []
+    for joint in joints:
+        for effect in library():
+            if effect.domain != MOTOR_TORQUE or effect.absorbed_by_base or effect.scanned:
+                continue
+            if joint not in set(effect.joints(signals)):
+                continue
+            starts = effect.starts(signals, joint)
+            theta = starts[len(starts) // 2]
+            cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
+            asked.append(Asked(MOTOR_TORQUE, Pair(cause, None, (), 1.0 / level**2, 1.0, None), joint))
+    return asked
+
+
+def thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...], ...]:
+    """Values of theta a cause may take as a rival: the fitted one, about it, and where searches start."""
+    effect, theta = candidate.effect, candidate.theta
+    if not theta:
+        return ((),)
+    if effect.scanned:
+        return (theta,)
+    near = [tuple(f * v for v in theta) for f in (1.0, 0.5, 0.7, 1.4, 2.0)]
+    return tuple(dict.fromkeys([*near, *effect.starts(made.signals, candidate.joint)]))[:_MOST_THETAS]
+
+
+def colour_of(model: PresentModel) -> float:
+    """How many samples count for one: scatter of the parameters over blocks against that of white noise."""
+    fit = model.fit()
+    white = np.maximum(np.diag(fit.inverse), 1e-300)
+    return max(1.0, float(np.median(np.diag(fit.covariance()) / white)))
+
+
+def _effects(name: str, prefix: str) -> list[Effect]:
+    return [effect for effect in library() if effect.name == name and effect.channel_prefix == prefix]

@@ -1,0 +1,87 @@
+"""``ideal-robot plan-diagnosis``: the motion that tells apart what a diagnosis could not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    recording: Annotated[Path, typer.Argument(help="Recording that was diagnosed (Parquet, CSV, ROS 2 bag or MCAP).")],
+    robot: Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                                                 "URDF.")],
+    result: Annotated[Path | None, typer.Option(help="What diagnose --json wrote of it; without it the recording is "
+                                                     "diagnosed now.")] = None,
+    model: Annotated[Path | None, typer.Option(help="Model that the diagnosis was given.")] = None,
+    drive_data: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
+                                                         "cycles; default: beside the URDF.")] = None,
+    length: Annotated[float, typer.Option(help="Longest motion [s], 4 to 600.")] = 30.0,
+    z_min: Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; wherever the recording "
+                                                     "has been is allowed too; default: by the arm's size.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the search.", min=0)] = 1,
+    json: Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")] = None,
+    out: Annotated[Path, typer.Option(help="File of the motion (CSV or Parquet).")] = Path("out/plan-diagnosis.csv"),
+) -> None:
+    """Plans the motion that separates causes which a recording could not tell apart, or says what else would.
+
+    The motion has `t` and the joint angles `q_d_i` (as commands `q_c_i`) at the interpolation cycle, from rest to rest,
+    within the limits of position, speed and acceleration. It begins where the recording began. Look at it before it
+    goes to a real arm: only limits, floor and base column are known here, no cell. Play it, record it, diagnose it.
+
+    Example: `ideal-robot plan-diagnosis run.parquet --robot kr15 --result diagnosis.json --out motion.csv`
+    """
+    from dataclasses import replace
+
+    from ideal_robot.bounded_values import read_json
+    from ideal_robot.diagnosis import diagnose, open_questions, plan_diagnosis, read_questions
+    from ideal_robot.errors import InputError
+    from ideal_robot.identification.workspace import Workspace
+    from ideal_robot.model.model import Model
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import WRITTEN, Recording
+    from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import progress_bar, show_table
+    from scenes.outputs import check_outputs
+    from scenes.report.page import write_json
+
+    check_outputs(out=out, json=json)
+    if out.suffix not in WRITTEN:
+        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(out))
+    arm = Robot.load(robot, drive_data)
+    taken = Recording.read(recording)
+    workspace = Workspace.of(arm)
+    if z_min is not None:
+        workspace = replace(workspace, z_min=z_min)
+    known = None if model is None else Model.load(model)
+    with progress_bar("plan-diagnosis") as progress:
+        if result is not None:
+            questions = read_questions(read_json(result, "a diagnosis"), arm.n, result)
+        else:
+            questions = open_questions(diagnose(taken, arm, model=known,
+                                                progress=lambda share, word: progress(0.5 * share, word)))
+        begun = 0.0 if result is not None else 0.5
+        plan = plan_diagnosis(taken, arm, questions, model=known, longest=length, workspace=workspace,
+                              seed=seed, progress=lambda share, word: progress(begun + (1.0 - begun) * share, word))
+        with whole_files(out if plan.useful else None, json) as (motion_file, json_file):
+            if motion_file is not None:
+                plan.path().write(motion_file)
+            if json_file is not None:
+                write_json(json_file, {**plan.to_dict(), "motion": str(out) if plan.useful else None})
+    if plan.pairs:
+        show_table("what is to be told apart: standard deviations between the two, and share of its own",
+                   ["cause", "or", "recorded σ", "own %", "planned σ", "own %", "told apart"],
+                   [[pair.cause, pair.rival or "none", pair.before.sigma, 100.0 * pair.before.own_share,
+                     pair.planned.sigma, 100.0 * pair.planned.own_share, "yes" if pair.told_apart else pair.only]
+                    for pair in plan.pairs])
+    for reason in plan.not_asked:
+        typer.echo(f"not planned: {reason}", err=True)
+    for joint in plan.still_undecided:
+        typer.echo(f"joint {joint} moves too little in this motion too; its limits or the workspace keep it", err=True)
+    if plan.useful:
+        typer.echo(f"motion of {plan.seconds:.1f} s: {out}")
+    elif plan.pairs:
+        typer.echo("no motion is written: none within the limits tells these apart")
+    else:
+        typer.echo("nothing is open that a motion of the joints could tell")
