@@ -10,7 +10,7 @@ from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import Regression, without_known
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.diagnosis.search.equivalents import with_equivalents
 from ideal_robot.diagnosis.search.forward_selection import Search
@@ -28,8 +28,10 @@ def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]
         made = build(case.recording, case.robot, torque, case.stiffness)
         if made is None:
             continue
+        made = without_known(made, found.start.effects)
         other = None if validation is None or case.validate is None else \
             build(case.validate, case.robot, validation, case.stiffness)
+        other = None if other is None else without_known(other, found.start.effects)
         blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
         yield _diagnosed(case, made, other, blocks)
     for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,

@@ -205,6 +205,13 @@ def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
     return tau
 
 
+def gravity_across(chain: Chain, q: Array) -> Array:
+    """Torques ``(N, n, 2)`` [N m] of 1 m/s² of gravity along the base's x and y axes at positions ``(N, n)`` [rad]."""
+    still = np.zeros_like(q)
+    sides = [chain._replace(gravity=np.eye(3)[axis]) for axis in range(2)]
+    return np.stack([inverse_dynamics(side, q, still, still) for side in sides], axis=2)
+
+
 @numba.njit(cache=True)
 def mass_matrix(chain: Chain, R: Array, p: Array, M: Array) -> None:
     """Mass matrix at the posture whose frames are ``R``, ``p``, written to ``M (n, n)`` [kg m²], column by column.

@@ -4,11 +4,27 @@ from __future__ import annotations
 
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.domain import ARM_POSITION, DOMAINS, MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain
-from ideal_robot.effects.drive_change import DriveChange
 from ideal_robot.effects.fitted import FittedEffect, effect_of
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library, names, register, unregister
 from ideal_robot.effects.signals import Frames, Signals
 
-__all__ = ["ARM_POSITION", "DOMAINS", "MOTOR_TORQUE", "SENSOR", "TCP_POSITION", "Domain", "DriveChange", "Effect",
-           "EffectParameter", "FittedEffect", "Frames", "Signals", "effect_of", "library", "names", "register",
-           "unregister"]
+__all__ = [
+           "ARM_POSITION",
+           "DOMAINS",
+           "MOTOR_TORQUE",
+           "SENSOR",
+           "TCP_POSITION",
+           "Domain",
+           "Effect",
+           "EffectParameter",
+           "FittedEffect",
+           "Frames",
+           "LoopChange",
+           "Signals",
+           "effect_of",
+           "library",
+           "names",
+           "register",
+           "unregister",
+]

@@ -20,7 +20,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.domain import MOTOR_TORQUE, Domain, channel_name, prefix_of
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 Theta = tuple[float, ...]
@@ -227,14 +227,18 @@ class Effect(ABC):
         return linear + [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                          zip(self.theta_names, self.theta_units, theta, theta_std, strict=True)]
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: Theta) -> DriveChange | None:
-        """What it changes in the simulated drive of its joint; None where that has no place for it.
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """What it changes in the loop: where it acts in the machine, or why it does not act.
+
+        By default a torque is asked of the motor as it stands; what shows elsewhere acts nowhere.
 
         Args:
             coefficients: ``(m,)``, in ``coefficient_units``.
             theta: nonlinear parameters, in ``theta_units``.
         """
-        return None
+        if self.domain == MOTOR_TORQUE:
+            return LoopChange(torque=True)
+        return LoopChange(nowhere="the effect does not say where in the machine it acts")
 
     def to_data(self) -> dict[str, Any]:
         """What a model file has to remember of it beside name, joint, channel and numbers."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +13,11 @@ from scipy.interpolate import BSpline
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.domain import MOTOR_TORQUE, TCP_POSITION, Domain, domain_of
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
+
+_MOTION = re.compile(r"(q|qd|qdd|load)_\d+")
+"""Signals that follow from where the arm shall go."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,14 @@ class Unknown(Effect):
             result[:, joint - 1] = basis
             return result
         return signals.on_joint(joint, *basis.T)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """A curve over the arm's motion is asked of the motor; what lies outside what was seen counts nothing."""
+        if self.domain != MOTOR_TORQUE:
+            return LoopChange(nowhere="a curve without a cause does not say whether arm or measurement is off")
+        if not all(_MOTION.fullmatch(name) for name in self.depends_on):
+            return LoopChange(nowhere=f"the loop does not know {' and '.join(self.depends_on)} beforehand")
+        return LoopChange(torque=True)
 
     def basis(self, signals: Signals) -> Array:
         """Basis functions ``(N, m)`` of the signals."""

@@ -19,6 +19,7 @@ import pinocchio as pin
 from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.model.arm_with_effects import changes_of, dynamics_with, stiffness_with
 from ideal_robot.model.model import Model
 
 SUBSTEP = 0.0005
@@ -47,12 +48,14 @@ class ArmObserver:
     """
 
     def __init__(self, model: Model, T: float) -> None:
-        self._dynamics = model.dynamics.copy()
+        changes = changes_of(model.effects)
+        self._dynamics = dynamics_with(model.dynamics, changes)
         # The rotors turn with the motors, which are measured: only what is behind the gears moves here.
         self._dynamics.armature = np.zeros(model.n)
         self._data = self._dynamics.createData()
         self._T, self._n = T, model.n
-        stiffness = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
+        known = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
+        stiffness = stiffness_with(known, changes)
         self._elastic = np.isfinite(stiffness)
         self._k = np.where(self._elastic, stiffness, 0.0)
         given = np.zeros(model.n) if model.damping is None else np.array(model.damping)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback, learn_on_model
@@ -20,10 +21,15 @@ N_D = 30
 """Horizon of a method that may choose."""
 
 
+def _corrected(setting: Setting, feedforward: Feedforward) -> Feedforward:
+    """For the arm's geometry as effects say that it is."""
+    return for_arm(feedforward, setting.robot, setting.identified().effects)
+
+
 def _linear(setting: Setting) -> Feedforward:
     robot, q_d = setting.robot, setting.path()
     loop = LinearLoop.of(setting.loop(), np.median(q_d, axis=0))
-    return LinearInverse(loop, setting.horizon(N_D), limits=(robot.q_min, robot.q_max))
+    return _corrected(setting, LinearInverse(loop, setting.horizon(N_D), limits=(robot.q_min, robot.q_max)))
 
 
 def _trained(setting: Setting) -> Feedforward:
@@ -36,14 +42,20 @@ def _ideal(setting: Setting) -> IdealRobot:
     return IdealRobot(setting.loop(), setting.horizon(N_D))
 
 
+def _precorrected(setting: Setting) -> Feedforward:
+    return _corrected(setting, Precorrection.complete(setting.identified(), setting.robot, delay=setting.delay))
+
+
 def _adapted(setting: Setting) -> Feedforward:
     practice, start = setting.plays(), AdaptedIdeal(_ideal(setting))
     before = practice.play(start, practice.motion(setting.path()))
-    return AdaptedIdeal(start.ideal, start.adaptation, before.state.factors)
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors))
 
 
 def _model_learned(setting: Setting) -> Feedforward:
-    return Playback(learn_on_model(setting.loop(), setting.path(), setting.q_c).q_c, setting.robot.t_ipo)
+    arm = CorrectedArm(setting.robot, setting.identified().effects)
+    path = arm.from_rest(setting.path(), setting.robot.t_ipo)
+    return Playback(learn_on_model(setting.loop(), path, setting.q_c).q_c, setting.robot.t_ipo)
 
 
 def _learned(step: int) -> Method:
@@ -57,11 +69,12 @@ def _learned(step: int) -> Method:
 NONE = Method(lambda setting: PassThrough(setting.robot.t_ipo), "the desired path is commanded as it is", Needs.NOTHING)
 LINEAR = Method(_linear, "inverse of the linear closed loop about the path's middle ([G] (12))", Needs.PATH)
 TRAINED = Method(_trained, "weights trained on another motion on the arm ([G] (12), (13))", Needs.PLAYS)
-PRECORRECTED_1 = Method(lambda setting: Precorrection(setting.identified(), setting.robot),
+PRECORRECTED_1 = Method(lambda setting: _corrected(setting, Precorrection(setting.identified(), setting.robot)),
                         "nonlinear precorrection as printed: no look ahead, no gear elasticity ([G] (16) to (20))")
-PRECORRECTED = Method(lambda setting: Precorrection.complete(setting.identified(), setting.robot, delay=setting.delay),
+PRECORRECTED = Method(_precorrected,
                       "nonlinear precorrection with look ahead and gear elasticity ([G] (16) to (20), [L] 2.2)")
 MODEL_LEARNED = Method(_model_learned, "learning on the identified loop, before the arm moves", Needs.PATH)
 LEARNED_1, LEARNED_2, LEARNED_3, LEARNED_4 = (_learned(step) for step in range(1, ITERATIONS + 1))
-IDEAL = Method(_ideal, "inverse of the whole identified loop over the horizon ([L] 2.2)")
+IDEAL = Method(lambda setting: _corrected(setting, _ideal(setting)),
+               "inverse of the whole identified loop over the horizon ([L] 2.2)")
 ADAPTED = Method(_adapted, "the ideal robot, its friction adapted before and while the path is played", Needs.PLAYS)

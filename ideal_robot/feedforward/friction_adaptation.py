@@ -21,6 +21,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
+from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.interface import RobotState
 
@@ -108,7 +109,9 @@ class FrictionAdaptation:
         # Torque through the same filter as the positions, so that both are smoothed alike.
         tau = self._fit[0] @ (state.tau - self._ripple(state.q))
         rigid = inverse_dynamics(loop.chain, position[None], speed[None], acceleration[None])[0]
-        left = tau - rigid - loop.rotor_inertia * acceleration - loop.offset
+        further = further_torque(loop, np.zeros(1), position[None], speed[None], acceleration[None], rigid[None],
+                                 np.sign(speed)[None])[0]
+        left = (tau - further) / loop.gain - rigid - loop.rotor_inertia * acceleration - loop.offset
         theta, covariance = state.theta.copy(), state.covariance.copy()
         rejected, used = state.rejected.copy(), state.used.copy()
         # All samples of the window must slide the same way.

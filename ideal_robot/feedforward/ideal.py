@@ -4,8 +4,8 @@ An arm with elastic gears under a cascaded controller is flat: the wanted arm an
 the rest, from the gear torque back to the command. Step by step, along [G] (8), (18)–(20) and [L] 2.2:
 
     τ_g = M(q_d) q̈_d + c + g - τ_ext            gear torque, [G] (5)
-    q_m = q_d + τ_g / k                          motor angle behind the elastic gear
-    τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), and ripple where it is known
+    q_m = q_d + τ_g / k                          motor angle behind the elastic gear; with play, and turned unevenly
+    τ_d = τ_g + J q̈_m + τ_f(q̇_m) + τ_r(q_m)       motor torque, [G] (8), with ripple and further effects where known
     τ̇_d = k_p u̇ + k_i u                         velocity loop inverted, [G] (17), (18)
     k_v r + k_ff ṙ = u + q̇_m + k_v q_m           position loop inverted, [G] (16), (19)
     r = low-pass(interpolation(q_c(k - delay)))  command path inverted by least squares over the horizon
@@ -26,7 +26,9 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.command_inverse import command_inverse
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import Drives, LoopModel, ripple_torque
+from ideal_robot.loop.further_torque import further_torque
+from ideal_robot.loop.loop_model import Drives, LoopModel, behind_uneven_gears, ripple_torque, unevenness
+from ideal_robot.model.gear_gap import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 
@@ -91,6 +93,7 @@ class IdealRobot(Feedforward):
         self._torque = spline_operators(t_coarse, t_fine, T, cutoff)
         self._inverse = command_inverse(loop, _CYCLES)
         self._compliance = loop.compliance if elastic else np.zeros(loop.n)
+        self._gap = loop.half_gap if elastic else np.zeros(loop.n)
         self._lag = loop.t_filter + 0.5 * loop.t_velocity
         self.drives = loop.drives(loop.stiffness, loop.damping)
         self._step_max = 1.5 * loop.v_max * T
@@ -111,11 +114,14 @@ class IdealRobot(Feedforward):
     def init(self, q0: Array) -> IdealState:
         """See ``Feedforward.init``."""
         q0 = np.array(q0, dtype=float)
-        still = np.zeros((1, self.loop.n))
-        gravity = inverse_dynamics(self.loop.chain, q0[None], still, still)[0]
+        loop, still = self.loop, np.zeros((1, self.loop.n))
+        gravity = inverse_dynamics(loop.chain, q0[None], still, still)[0]
+        further = further_torque(loop, np.zeros(1), q0[None], still, still, gravity[None], still)[0]
+        sag = gravity * self._compliance + self._gap * side_of_gap(gravity, still[0], loop.gap_load)
+        sag -= [unevenness(loop.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return IdealState(
-            q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=np.zeros(self.loop.n),
-            tau=gravity + self.loop.offset, preslide=np.zeros(self.loop.n), sag=gravity * self._compliance, cycle=0)
+            q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=np.zeros(loop.n),
+            tau=loop.gain * (gravity + loop.offset) + further, preslide=np.zeros(loop.n), sag=sag, cycle=0)
 
     def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
         """See ``Feedforward.step``."""
@@ -147,16 +153,28 @@ class IdealRobot(Feedforward):
             q_m -= np.where(np.isfinite(loop.stiffness), loop.damping, 0.0) * self._compliance**2 * gear_rate
         v_m = self._fine[1] @ rows + self._compliance * gear_rate
         a_m = self._fine[2] @ rows + self._compliance * gear_bend
+        if self._gap.any():
+            ahead = self._gap * side_of_gap(load, qd, loop.gap_load)
+            q_m, v_m, a_m = (motor + operator @ ahead for motor, operator in
+                             zip((q_m, v_m, a_m), self._torque, strict=True))
+        reflected = gear
+        if len(loop.uneven):
+            output = v_m
+            q_m, v_m, a_m = behind_uneven_gears(loop.uneven, q_m, v_m, a_m)
+            # A gear that turns faster than its motor hands more of its torque on to it.
+            reflected = gear * np.divide(output, v_m, out=np.ones_like(v_m), where=np.abs(v_m) > 1e-6)
         begun = (state.cycle * self.t_ipo + self._t_fine) / self.settle
         if begun[0] < 1.0:
             # The deflection at the start is taken up smoothly, from nothing to all of it.
             left = 1.0 - np.minimum(begun, 1.0)[:, None]
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
-        smooth = gear + loop.rotor_inertia * a_m + loop.offset
-        signal, u, tau, preslide = _position_loop_signal(
-            drives, q_m, v_m, a_m, smooth, gear, self._lag, loop.t_position, loop.steps_ipo, state.u, state.tau,
-            state.preslide)
+        smooth = reflected + loop.rotor_inertia * a_m + loop.offset
+        turned = _turned(drives.friction_bend, v_m, loop.t_position, state.preslide)
+        further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
+        signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth, gear, turned, further, self._lag,
+                                               loop.t_position, loop.steps_ipo, state.u, state.tau)
+        preslide = turned[loop.steps_ipo - 1]
         q_c = np.einsum("ij,ji->i", self._inverse.wanted, signal) + np.einsum("ij,ji->i", self._inverse.past, state.q_c)
         last = state.q_c[-1]
         q_c = np.clip(np.clip(q_c, last - self._step_max, last + self._step_max), loop.q_min, loop.q_max)
@@ -179,33 +197,53 @@ class IdealRobot(Feedforward):
 
 
 @numba.njit(cache=True)
-def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, smooth: Array, load: Array, lag: Array,
-                          t_position: float, steps: int, u0: Array, tau0: Array, preslide0: Array
-                          ) -> tuple[Array, Array, Array, Array]:
-    """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
+def _turned(bend: Array, v_m: Array, t_position: float, preslide: Array) -> Array:
+    """How far dry friction has turned since the last reversal ``(m, n)``, -1 … 1.
 
-    ``smooth`` is the motor torque without friction, ``load`` the torque the gears transmit, all ``(m, n)``.
+    Args:
+        bend: angle over which it turns ``(n,)`` [rad]; 0 for a jump.
+        v_m: motor velocities at the position cycles ``(m, n)`` [rad/s].
+        t_position: the cycle [s].
+        preslide: before the first of them ``(n,)``.
     """
-    N, n = q_m.shape
-    signal = np.empty((N, n))
-    u_next, tau_next, preslide_next = u0.copy(), tau0.copy(), preslide0.copy()
-    still = 1e-3
-    bend, k_p, k_i = drives.friction_bend, drives.k_p, drives.k_i
-    for i in range(n):
-        u, tau, z = u0[i], tau0[i], preslide0[i]
-        half = 0.5 * k_i[i] * t_position
-        for j in range(N):
+    turned, still = np.empty_like(v_m), 1e-3
+    for i in range(v_m.shape[1]):
+        z = preslide[i]
+        for j in range(len(v_m)):
             v = v_m[j, i]
-            friction = (np.interp(abs(v), drives.friction_velocity[:, i],
-                                  drives.friction_torque[0 if v >= 0.0 else 1, :, i])
-                        + drives.friction_load[i] * abs(load[j, i]))
             if bend[i] > 0.0:
                 side = np.sign(v)
                 z = side + (z - side) * np.exp(-abs(v) * t_position / bend[i])
             else:
                 # The jump at rest is passed within ±1e-3 rad/s, else rounding at standstill would switch it.
                 z = min(max(v / still, -1.0), 1.0)
-            wanted = smooth[j, i] + friction * z + ripple_torque(drives.ripple, i, q_m[j, i])
+            turned[j, i] = z
+    return turned
+
+
+@numba.njit(cache=True)
+def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, smooth: Array, load: Array,
+                          turned: Array, further: Array, lag: Array, t_position: float, steps: int, u0: Array,
+                          tau0: Array) -> tuple[Array, Array, Array]:
+    """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
+
+    ``smooth`` is the motor torque without friction, ``load`` the torque the gears transmit, ``turned`` how far dry
+    friction has turned, ``further`` the torque of other effects, all ``(m, n)``.
+    """
+    N, n = q_m.shape
+    signal = np.empty((N, n))
+    u_next, tau_next = u0.copy(), tau0.copy()
+    k_p, k_i = drives.k_p, drives.k_i
+    for i in range(n):
+        u, tau = u0[i], tau0[i]
+        half = 0.5 * k_i[i] * t_position
+        for j in range(N):
+            v = v_m[j, i]
+            friction = (np.interp(abs(v), drives.friction_velocity[:, i],
+                                  drives.friction_torque[0 if v >= 0.0 else 1, :, i])
+                        + drives.friction_load[i] * abs(load[j, i]))
+            acting = smooth[j, i] + friction * turned[j, i] + ripple_torque(drives.ripple, i, q_m[j, i])
+            wanted = drives.gain[i] * acting + further[j, i]
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
             u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
             tau = wanted
@@ -213,5 +251,5 @@ def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, sm
             measured = v - lag[i] * a_m[j, i]
             signal[j, i] = u + measured + drives.k_v[i] * (q_m[j, i] - 0.5 * t_position * v)
             if j == steps - 1:
-                u_next[i], tau_next[i], preslide_next[i] = u, tau, z
-    return signal, u_next, tau_next, preslide_next
+                u_next[i], tau_next[i] = u, tau
+    return signal, u_next, tau_next

@@ -24,8 +24,10 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.loop_model import low_pass_taps
+from ideal_robot.loop.further_torque import further_torque
+from ideal_robot.loop.loop_model import behind_uneven_gears, low_pass_taps, ripple_torque
 from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.gear_gap import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 
@@ -81,14 +83,16 @@ class Precorrection(Feedforward):
         if model.controller is None:
             raise InputError("the model holds no controller; identify it from recordings with commands (q_c_i)",
                              field="controller")
-        if elastic and model.stiffness is None:
-            raise InputError("the model holds no stiffness of the gears", field="stiffness")
         if lead < 0:
             raise InputError("cannot be negative", field="lead", value=lead)
         T = robot.t_ipo
         self.t_ipo, self.n_d = T, int(np.ceil(lead / T)) + _AFTER + 1
         self._loop = loop_model(model, robot, delay=0)
-        self._compliance = 1.0 / np.array(model.stiffness) if elastic else np.zeros(robot.n)
+        if elastic and not self._loop.compliance.any():
+            raise InputError("the model holds no stiffness of the gears", field="stiffness")
+        self._compliance = self._loop.compliance if elastic else np.zeros(robot.n)
+        self._gap = self._loop.half_gap if elastic else np.zeros(robot.n)
+        self._lead = lead
         self._controller = at_cycle(model.controller, T)
         self._range = robot.q_min, robot.q_max
         rows = T * np.arange(-_BEFORE, self.n_d, dtype=float)
@@ -109,14 +113,17 @@ class Precorrection(Feedforward):
             taps = low_pass_taps(controller.filter_time, controller.filter_order, robot.t_position, robot.n)
             lag = robot.t_position * float(np.mean(np.arange(len(taps)) @ taps))
         # A command is reached one cycle after its interpolation began.
-        return cls(model, robot, lead=(delay + 1) * robot.t_ipo + lag, elastic=model.stiffness is not None)
+        elastic = bool(loop_model(model, robot, delay=0).compliance.any())
+        return cls(model, robot, lead=(delay + 1) * robot.t_ipo + lag, elastic=elastic)
 
     def init(self, q0: Array) -> PrecorrectionState:
         """See ``Feedforward.init``."""
-        q0 = np.array(q0, dtype=float)
+        q0, loop = np.array(q0, dtype=float), self._loop
         still = np.zeros((1, len(q0)))
-        tau = inverse_dynamics(self._loop.chain, q0[None], still, still)[0] + self._loop.offset
-        sag = self._compliance * (tau - self._loop.offset)
+        load = inverse_dynamics(loop.chain, q0[None], still, still)
+        further = further_torque(loop, np.zeros(1), q0[None], still, still, load, still)[0]
+        tau = loop.gain * (load[0] + loop.offset) + further
+        sag = self._motor(q0[None], still, load)[0] - q0
         return PrecorrectionState(np.tile(q0, (_BEFORE, 1)), q0, still[0], tau, still[0], still[0], sag, 0)
 
     def step(self, state: PrecorrectionState, q_d: Array, tau_ext_d: Array | None = None
@@ -134,16 +141,35 @@ class Precorrection(Feedforward):
         # The deflection at the start is taken up smoothly: a jump would leave friction where no one knows.
         begun = (state.cycle + np.array([[-1.0], [0.0], [1.0]])) * T / _SETTLE
         left = 1.0 - np.clip(begun, 0.0, 1.0)
-        motor = arm + self._compliance * load - state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
+        motor = self._motor(arm, speed, load) - state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
         qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2
         turned = self._turned(state, motor[1], qd)
-        tau = load[1] + self._loop.rotor_inertia * qdd + self._loop.offset + self._friction(qd, load[1]) * turned
+        tau = self._torque(state.cycle * T + self._lead, motor[1], qd, qdd, load[1], turned)
         u = (tau - state.tau + state.u) / (1 + gains.k_i)
         correction = ((u + gains.k_d * state.correction / T - gains.k_1 * qd - gains.k_2 * qdd)
                       / (gains.k_p + gains.k_d / T))
         q_c = np.clip(motor[1] + correction, *self._range)
         return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), motor[1], turned, tau, u, correction,
                                        state.sag, state.cycle + 1)
+
+    def _motor(self, arm: Array, speed: Array, load: Array) -> Array:
+        """Motor angles ``(m, n)`` for arm angles, behind elastic and uneven gears with play."""
+        output = arm + self._compliance * load
+        if self._gap.any():
+            output = output + self._gap * side_of_gap(load, speed, self._loop.gap_load)
+        if len(self._loop.uneven):
+            still = np.zeros_like(output)
+            output = behind_uneven_gears(self._loop.uneven, output, still, still)[0]
+        return output
+
+    def _torque(self, t: float, q: Array, qd: Array, qdd: Array, load: Array, turned: Array) -> Array:
+        """Motor torque ``(n,)`` [N m], [G] (8), with ripple and further effects."""
+        loop = self._loop
+        acting = load + loop.rotor_inertia * qdd + loop.offset + self._friction(qd, load) * turned
+        if len(loop.ripple):
+            acting = acting + [ripple_torque(loop.ripple, i, float(angle)) for i, angle in enumerate(q)]
+        further = further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], turned[None])[0]
+        return np.asarray(loop.gain * acting + further)
 
     def _turned(self, state: PrecorrectionState, motor: Array, qd: Array) -> Array:
         """How far friction has turned over, -1 … 1: at once, or over the presliding distance where one is known."""

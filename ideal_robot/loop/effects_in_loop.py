@@ -1,26 +1,22 @@
-"""Found effects in the simulation of the identified loop, where the loop has a place for them.
-
-Each effect says what it changes in its joint's drive (``Effect.drive_change``). Effects without such a place (springs,
-delays of the measurement, learned terms) act in ``Model.inverse_dynamics`` only.
-"""
+"""Found effects in the identified loop: each says where it acts and by how much (``Effect.loop_change``)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects import DriveChange, FittedEffect, Signals
+from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness_with
 
 
 def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopModel:
-    """The loop with the effects added that it can hold."""
+    """The loop with the effects added that act in it."""
     torque, load, bend = loop.friction_torque.copy(), loop.friction_load.copy(), loop.friction_bend.copy()
-    offset, rotor = loop.offset.copy(), loop.rotor_inertia.copy()
-    compliance = loop.compliance.copy()
-    ripples = [loop.ripple] if len(loop.ripple) else []
-    changes = _changes(effects)
-    from_arm_angle = {effect.joint for effect, change in changes if change.from_arm_angle}
+    offset, rotor, gain = loop.offset.copy(), loop.rotor_inertia.copy(), loop.gain.copy()
+    half_gap, gap_load = loop.half_gap.copy(), loop.gap_load.copy()
+    ripples, uneven = [loop.ripple], [loop.uneven]
+    changes = changes_of(effects)
     for effect, change in changes:
         j = effect.joint - 1
         if change.friction_curve:
@@ -29,33 +25,32 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
         load[j] += change.friction_per_load
         bend[j] = max(bend[j], change.presliding)
         offset[j] += change.offset
+        gain[j] *= 1.0 + change.gain
         if change.rotor_inertia:
             rotor[j] = max(rotor[j] + change.rotor_inertia, 0.0)
-        if change.ripple is not None:
-            row = np.zeros((1, 3, len(offset)))
-            row[0, :, j] = change.ripple
-            ripples.append(row)
-        if effect.joint in from_arm_angle and not change.from_arm_angle:
-            continue
-        if change.gear_compliance is not None:
-            compliance[j] = change.gear_compliance
-        if change.further_compliance is not None:
-            compliance[j] = max(compliance[j] + change.further_compliance, 0.0)
-    with np.errstate(divide="ignore"):
-        stiffness = np.where(compliance > 0.0, 1.0 / np.maximum(compliance, 1e-300), np.inf)
-    ripple = np.concatenate(ripples) if ripples else np.zeros((0, 3, len(offset)))
-    return loop.replace(friction_torque=np.maximum(torque, 0.0), friction_load=np.maximum(load, 0.0),
-                        friction_bend=bend, offset=offset, rotor_inertia=rotor, stiffness=stiffness, ripple=ripple)
+        if change.half_gap:
+            half_gap[j], gap_load[j] = max(half_gap[j] + change.half_gap, 0.0), change.gap_load
+        for wave, rows in ((change.ripple, ripples), (change.uneven, uneven)):
+            if wave is not None:
+                rows.append(_wave(wave, j, loop.n))
+    stiffness = stiffness_with(loop.stiffness, changes)
+    return loop.replace(
+        chain=chain_with(loop.chain, changes), friction_torque=np.maximum(torque, 0.0),
+        friction_load=np.maximum(load, 0.0), friction_bend=bend, offset=offset, rotor_inertia=rotor, gain=gain,
+        stiffness=stiffness, half_gap=half_gap, gap_load=gap_load, ripple=_joined(ripples, loop.n),
+        uneven=_joined(uneven, loop.n),
+        terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
 
 
-def _changes(effects: tuple[FittedEffect, ...]) -> list[tuple[FittedEffect, DriveChange]]:
-    """Effects of single joints for which the loop has a place, with what they change."""
-    result = []
-    for effect in effects:
-        change = effect.effect.drive_change(effect.coefficients, effect.theta) if effect.joint > 0 else None
-        if change is not None:
-            result.append((effect, change))
-    return result
+def _wave(wave: tuple[float, float, float], j: int, n: int) -> Array:
+    row = np.zeros((1, 3, n))
+    row[0, :, j] = wave
+    return row
+
+
+def _joined(rows: list[Array], n: int) -> Array:
+    kept = [row for row in rows if len(row)]
+    return np.concatenate(kept) if kept else np.zeros((0, 3, n))
 
 
 def _curve(effect: FittedEffect, speeds: Array) -> Array:

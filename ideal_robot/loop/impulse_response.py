@@ -71,9 +71,11 @@ class LinearLoop:
             length: cycles until the response counts as over.
             step: size of the step [rad].
         """
-        # Friction and ripple are left out: about a point they would count as springs that a motion does not meet.
+        # Friction, ripple, play and uneven gears are left out: about a point they would count as springs that a motion
+        # does not meet.
+        none = np.zeros((0, 3, loop.n))
         smooth = loop.replace(friction_torque=np.zeros_like(loop.friction_torque), friction_load=np.zeros(loop.n),
-                              ripple=np.zeros((0, 3, loop.n)))
+                              ripple=none, uneven=none, half_gap=np.zeros(loop.n), terms=())
         rest = np.tile(np.asarray(q, dtype=float), (length + 2, 1))
         still = simulate(smooth, rest).q_a
         g = np.empty((length + 1, loop.n))

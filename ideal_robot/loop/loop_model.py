@@ -14,6 +14,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain
+from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 
 
@@ -41,6 +42,9 @@ class Drives(NamedTuple):
     t_filter: Array
     tau_max: Array
     ripple: Array
+    gain: Array
+    half_gap: Array
+    uneven: Array
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,11 @@ class LoopModel:
         q_min, q_max, v_max: limits ``(n,)``.
         ripple: torque the motor needs for its ripple, ``a cos(k q) + b sin(k q)``: ``(m, 3, n)`` of k [1/rad], a and b
             [N m]; ``m = 0`` for none.
+        uneven: what the gear's output turns beyond the motor, in the same form [1/rad, rad, rad].
+        gain: torque that is read over the torque that acts ``(n,)`` [1].
+        half_gap: half the play of each gear ``(n,)`` [rad].
+        gap_load: load over which the play is crossed ``(n,)`` [N m]; 0 where the direction of motion decides.
+        terms: effects whose torque the motor has to give as well.
     """
 
     chain: Chain
@@ -98,8 +107,16 @@ class LoopModel:
     q_max: Array
     v_max: Array
     ripple: Array = field(default_factory=lambda: np.zeros((0, 3, 1)))
+    uneven: Array = field(default_factory=lambda: np.zeros((0, 3, 1)))
+    gain: Array = field(default_factory=lambda: np.ones(0))
+    half_gap: Array = field(default_factory=lambda: np.zeros(0))
+    gap_load: Array = field(default_factory=lambda: np.zeros(0))
+    terms: tuple[FittedEffect, ...] = ()
 
     def __post_init__(self) -> None:
+        for name, none in (("gain", 1.0), ("half_gap", 0.0), ("gap_load", 0.0)):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self.rotor_inertia), none))
         for name in ("k_v", "k_p", "rotor_inertia", "stiffness"):
             values = getattr(self, name)
             if np.any(~(values > 0)) and not (name == "rotor_inertia" and np.all(values >= 0)):
@@ -153,6 +170,46 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
         phase = ripple[m, 0, i] * q
         torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
     return torque
+
+
+@numba.njit(cache=True)
+def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
+    """What joint ``i`` (from 0) turns beyond its motor at motor angle ``q``, and its two derivatives by the angle.
+
+    Args:
+        uneven: order, cosine and sine part of each component ``(m, 3, n)`` [1/rad, rad, rad].
+        i: joint, from 0.
+        q: motor angle [rad].
+    """
+    value, slope, bend = 0.0, 0.0, 0.0
+    for m in range(uneven.shape[0]):
+        k, a, b = uneven[m, 0, i], uneven[m, 1, i], uneven[m, 2, i]
+        c, s = np.cos(k * q), np.sin(k * q)
+        value += a * c + b * s
+        slope += k * (b * c - a * s)
+        bend -= k * k * (a * c + b * s)
+    return value, slope, bend
+
+
+@numba.njit(cache=True)
+def behind_uneven_gears(uneven: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+    """Motor angles, velocities and accelerations ``(N, n)`` for wanted gear outputs.
+
+    Args:
+        uneven: see ``unevenness``.
+        q: wanted outputs ``(N, n)`` [rad].
+        v: their velocities [rad/s].
+        a: their accelerations [rad/s²].
+    """
+    q_m, v_m, a_m = q.copy(), v.copy(), a.copy()
+    for i in range(q.shape[1]):
+        for k in range(len(q)):
+            for _ in range(3):
+                q_m[k, i] = q[k, i] - unevenness(uneven, i, q_m[k, i])[0]
+            _, slope, bend = unevenness(uneven, i, q_m[k, i])
+            v_m[k, i] = v[k, i] / (1.0 + slope)
+            a_m[k, i] = (a[k, i] - bend * v_m[k, i] ** 2) / (1.0 + slope)
+    return q_m, v_m, a_m
 
 
 def low_pass_taps(time_constant: Array | float, order: int, t_position: float, n: int, *,

@@ -7,6 +7,7 @@ nothing of the simulated world in ``sim``; it is another program with other form
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -14,7 +15,8 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.loop.loop_model import Drives, LoopModel, ripple_torque
+from ideal_robot.loop.further_torque import further_torque
+from ideal_robot.loop.loop_model import Drives, LoopModel, ripple_torque, unevenness
 
 
 @dataclass(frozen=True)
@@ -101,82 +103,135 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
                                                          0.8 * loop.rotor_inertia / loop.t_velocity))
     tau0 = np.empty(loop.n)
     torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
-    q_a, q_m, tau = _play(loop.chain, loop.drives(stiffness, damping), reference, external, tau0, q0, loop.t_position,
-                          loop.t_velocity, loop.steps_ipo)
+    drives = loop.drives(stiffness, damping)
+    q_a, q_m, tau = _played(loop, drives, reference, external, tau0, q0)
     if not np.isfinite(q_m).all():
         raise IdealRobotError("the identified loop is unstable in simulation; check its gains, rotor inertias and "
                               "stiffness (a very stiff gear counts as rigid when it is given as infinite)")
     return LoopMotion(np.asarray(np.arange(len(q_a)) * loop.t_ipo, dtype=float), q_a, q_m, tau)
 
 
+class _Motion(NamedTuple):
+    """State of the loop between position cycles, ``(n,)`` each; changed in place."""
+
+    q_a: Array
+    v_a: Array
+    q_m: Array
+    v_m: Array
+    integral: Array
+    filtered: Array
+    previous: Array
+    reference: Array
+    preslide: Array
+    tau: Array
+    load: Array
+
+
+def _played(loop: LoopModel, drives: Drives, reference: Array, external: Array, tau0: Array,
+            q0: Array) -> tuple[Array, Array, Array]:
+    """Arm angles, motor angles and motor torques at the cycles' ends."""
+    n, steps = loop.n, loop.steps_ipo
+    cycles = len(reference) // steps
+    still = np.zeros(n)
+    further = _further(loop, 0.0, q0, still, still, tau0, still)
+    side = np.sign(tau0) * np.minimum(1.0, np.abs(tau0) / 1e-9)
+    q_a = np.array([q + unevenness(loop.uneven, i, q)[0] for i, q in enumerate(q0)])
+    q_a = q_a - tau0 / drives.stiffness - side * drives.half_gap
+    holding = loop.gain * (tau0 + loop.offset) + further
+    state = _Motion(q_a, still.copy(), q0.copy(), still.copy(), holding, still.copy(), q0.copy(), q0.copy(),
+                    still.copy(), holding.copy(), tau0.copy())
+    out = np.empty((3, cycles + 1, n))
+    out[:, 0] = state.q_a, state.q_m, state.tau
+    # Without further torques all is one compiled call; they are computed anew in every position cycle.
+    stride = 1 if loop.terms else len(reference)
+    before = still
+    for start in range(0, cycles * steps, stride):
+        if loop.terms and start:
+            acceleration = (state.v_m - before) / loop.t_position
+            further = _further(loop, start * loop.t_position, state.q_m, state.v_m, acceleration, state.load,
+                               state.preslide)
+        before = state.v_m.copy()
+        _play(loop.chain, drives, reference, external, further, state, out, loop.t_position, loop.t_velocity, steps,
+              start, min(start + stride, cycles * steps))
+    return out[0], out[1], out[2]
+
+
+def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: Array, preslide: Array) -> Array:
+    if not loop.terms:
+        return np.zeros(loop.n)
+    direction = np.where(loop.friction_bend > 0.0, preslide, np.clip(qd / 1e-3, -1.0, 1.0))
+    return further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], direction[None])[0]
+
+
 @numba.njit(cache=True)
-def _play(chain: Chain, drives: Drives, reference: Array, external: Array, tau0: Array, q0: Array, t_position: float,
-          dt: float, steps_ipo: int) -> tuple[Array, Array, Array]:
-    n = len(q0)
+def _play(chain: Chain, drives: Drives, reference: Array, external: Array, further: Array, state: _Motion, out: Array,
+          t_position: float, dt: float, steps_ipo: int, start: int, stop: int) -> None:
+    n = len(state.q_m)
     stiffness, damping, k_p, k_i = drives.stiffness, drives.damping, drives.k_p, drives.k_i
     substeps = round(t_position / dt)
-    cycles = len(reference) // steps_ipo
-    out_a, out_m, out_tau = np.empty((cycles + 1, n)), np.empty((cycles + 1, n)), np.empty((cycles + 1, n))
-    q_m, v_m = q0.copy(), np.zeros(n)
-    q_a, v_a = q0 - tau0 / stiffness, np.zeros(n)
-    integral = tau0 + drives.offset
-    filtered, previous, v_ref = np.zeros(n), q_m.copy(), np.zeros(n)
-    reference_before = q0.copy()
-    preslide = np.zeros(n)
-    tau, load, bias, acceleration = integral.copy(), np.empty(n), np.empty(n), np.empty(n)
+    q_a, v_a, q_m, v_m, tau, load = state.q_a, state.v_a, state.q_m, state.v_m, state.tau, state.load
+    v_ref, bias, acceleration = np.zeros(n), np.empty(n), np.empty(n)
+    slope, give = np.ones(n), np.ones(n)
     R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
-    out_a[0], out_m[0], out_tau[0] = q_a, q_m, tau
-    for cycle in range(cycles):
-        for step in range(steps_ipo):
-            r = reference[cycle * steps_ipo + step]
+    for step in range(start, stop):
+        cycle = step // steps_ipo
+        r = reference[step]
+        for i in range(n):
+            v_ref[i] = drives.k_v[i] * (r[i] - q_m[i]) + drives.k_ff[i] * (r[i] - state.reference[i]) / t_position
+            state.reference[i] = r[i]
+        joint_frames(chain, q_a, R, p)
+        mass_matrix(chain, R, p, M)
+        for i in range(n):
+            # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
+            M[i, i] += 0.5 * dt * damping[i] + 0.25 * dt * dt * stiffness[i]
+        L = np.linalg.cholesky(M)
+        for sub in range(substeps):
+            if sub > 0:
+                joint_frames(chain, q_a, R, p)
+            torque_at(chain, R, p, v_a, zero, 1.0, bias)
             for i in range(n):
-                v_ref[i] = drives.k_v[i] * (r[i] - q_m[i]) + drives.k_ff[i] * (r[i] - reference_before[i]) / t_position
-                reference_before[i] = r[i]
-            joint_frames(chain, q_a, R, p)
-            mass_matrix(chain, R, p, M)
+                # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
+                speed = (q_m[i] - state.previous[i]) / dt
+                state.previous[i] = q_m[i]
+                state.filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - state.filtered[i])
+                u = v_ref[i] - state.filtered[i]
+                wanted = k_p[i] * u + state.integral[i] + k_i[i] * u * dt
+                tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
+                if wanted == tau[i]:
+                    state.integral[i] += k_i[i] * u * dt
+                ahead, rise, _ = unevenness(drives.uneven, i, q_m[i])
+                slope[i] = 1.0 + rise
+                twist = q_m[i] + ahead - q_a[i]
+                gap = drives.half_gap[i]
+                give[i] = 1.0
+                if gap > 0.0:
+                    give[i] = 0.0 if abs(twist) <= gap else 1.0
+                    twist -= min(max(twist, -gap), gap)
+                load[i] = stiffness[i] * twist + give[i] * damping[i] * (slope[i] * v_m[i] - v_a[i])
+                net = ((tau[i] - further[i]) / drives.gain[i] - drives.offset[i] - slope[i] * load[i]
+                       - ripple_torque(drives.ripple, i, q_m[i]))
+                side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
+                friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
+                            + drives.friction_load[i] * abs(load[i]))
+                v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives.friction_bend[i],
+                                  state.preslide, i)
+                acceleration[i] = (load[i] - bias[i] + external[cycle, i]
+                                   + give[i] * 0.5 * dt * stiffness[i] * (slope[i] * v_m[i] - v_a[i]))
+            # (M + dt/2 D + dt²/4 K) a = load half a step on - bias, by the Cholesky factor of this position cycle.
             for i in range(n):
-                # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
-                M[i, i] += 0.5 * dt * damping[i] + 0.25 * dt * dt * stiffness[i]
-            L = np.linalg.cholesky(M)
-            for sub in range(substeps):
-                if sub > 0:
-                    joint_frames(chain, q_a, R, p)
-                torque_at(chain, R, p, v_a, zero, 1.0, bias)
-                for i in range(n):
-                    # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
-                    speed = (q_m[i] - previous[i]) / dt
-                    previous[i] = q_m[i]
-                    filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - filtered[i])
-                    u = v_ref[i] - filtered[i]
-                    wanted = k_p[i] * u + integral[i] + k_i[i] * u * dt
-                    tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
-                    if wanted == tau[i]:
-                        integral[i] += k_i[i] * u * dt
-                    load[i] = stiffness[i] * (q_m[i] - q_a[i]) + damping[i] * (v_m[i] - v_a[i])
-                    net = tau[i] - drives.offset[i] - load[i] - ripple_torque(drives.ripple, i, q_m[i])
-                    side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
-                    friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i],
-                                         drives.friction_torque[side, :, i])
-                                + drives.friction_load[i] * abs(load[i]))
-                    v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives.friction_bend[i],
-                                      preslide, i)
-                    acceleration[i] = (load[i] - bias[i] + external[cycle, i]
-                                       + 0.5 * dt * stiffness[i] * (v_m[i] - v_a[i]))
-                # (M + dt/2 D + dt²/4 K) a = load half a step on - bias, by the Cholesky factor of this position cycle.
-                for i in range(n):
-                    for j in range(i):
-                        acceleration[i] -= L[i, j] * acceleration[j]
-                    acceleration[i] /= L[i, i]
-                for i in range(n - 1, -1, -1):
-                    for j in range(i + 1, n):
-                        acceleration[i] -= L[j, i] * acceleration[j]
-                    acceleration[i] /= L[i, i]
-                for i in range(n):
-                    v_a[i] += acceleration[i] * dt
-                    q_a[i] += (v_a[i] - 0.5 * acceleration[i] * dt) * dt
-                    q_m[i] += v_m[i] * dt
-        out_a[cycle + 1], out_m[cycle + 1], out_tau[cycle + 1] = q_a, q_m, tau
-    return out_a, out_m, out_tau
+                for j in range(i):
+                    acceleration[i] -= L[i, j] * acceleration[j]
+                acceleration[i] /= L[i, i]
+            for i in range(n - 1, -1, -1):
+                for j in range(i + 1, n):
+                    acceleration[i] -= L[j, i] * acceleration[j]
+                acceleration[i] /= L[i, i]
+            for i in range(n):
+                v_a[i] += acceleration[i] * dt
+                q_a[i] += (v_a[i] - 0.5 * acceleration[i] * dt) * dt
+                q_m[i] += v_m[i] * dt
+        if (step + 1) % steps_ipo == 0:
+            out[0, cycle + 1], out[1, cycle + 1], out[2, cycle + 1] = q_a, q_m, tau
 
 
 @numba.njit(cache=True)

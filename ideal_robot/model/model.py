@@ -19,6 +19,8 @@ from ideal_robot.dynamics import (
     torques,
     with_link_parameters,
 )
+from ideal_robot.dynamics.newton_euler import chain_of, gravity_across
+from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
@@ -169,10 +171,18 @@ class Model(Summarised):
         if acting:
             cycle = self.controller.t_cycle if self.controller else 0.012
             times: Array = np.asarray(cycle * np.arange(len(q)) if t is None else t, dtype=float)
+            # The regressor of the last link is what takes time: a payload alone asks for it.
+            body = self._body_on(self.n, q, qd, qdd) if any(effect.joint == 0 for effect in acting) else None
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
-                              cutoff=cutoff, sliding=self.friction.sliding(q, qd))
+                              cutoff=cutoff, sliding=self.friction.sliding(q, qd), payload=body,
+                              bodies=lambda link: self._body_on(link, q, qd, qdd),
+                              gravity_across=lambda at: gravity_across(chain_of(self._exact_model), at))
             tau = tau + np.sum([effect.contribution(signals) for effect in acting], axis=0)
         return tau
+
+    def _body_on(self, link: int, q: Array, qd: Array, qdd: Array) -> Array:
+        """Regressor ``(N, n, 10)`` of a body rigidly on a link (from 1)."""
+        return regressor(self.kinematics, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link]
 
     def predict(self, recording: Recording) -> Prediction:
         """Torque the model expects for a recording, with its uncertainty, beside what was measured.

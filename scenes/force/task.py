@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.effects.sensor_change import SensorChange
 from ideal_robot.elasticity.observer import ArmObserver
 from ideal_robot.feedforward.method import Setting
 from planning.follower import ForceFollower
@@ -40,8 +43,10 @@ class ForceTask:
 
     def __init__(self, cell: Known, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
                  elasticity: ContactElasticity, rng: np.random.Generator) -> None:
+        known = SensorChange.of(cell.model.effects if method.knows_model else ())
+        tool = replace(tool, bias=tool.bias + known.wrench)
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
-        self.assumed_stiffness = assumed = cell.scene.assumed.elasticity_ratio * elasticity.stiffness
+        self.assumed_stiffness = assumed = known.stiffness(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)
         self.vision: GlueCamera | None = None
         self._direct: DirectForceFeedback | None = None
         self.follower: ForceFollower

@@ -52,6 +52,6 @@ def line_recording(arm: SimulatedArm, scene: LineScene, method: str, t: Array, q
                             "seed": scene.seed, "stopped_because": failure}
     mount = camera.T_tool_camera
     distance = -mount.translation[2] / mount.rotation[2, 2]
-    meta["camera"] = {"axis": [float(v) for v in mount.translation + distance * mount.rotation[:, 2]],
+    meta["camera"] = {"axis": [float(v) for v in camera.axis_on_surface],
                       "distance": float(distance)}
     return dataclasses.replace(recording, columns=columns, meta=meta)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.effects.sensor_change import SensorChange
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
@@ -30,7 +31,7 @@ SHOWN = 4
 
 def assumed_latency(model: Model) -> float:
     """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
-    return sum(effect.coefficients[0] for effect in model.effects if effect.name == "camera_latency")
+    return SensorChange.of(model.effects).latency
 
 
 @dataclass
@@ -86,7 +87,7 @@ class LineTask:
         self._detection = detection or DetectionSettings()
         self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
-        self._latency = assumed_latency(model) if model is not None else 0.0
+        self._known = SensorChange.of(() if model is None else model.effects)
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
         # Once for nothing, so that compiling does not fall into the first cycles.
@@ -142,10 +143,11 @@ class LineTask:
     def _sense(self, arrived: Field) -> LineField:
         """Line points of a field and what follows from them for the path."""
         follower = self.follower
-        arrived = replace(arrived, t_stamp=arrived.t_stamp + self._latency)
+        arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
         pose = follower.history.pose(arrived.t_stamp)
         ahead = follower.predict(arrived.t_stamp).seen_from(pose)
         seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self._detection)
+        seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
         if self._direct is not None:
             self._direct.update(seen, pose)
         follower.update(seen, pose)
@@ -166,7 +168,7 @@ class LineTask:
         self.camera.request(t0, t1, self._windows)
 
     def _windows(self, exposure: float) -> Sequence[Window]:
-        exposure += self._latency
+        exposure += self._known.late_by(exposure)
         ahead = self.follower.predict(exposure).seen_from(self.follower.history.pose(exposure))
         return search_windows(self.cell.camera, ahead, self._detection)
 

@@ -188,6 +188,13 @@ class CameraModel:
         object.__setattr__(self, "K", K)
         object.__setattr__(self, "distortion", distortion)
 
+    @property
+    def axis_on_surface(self) -> Array:
+        """Where the optical axis meets the tool frame's x-y plane, where surfaces are taken for lying ``(3,)`` [m]."""
+        mount = self.T_tool_camera
+        distance = -mount.translation[2] / mount.rotation[2, 2]
+        return np.asarray(mount.translation + distance * mount.rotation[:, 2])
+
     @classmethod
     def default(
         cls,

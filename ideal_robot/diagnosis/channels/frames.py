@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects import Frames
+from ideal_robot.robots.common_normals import common_normals
 from ideal_robot.robots.robot import Robot
 
 
@@ -17,7 +17,7 @@ def frames_along(robot: Robot, q: Array) -> Frames:
     N, n = q.shape
     axis, x, position, tip = (np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, 3)))
     prismatic = robot.prismatic
-    normals = _normals(robot, prismatic)
+    normals = common_normals(robot)
     jacobian = np.empty((N, 3, n))
     for k in range(N):
         pin.framesForwardKinematics(model, data, q[k])
@@ -36,27 +36,3 @@ def _jacobian(robot: Robot, data: pin.Data, q: Array) -> Array:
     """Jacobian of the tool's place ``(6, n)``; Pinocchio's has one dimension where there is one joint."""
     full = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     return np.asarray(full).reshape(6, robot.n)
-
-
-def _normals(robot: Robot, prismatic: NDArray[np.bool_]) -> Array:
-    """Common normal of each joint's axis and the next one, in the joint's own frame ``(n, 3)``.
-
-    For parallel axes it points from one to the other; for the last joint towards the TCP.
-    """
-    model, q = robot.pinocchio, pin.neutral(robot.pinocchio)
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    n = model.nv
-    full = _jacobian(robot, data, q)
-    axes = [full[:3, j] if prismatic[j] else full[3:, j] for j in range(n)]
-    places = [*[data.oMi[j + 1].translation for j in range(n)], data.oMf[robot.tool_id].translation]
-    result = np.empty((n, 3))
-    for j in range(n):
-        z = axes[j] / np.linalg.norm(axes[j])
-        across = np.cross(z, axes[j + 1]) if j + 1 < n else np.zeros(3)
-        for candidate in (across, places[j + 1] - places[j], *np.eye(3)):
-            flat = candidate - (candidate @ z) * z
-            if np.linalg.norm(flat) > 1e-3:
-                break
-        result[j] = data.oMi[j + 1].rotation.T @ (flat / np.linalg.norm(flat))
-    return result

@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.channels.moving import apart_from_ends, apart_from_re
 from ideal_robot.diagnosis.channels.noise import noise_above_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.dynamics import regressor
-from ideal_robot.dynamics.newton_euler import Chain, chain_of, inverse_dynamics
+from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
@@ -72,6 +72,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     def body_on(link: int) -> Array:
         return regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link]
 
+    payload = payload or any(one.effect.loop_change(one.coefficients, one.theta).body for one in model.effects)
     body = body_on(n) if payload else None
     still = np.zeros_like(q)
     signals = Signals(t, q, qd, qdd, still, still, still, filtered.temperature, extra=extra, payload=body,
@@ -124,19 +125,18 @@ def about_model(made: Regression, model: Model) -> Regression:
     signals = replace(s, load=load, torque=torque, friction=friction,
                       sliding=model.friction.sliding(s.q, s.qd),
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c),
-                      gravity_across=lambda at: _gravity_across(chain, at))
+                      gravity_across=lambda at: gravity_across(chain, at))
     prediction = torque
     for effect in model.effects:
         if effect.domain == MOTOR_TORQUE:
-            prediction = prediction + effect.contribution(signals)
+            added = effect.contribution(signals)
+            prediction = prediction + added
+            change = effect.effect.loop_change(effect.coefficients, effect.theta)
+            if change.body or change.gravity is not None or change.zero:
+                # What the gears carry besides bends them as well.
+                load = load + added
+    signals = replace(signals, load=load)
     return replace(made, signals=signals, y=made.measured - made.filtered.decimate(prediction))
-
-
-def _gravity_across(chain: Chain, q: Array) -> Array:
-    """Torques ``(N, n, 2)`` of 1 m/s² of gravity along the base's x and y axes at positions ``(N, n)``."""
-    still = np.zeros_like(q)
-    sides = [chain._replace(gravity=np.eye(3)[axis]) for axis in range(2)]
-    return np.stack([inverse_dynamics(side, q, still, still) for side in sides], axis=2)
 
 
 def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, FittedEffect, Signals
 from ideal_robot.signals.preprocess import FilteredSignals
 
 
@@ -71,3 +73,23 @@ class Regression:
                        temperature=None if s.temperature is None else at(s.temperature),
                        sliding=None if s.sliding is None else at(s.sliding),
                        extra={name: at(values) for name, values in s.extra.items()})
+
+
+Positions = TypeVar("Positions", bound=Regression)
+
+
+def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions:
+    """The regression of positions with what a model's effects already say of them taken away.
+
+    What is found then is a change of what is known, not the same thing once more. Readings of cameras and force sensors
+    are corrected before they are recorded.
+
+    Args:
+        made: of arm angles or of the TCP.
+        effects: of the model.
+    """
+    known = [effect for effect in effects if effect.domain == made.domain and made.domain != SENSOR]
+    if not known:
+        return made
+    said = [made.decimate(effect.contribution(made.signals)) for effect in known]
+    return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))

@@ -16,6 +16,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.channels.regression import without_known
 from ideal_robot.diagnosis.validation.carry_over import accepted
 from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect
@@ -77,6 +78,7 @@ def _behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) 
     arm = arm_angle_regression(run, robot, torque_regression(run, robot, known), known.stiffness) if behind else None
     if arm is None:
         return ()
+    arm = without_known(arm, known.effects)
     columns = {id(effect): arm.decimate(effect.contribution(arm.signals)) for effect in behind}
 
     def error(effects: Sequence[FittedEffect]) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.domain import ARM_POSITION
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -54,3 +55,7 @@ class ArmBacklash(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. The arm lags."""
         return bool(coefficients[0] > 0.0)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The play, crossed where the motion turns; the coefficient is a share of it."""
+        return LoopChange(half_gap=coefficients[0] * theta[0])

@@ -7,6 +7,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.domain import ARM_POSITION
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -43,3 +44,7 @@ class ArmBacklashByLoad(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. The load pushes the arm away, not towards itself."""
         return bool(coefficients[0] > 0.0)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The play, crossed where the load changes sign."""
+        return LoopChange(half_gap=coefficients[0], gap_load=theta[0])

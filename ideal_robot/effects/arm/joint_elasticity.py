@@ -7,7 +7,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.domain import ARM_POSITION
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -38,6 +38,6 @@ class ArmElasticity(Effect):
         c = float(coefficients[0])
         return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """What the gear gives beyond what was known."""
-        return DriveChange(further_compliance=coefficients[0], from_arm_angle=True)
+        return LoopChange(further_compliance=coefficients[0], from_arm_angle=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import EffectParameter
 from ideal_robot.effects.domain import ARM_POSITION
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.torque.torque_ripple import TorqueRipple
 
 
@@ -23,6 +23,6 @@ class TransmissionError(TorqueRipple):
         size, phase, order = super().parameters(coefficients, std, theta, theta_std)
         return [EffectParameter(size.name, size.value, size.std, "rad"), phase, order]
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
-        """None: the simulated gear turns evenly."""
-        return None
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The gear turns unevenly."""
+        return LoopChange(uneven=(theta[0], coefficients[0], coefficients[1]))

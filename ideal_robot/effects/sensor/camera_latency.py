@@ -1,5 +1,6 @@
 """A camera whose time stamps are wrong by a constant."""
 
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.sensor.seen_line import SPEED, SeenLineEffect
 
 
@@ -15,3 +16,7 @@ class CameraLatency(SeenLineEffect):
     coefficient_names = ("latency",)
     coefficient_units = ("s",)
     source = "[L] (4), (5): the pose of the exposure"
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The pose of the exposure."""
+        return LoopChange(latency=coefficients[0])

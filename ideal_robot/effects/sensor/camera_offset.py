@@ -6,6 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.sensor.seen_line import ACROSS, ALONG, YAW, SeenLineEffect
 from ideal_robot.effects.signals import Signals
 
@@ -34,3 +35,8 @@ class CameraOffset(SeenLineEffect):
         """See ``Effect.parameters``. What can be seen of the mounting."""
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The points that the camera measures."""
+        along, yaw, across = (*coefficients, 0.0)[:3]
+        return LoopChange(picture=(0.0, 0.0, along, yaw, across))

@@ -1,5 +1,6 @@
 """A camera at another distance, or of another focal length, than is assumed."""
 
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.sensor.seen_line import SCALE, SeenLineEffect
 
 
@@ -14,3 +15,7 @@ class CameraScale(SeenLineEffect):
     coefficient_names = ("scale",)
     coefficient_units = ("1",)
     source = "[L] 4.4: distance and focal length of the camera"
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The points that the camera measures."""
+        return LoopChange(picture=(coefficients[0], 0.0, 0.0, 0.0, 0.0))

@@ -1,5 +1,6 @@
 """A camera whose clock runs at another rate than the controller's."""
 
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.sensor.seen_line import DRIFT, SeenLineEffect
 
 
@@ -15,3 +16,7 @@ class ClockDrift(SeenLineEffect):
     coefficient_names = ("rate",)
     coefficient_units = ("s/s",)
     source = "[L] (4), (5) with a time offset that grows"
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The pose of the exposure."""
+        return LoopChange(latency_rate=coefficients[0])

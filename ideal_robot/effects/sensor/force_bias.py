@@ -9,6 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.domain import SENSOR
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 MOMENTS = "moments"
@@ -47,3 +48,7 @@ class ForceBias(Effect):
         """See ``Effect.parameters``. The components of the wrench that the sensor has."""
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The wrench that the sensor measures."""
+        return LoopChange(wrench=coefficients)

@@ -9,6 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.domain import SENSOR
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 CONTACT_FORCE = "contact_force"
@@ -54,3 +55,7 @@ class ForceCompliance(Effect):
         """See ``Effect.columns``. Shape ``(N, 1, 1)``."""
         force = signals.extra.get(CONTACT_FORCE, np.zeros(len(signals.t)))
         return -np.asarray(force)[:, None, None]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The elasticity that the force controller counts with."""
+        return LoopChange(give=coefficients[0])

@@ -1,5 +1,6 @@
 """A lens whose distortion is not the one assumed."""
 
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.sensor.seen_line import CUBIC, SeenLineEffect
 
 
@@ -15,3 +16,7 @@ class LensDistortion(SeenLineEffect):
     coefficient_names = ("cubic",)
     coefficient_units = ("1/m²",)
     source = "D. C. Brown, Close-range camera calibration, 1971: radial distortion, first term"
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The points that the camera measures."""
+        return LoopChange(picture=(0.0, coefficients[0], 0.0, 0.0, 0.0))

@@ -9,6 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.domain import ARM_POSITION, TCP_POSITION
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 LEVER = 1e-4
@@ -58,6 +59,10 @@ class AtTool(Effect):
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
         """See ``Effect.parameters``. As the angle's effect."""
         return self.inner.parameters(coefficients, std, theta, theta_std)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """As the angle's effect."""
+        return self.inner.loop_change(coefficients, theta)
 
 
 def shows_gears(signals: Signals, joint: int) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ideal_robot.effects.arm.joint_elasticity import ArmElasticity
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.tcp.at_tool import AtTool
 
 
@@ -12,6 +12,6 @@ class ToolElasticity(AtTool):
 
     inner = ArmElasticity()
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """What the gear gives beyond what was known."""
-        return DriveChange(further_compliance=coefficients[0])
+        return LoopChange(further_compliance=coefficients[0])

@@ -7,6 +7,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.domain import TCP_POSITION
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.effects.tcp.at_tool import LEVER
 
@@ -50,3 +51,7 @@ class KinematicError(Effect):
         """See ``Effect.parameters``. Those that can be seen at all."""
         every = super().parameters(coefficients, std, theta, theta_std)
         return [parameter for parameter in every if parameter.value != 0.0]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The arm's geometry behind the joint."""
+        return LoopChange(geometry=(coefficients[0], coefficients[1], coefficients[2], coefficients[3]))

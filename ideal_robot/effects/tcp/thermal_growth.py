@@ -7,6 +7,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.domain import TCP_POSITION
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.effects.torque.thermal_drift import warming_bounds, warming_starts
 
@@ -52,3 +53,8 @@ class ThermalGrowth(Effect):
                 # Behind the link a joint slides: its way is no length of the link.
                 end = end - axis * signals.q[:, joint, None]
         return np.asarray(((end - frames.position[:, joint - 1]) * warm[:, None])[:, :, None])
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """Nowhere: the loop is not told how warm the link is."""
+        return LoopChange(nowhere="how warm a link is when a path begins cannot be told from the time since a "
+                                  "recording began, and the positional interface gives no temperature")

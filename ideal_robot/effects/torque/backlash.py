@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.effects.torque.joint_elasticity import JointElasticity
 
@@ -56,6 +56,6 @@ class Backlash(JointElasticity):
         """See ``Effect.parameters``. Half the gap and the crossing load."""
         return Effect.parameters(self, coefficients, std, theta, theta_std)
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
-        """None: the simulated gear has no gap."""
-        return None
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The play, crossed where the load changes sign."""
+        return LoopChange(half_gap=coefficients[0], gap_load=theta[0])

@@ -8,6 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 _G = 9.80665
@@ -53,3 +54,7 @@ class BaseTilt(Effect):
         along = float(np.hypot(y * std[0], x * std[1]) / max(size, 1e-12) ** 2)
         return [EffectParameter("angle", size / _G, across / _G, "rad"),
                 EffectParameter("direction", float(np.arctan2(-y, -x)), along, "rad")]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """Gravity from elsewhere."""
+        return LoopChange(gravity=(coefficients[0], coefficients[1]))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -22,6 +22,6 @@ class CurrentOffset(Effect):
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, np.ones_like(signals.t))
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """A constant torque."""
-        return DriveChange(offset=coefficients[0])
+        return LoopChange(offset=coefficients[0])

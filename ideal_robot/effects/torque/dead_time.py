@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -74,3 +75,7 @@ class DeadTime(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
         return bool(abs(coefficients[0]) < self.longest)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """Nowhere: it is in the recording alone."""
+        return LoopChange(nowhere="only the record is late: the arm moves as it did")

@@ -6,6 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -28,3 +29,7 @@ class DriveGain(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. A gain is positive and not wrong by a factor of three."""
         return bool(np.abs(coefficients[0]) < 2.0 and coefficients[0] > -0.7)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The controller asks in units of what is read."""
+        return LoopChange(gain=coefficients[0])

@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.signals.preprocess import lowpass
 
@@ -86,6 +86,6 @@ class JointElasticity(Effect):
         c = float(coefficients[0])
         return [EffectParameter("stiffness", 1.0 / c, float(std[0]) / c**2, "N m/rad")]
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """The gear, as the torque says it: all of it."""
-        return DriveChange(gear_compliance=coefficients[0])
+        return LoopChange(gear_compliance=coefficients[0])

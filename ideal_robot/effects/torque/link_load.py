@@ -8,6 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -46,3 +47,7 @@ class LinkLoad(Effect):
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
         """See ``Effect.parameters``. As they are: of the mass and the lever often the product alone shows."""
         return super().parameters(coefficients, std, theta, theta_std)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """A body on the link."""
+        return LoopChange(body=coefficients)

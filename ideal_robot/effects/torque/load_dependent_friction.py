@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -35,6 +35,6 @@ class LoadDependentFriction(Effect):
         """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""
         return bool(0.0 < coefficients[0] < 1.0)
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Friction by load."""
-        return DriveChange(friction_per_load=coefficients[0])
+        return LoopChange(friction_per_load=coefficients[0])

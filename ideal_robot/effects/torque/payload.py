@@ -8,6 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -54,3 +55,7 @@ class Payload(Effect):
                                   float(np.hypot(std[i + 1] / m, coefficients[i + 1] * std[0] / m**2)), "m")
                   for i, axis in enumerate("xyz")]
         return [EffectParameter("mass", m, float(std[0]), "kg"), *centre]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """A body on the last link."""
+        return LoopChange(body=coefficients)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -48,3 +49,7 @@ class PositionDeadTime(Effect):
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
         return bool(abs(coefficients[0]) < self.longest)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """Nowhere: it is in the recording alone."""
+        return LoopChange(nowhere="only the record is late: the arm moves as it did")

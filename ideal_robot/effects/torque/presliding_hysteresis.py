@@ -7,7 +7,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 _SPEED_OR_DISTANCE = ("reversals at very different accelerations: presliding follows the distance since the reversal, "
@@ -65,6 +65,6 @@ class PreslidingHysteresis(Effect):
         """See ``Effect.plausible``. Friction opposes motion."""
         return bool(coefficients[0] > 0.0)
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Friction builds up over the displacement."""
-        return DriveChange(presliding=theta[0])
+        return LoopChange(presliding=theta[0])

@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -44,6 +44,6 @@ class Stribeck(Effect):
         """See ``Effect.plausible``. Friction is larger, not smaller, near standstill."""
         return bool(coefficients[0] > 0.0)
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Friction over speed."""
-        return DriveChange(friction_curve=True)
+        return LoopChange(friction_curve=True)

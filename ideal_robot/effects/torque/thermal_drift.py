@@ -6,6 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -65,3 +66,8 @@ class ThermalDrift(Effect):
         units = ("N m s/(rad K)", "N m/K")
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, units, coefficients, std, strict=True)]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """Nowhere: the loop is not told how warm the gear is."""
+        return LoopChange(nowhere="how warm a gear is when a path begins cannot be told from the time since a "
+                                  "recording began; method adapted follows friction while the arm works")

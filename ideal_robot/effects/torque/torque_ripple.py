@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -122,6 +122,6 @@ class TorqueRipple(Effect):
                 EffectParameter("phase", float(np.arctan2(b, a)), sigma / max(size, 1e-12), "rad"),
                 EffectParameter("order", theta[0], theta_std[0] if theta_std else 0.0, "1/rad")]
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """The ripple itself."""
-        return DriveChange(ripple=(theta[0], coefficients[0], coefficients[1]))
+        return LoopChange(ripple=(theta[0], coefficients[0], coefficients[1]))

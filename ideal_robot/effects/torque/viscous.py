@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -21,6 +21,6 @@ class Viscous(Effect):
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.qd[:, joint - 1])
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Friction over speed."""
-        return DriveChange(friction_curve=True)
+        return LoopChange(friction_curve=True)

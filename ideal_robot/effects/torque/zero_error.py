@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.drive_change import DriveChange
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
 
@@ -44,6 +44,6 @@ class ZeroError(Effect):
         """See ``Effect.plausible``. Degrees, not another mounting."""
         return bool(abs(coefficients[0]) < 0.2)
 
-    def drive_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> DriveChange | None:
-        """None: it is in the angle, not in the drive."""
-        return None
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """The rigid body is at other angles, and so is the tool."""
+        return LoopChange(zero=coefficients[0])

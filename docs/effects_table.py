@@ -1,0 +1,41 @@
+"""Writes the table of where effects act into ``docs/diagnosis.md``: ``python -m docs.effects_table``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ideal_robot.effects.base import Effect
+from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.registry import library
+
+DOCUMENT = Path(__file__).parent / "diagnosis.md"
+BEGIN, END = "<!-- where effects act -->", "<!-- end of where effects act -->"
+"""Marks around the table in the document."""
+_SMALL = 1e-3
+
+
+def change_of(effect: Effect) -> LoopChange:
+    """What an effect of some small size changes."""
+    return effect.loop_change((_SMALL,) * len(effect.coefficient_names), (1.0,) * len(effect.theta_names))
+
+
+def acting_table() -> str:
+    """Markdown between the marks: one row an effect and place where it shows, with where it acts or why it does not."""
+    rows = ["| effect | shows in | acts in |", "| --- | --- | --- |"]
+    curve = Unknown(("q_1",), False, ((0.0, 1.0),))
+    for effect in (*library(), curve):
+        change = change_of(effect)
+        where = "; ".join(change.places) or f"nowhere ({change.nowhere})"
+        rows.append(f"| `{effect.name}` | `{effect.channel_prefix}` | {where} |")
+    return "\n".join([BEGIN, *rows, END])
+
+
+def with_table(document: str) -> str:
+    """A document with the table between its marks."""
+    before, _, rest = document.partition(BEGIN)
+    return before + acting_table() + rest.partition(END)[2]
+
+
+if __name__ == "__main__":
+    DOCUMENT.write_text(with_table(DOCUMENT.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,77 @@
+"""What an effect changes in the identified loop and in the arm behind it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+
+def _place(words: str, default: Any) -> Any:
+    return field(default=default, metadata={"place": words})
+
+
+@dataclass(frozen=True)
+class LoopChange:
+    """Where an effect acts, and by how much; what is not given stays as it is.
+
+    Attributes:
+        torque: whether its torque, as it stands, joins what the motor has to give.
+        friction_curve: whether the effect's torque at constant speed adds to the friction over speed.
+        friction_per_load: added to the friction per torque at the gear output [1].
+        presliding: displacement over which friction builds up after a reversal, at least [rad].
+        offset: added to the constant torque [N m].
+        rotor_inertia: added to the motor's inertia [kg m²].
+        gain: by how much more torque is read than acts, as a share of it [1].
+        ripple: order [1/rad], cosine and sine part [N m] of a torque that repeats with the motor's position.
+        body: parameters added to the effect's link, to the last one for the whole arm: mass [kg], first moments [kg m],
+            inertias [kg m²] as in [G] (5); those left out are zero.
+        gravity: added to gravity along the base's x and y axes [m/s²].
+        gear_compliance: of the whole gear, in place of what was known [rad/(N m)].
+        further_compliance: of the gear beyond what was known [rad/(N m)].
+        from_arm_angle: whether a compliance follows from measured arm angles, which say it better than anything else.
+        half_gap: half the play of the gear [rad].
+        gap_load: load over which the play is crossed [N m]; 0 where the direction of motion decides.
+        uneven: order [1/rad], cosine and sine part [rad] of what the arm turns beyond the motor.
+        zero: true angle less the encoder's [rad].
+        geometry: shifts ``a``, ``d`` [m] and turns ``alpha``, ``theta`` [rad] of all that is behind the joint.
+        latency: by how much later than stamped a camera's picture was taken [s].
+        latency_rate: growth of that [s/s].
+        picture: errors of points that a camera measures: scale [1], cubic [1/m²], shift along [m], yaw [rad], shift
+            across [m].
+        wrench: what a force sensor shows when nothing touches the tool [N, N m].
+        give: compliance of tool, sensor and surface beyond what is assumed [m/N].
+        nowhere: why it does not act; empty where it does.
+    """
+
+    torque: bool = _place("motor torque wanted", False)
+    friction_curve: bool = _place("friction over speed", False)
+    friction_per_load: float = _place("friction by load", 0.0)
+    presliding: float = _place("way over which friction turns", 0.0)
+    offset: float = _place("constant motor torque", 0.0)
+    rotor_inertia: float = _place("motor's inertia", 0.0)
+    gain: float = _place("torque that the drive gives", 0.0)
+    ripple: tuple[float, float, float] | None = _place("motor torque over position", None)
+    body: tuple[float, ...] = _place("rigid body: gear torque, deflection, motor torque", ())
+    gravity: tuple[float, float] | None = _place("rigid body: gear torque, deflection, motor torque", None)
+    gear_compliance: float | None = _place("gear's stiffness", None)
+    further_compliance: float | None = _place("gear's stiffness", None)
+    from_arm_angle: bool = False
+    half_gap: float = _place("gear's play: motor ahead of the arm", 0.0)
+    gap_load: float = 0.0
+    uneven: tuple[float, float, float] | None = _place("gear's transmission: motor angle for an arm angle", None)
+    zero: float = _place("rigid body, and joint path by inverse kinematics of the corrected arm", 0.0)
+    geometry: tuple[float, float, float, float] | None = _place(
+        "joint path by inverse kinematics of the corrected arm", None)
+    latency: float = _place("follower: time stamps", 0.0)
+    latency_rate: float = _place("follower: time stamps", 0.0)
+    picture: tuple[float, float, float, float, float] | None = _place("follower: points that the camera measures", None)
+    wrench: tuple[float, ...] = _place("force controller: measured wrench", ())
+    give: float = _place("force controller: contact compliance", 0.0)
+    nowhere: str = ""
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where it acts, in words; empty where it does not."""
+        words = (one.metadata["place"] for one in fields(self)
+                 if "place" in one.metadata and getattr(self, one.name) != one.default)
+        return tuple(dict.fromkeys(words))

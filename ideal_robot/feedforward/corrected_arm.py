@@ -1,0 +1,179 @@
+"""The arm whose geometry is not that of its drawings: joint paths that bring its tool where it shall be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects import FittedEffect
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.model.arm_with_effects import changes_of
+from ideal_robot.robots.common_normals import common_normals
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+
+_STEPS = 2
+"""Newton steps: of an error of millimetres nanometres are left."""
+_DAMPING = 1e-6
+"""Of the least squares: near a singular posture the tool misses by micrometres rather than a joint running away."""
+_SETTLE = 0.4
+"""Time over which the correction at the start is taken up [s]."""
+_EVERY = 5
+"""Cycles between the rows of a horizon at which the inverse kinematics is solved."""
+_TURN = 0.2
+"""What a metre of position counts as in radians of orientation."""
+
+
+class CorrectedArm:
+    """Kinematics with the errors that effects name, and the inverse that a path needs.
+
+    Args:
+        robot: kinematics as drawn; what paths were planned with.
+        effects: of which those with a zero or a geometry count.
+    """
+
+    def __init__(self, robot: Robot, effects: tuple[FittedEffect, ...]) -> None:
+        self._robot = robot
+        changes = [(effect.joint, change) for effect, change in changes_of(effects)
+                   if change.zero or change.geometry is not None]
+        self.differs = bool(changes)
+        """Whether any effect changes the geometry."""
+        if not self.differs:
+            return
+        self._model, normals = robot.pinocchio.copy(), common_normals(robot)
+        self._drawn, self._data = robot.pinocchio.createData(), self._model.createData()
+        for joint, change in changes:
+            a, d, alpha, theta = change.geometry or (0.0, 0.0, 0.0, 0.0)
+            _displace(self._model, robot, joint, normals[joint - 1], (a, d, alpha, theta + change.zero))
+
+    def tool(self, q: Array) -> pin.SE3:
+        """Pose of the TCP in the base frame at joint angles ``(n,)`` [rad]."""
+        if not self.differs:
+            return self._robot.fk()(q)
+        pin.framesForwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
+        return self._data.oMf[self._robot.tool_id].copy()
+
+    def joints(self, q_d: Array) -> Array:
+        """Joint angles ``(N, n)`` [rad] that bring the tool where the drawn arm would be at ``q_d (N, n)``.
+
+        Of an arm with fewer than six joints the position alone is kept.
+        """
+        if not self.differs:
+            return q_d
+        tool, full = self._robot.tool_id, self._model.nv >= 6
+        result = np.array(q_d, dtype=float)
+        for row, wanted_q in zip(result, q_d, strict=True):
+            pin.framesForwardKinematics(self._robot.pinocchio, self._drawn, np.asarray(wanted_q, dtype=float))
+            wanted = self._drawn.oMf[tool]
+            for _ in range(_STEPS):
+                J = pin.computeFrameJacobian(self._model, self._data, row, tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+                J = np.asarray(J).reshape(6, -1)
+                pin.updateFramePlacement(self._model, self._data, tool)
+                here = self._data.oMf[tool]
+                turn = pin.log3(wanted.rotation @ here.rotation.T)
+                error = np.concatenate([wanted.translation - here.translation, _TURN * turn])
+                J = np.vstack([J[:3], _TURN * J[3:]])
+                if not full:
+                    error, J = error[:3], J[:3]
+                row += J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), error)
+        return result
+
+
+    def from_rest(self, q_d: Array, t_ipo: float) -> Array:
+        """``joints`` along a path that starts where the drawn arm rests: the correction is taken up smoothly.
+
+        Args:
+            q_d: joint angles ``(N, n)`` [rad].
+            t_ipo: cycle [s].
+        """
+        if not self.differs:
+            return q_d
+        return np.asarray(q_d + taken_up(t_ipo * np.arange(float(len(q_d))))[:, None] * (self.joints(q_d) - q_d))
+
+
+def taken_up(t: Array, settle: float = _SETTLE) -> Array:
+    """Share of the correction at times ``(N,)`` [s] after the start: from none to all, smoothly."""
+    begun = np.minimum(t / settle, 1.0)
+    return np.asarray(begun**3 * (10.0 - 15.0 * begun + 6.0 * begun**2))
+
+
+def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,
+              geometry: tuple[float, float, float, float]) -> None:
+    """Moves all that is behind a joint in the joint's own frame, which turns with it.
+
+    Args:
+        model: changed.
+        robot: tool frame and axes.
+        joint: from 1.
+        normal: common normal with the next axis in the joint's frame ``(3,)``.
+        geometry: a, d [m], alpha, theta [rad].
+    """
+    a, d, alpha, theta = geometry
+    data = robot.pinocchio.createData()
+    pin.computeJointJacobians(robot.pinocchio, data, pin.neutral(robot.pinocchio))
+    jacobian = pin.getJointJacobian(robot.pinocchio, data, joint, pin.ReferenceFrame.LOCAL)
+    column = np.asarray(jacobian).reshape(6, -1)[:, joint - 1]
+    axis = column[3:] if np.linalg.norm(column[3:]) > 0.5 else column[:3]
+    moved = pin.SE3(pin.exp3(alpha * normal + theta * axis), a * normal + d * axis)
+    if joint < model.nv:
+        model.jointPlacements[joint + 1] = moved * model.jointPlacements[joint + 1]
+    for frame in model.frames:
+        if frame.parentJoint == joint:
+            frame.placement = moved * frame.placement
+
+
+@dataclass(frozen=True)
+class CorrectedState:
+    """State of the feedforward behind the correction, and cycles since the start."""
+
+    inner: Any
+    cycle: int
+
+
+class ForCorrectedArm(Feedforward):
+    """A feedforward whose desired path is corrected by the inverse kinematics of the corrected arm.
+
+    Args:
+        feedforward: what makes commands of the corrected path.
+        arm: kinematics.
+    """
+
+    def __init__(self, feedforward: Feedforward, arm: CorrectedArm) -> None:
+        self.feedforward, self.arm = feedforward, arm
+        self.n_d, self.t_ipo = feedforward.n_d, feedforward.t_ipo
+
+    def init(self, q0: Array) -> CorrectedState:
+        """See ``Feedforward.init``."""
+        return CorrectedState(self.feedforward.init(q0), 0)
+
+    def step(self, state: CorrectedState, q_d: Array, tau_ext_d: Array | None = None
+             ) -> tuple[Array, CorrectedState]:
+        """See ``Feedforward.step``."""
+        share = taken_up(self.t_ipo * (state.cycle + np.arange(float(len(q_d)))))[:, None]
+        path = np.asarray(q_d, dtype=float)
+        # The correction turns slowly: every few rows of the horizon are enough.
+        rows = np.unique(np.append(np.arange(0, len(path), _EVERY), len(path) - 1))
+        off = self.arm.joints(path[rows]) - path[rows]
+        path = path + share * np.column_stack([np.interp(np.arange(len(path)), rows, column) for column in off.T])
+        q_c, inner = self.feedforward.step(state.inner, path, tau_ext_d)
+        return q_c, CorrectedState(inner, state.cycle + 1)
+
+    def observe(self, state: CorrectedState, measured: RobotState) -> CorrectedState:
+        """See ``Feedforward.observe``."""
+        return CorrectedState(self.feedforward.observe(state.inner, measured), state.cycle)
+
+
+def for_arm(feedforward: Feedforward, robot: Robot, effects: tuple[FittedEffect, ...]) -> Feedforward:
+    """The feedforward for the arm as effects say that it is; itself where none changes the geometry.
+
+    Args:
+        feedforward: made for the drawn arm.
+        robot: the drawn arm.
+        effects: of the model.
+    """
+    arm = CorrectedArm(robot, effects)
+    return ForCorrectedArm(feedforward, arm) if arm.differs else feedforward
