@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -197,28 +197,41 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
                                 tuple(missing), loop, _warm_up(model, result))
 
 
-def friction_points(model: Model, result: Identification) -> tuple[Array, Array, Array | None]:
-    """Speeds, friction torques and gear temperatures as measured on the estimation data, ``(M, n)`` each.
+class FrictionPoints(NamedTuple):
+    """Friction as measured on the estimation data, ``(M, n)`` each.
 
-    The friction torque is what is left of the measured torque when everything else is subtracted; temperatures are None
-    where a recording has none.
+    Attributes:
+        speed: [rad/s or m/s].
+        torque: what is left of the measured torque when everything but friction is subtracted [N m or N].
+        modelled: what the model says of friction there, load and reversals included [N m or N].
+        temperature: of the gears [°C], or None where a recording has none.
     """
+
+    speed: Array
+    torque: Array
+    modelled: Array
+    temperature: Array | None
+
+
+def friction_points(model: Model, result: Identification) -> FrictionPoints:
+    """Friction on the estimation data, as measured and as modelled."""
     filters = model.provenance["filters"]
-    speeds, torques, warmth = [], [], []
+    speeds, torques, modelled, warmth = [], [], [], []
     for recording, prediction in zip(result.recordings, result.estimation, strict=True):
         s = preprocess(recording, cutoff=filters["cutoff"], cutoff_decimation=filters["cutoff_decimation"])
         friction = s.decimate(model.friction.torque(s.qd, model.rigid_body(s.q, s.qd, s.qdd), s.q))
         speeds.append(s.decimate(s.qd))
         torques.append(prediction.measured - prediction.tau + friction)
+        modelled.append(friction)
         if recording.has("temp"):
             warmth.append(s.decimate(np.column_stack([s.columns[f"temp_{j + 1}"] for j in range(model.n)])))
     temperature = np.concatenate(warmth) if len(warmth) == len(speeds) else None
-    return np.concatenate(speeds), np.concatenate(torques), temperature
+    return FrictionPoints(np.concatenate(speeds), np.concatenate(torques), np.concatenate(modelled), temperature)
 
 
 def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
     """How friction falls with temperature, for joints that warmed up by at least ``_WARMTH``."""
-    speed, torque, temperature = friction_points(model, result)
+    speed, torque, _, temperature = friction_points(model, result)
     if temperature is None:
         return ()
     found: list[WarmUp | None] = []

@@ -9,6 +9,7 @@ from planning.force.contact import Phase
 from scenes.force.cell import scene_curves
 from scenes.force.result import ForceResult
 from scenes.report.replay import Replay
+from scenes.report.sensed import sensed_force
 
 
 def force_replay(result: ForceResult) -> Replay | None:
@@ -32,4 +33,4 @@ def force_replay(result: ForceResult) -> Replay | None:
         error[counts] = np.abs(force - result.scene.force)[counts]
     # There is no place where the tool had to be: the force decides, so nothing is drawn enlarged.
     return Replay(robot, recording.t, q, tool, tool, error, "difference from the wanted force", "N",
-                  curves=scene_curves(result.scene), enlarged=1.0)
+                  curves=scene_curves(result.scene), enlarged=1.0, force=sensed_force(robot, recording))

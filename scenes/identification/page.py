@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,10 +38,16 @@ def identification_page(analysis: IdentificationResult) -> Report:
     shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]
     for role, recording, prediction in shown[:4]:
         page.figure(torque_figure(prediction), f"{Path(recording.source).name} ({role}): measured and predicted torque "
-                    "with two standard deviations of the prediction, and the residual on the same scale.")
+                    "with two standard deviations of the prediction (cut off at reversals, where the angle over which "
+                    "friction turns decides), and the residual on the same scale.")
     page.heading("Friction")
-    page.figure(friction_figure(analysis), "Friction over speed as identified (line) and what is left of the measured "
-                "torque when everything else is subtracted (points, estimation data).")
+    page.figure(friction_figure(analysis), "Friction over speed. Gray points: what is left of the measured torque "
+                "when everything else is subtracted (estimation data). Line: the law at constant speed without load. "
+                "Orange points: the whole friction model at the instants of the gray ones.")
+    page.table(*friction_spread(analysis), "Why points lie beside the line: friction grows with the torque that the "
+               "gear transmits, and turns over a small angle after each reversal. The model knows that where its law "
+               "says load or presliding; the line shows it nowhere. What is left in the last column is noise and what "
+               "the model misses; diagnose says which. Standard deviations.")
     _friction_choice(page, analysis)
     _warm_up(page, analysis)
     if analysis.two_step is not None:
@@ -180,6 +187,10 @@ def torque_figure(prediction: Prediction) -> Figure:
         axis.set_ylabel(f"τ_{j + 1} [N m]")
         axis.grid(alpha=0.25)
         axis.margins(x=0)
+        # At a reversal the linearised uncertainty of the presliding angle is many times the friction itself.
+        shown = np.concatenate([prediction.measured[:, j], tau, prediction.measured[:, j] - tau])
+        room = 0.1 * float(np.ptp(shown)) + 1e-9
+        axis.set_ylim(float(shown.min()) - room, float(shown.max()) + room)
         axis.set_title(f"{prediction.residual_std_percent[j]:.1f} %", loc="right", fontsize=9, color="#5b6675")
     axes[0].legend(loc="upper left", ncols=3, fontsize=9, frameon=False, bbox_to_anchor=(0, 1.32))
     axes[-1].set_xlabel("t [s]")
@@ -193,11 +204,12 @@ def friction_figure(analysis: IdentificationResult) -> Figure:
     columns = min(3, n)
     figure = Figure(figsize=(3.7 * columns, 2.9 * int(np.ceil(n / columns))), layout="constrained")
     axes = figure.subplots(int(np.ceil(n / columns)), columns, squeeze=False).ravel()
-    speeds, torques, _ = friction_points(model, analysis.result)
-    thin = max(1, len(speeds) // 4000)
+    points = friction_points(model, analysis.result)
+    thin = max(1, len(points.speed) // 1000)
     for j, axis in enumerate(axes[:n]):
-        speed, torque = speeds[::thin, j], torques[::thin, j]
-        axis.plot(speed, torque, ".", color=MEASURED, markersize=2, alpha=0.35)
+        speed, torque = points.speed[::thin, j], points.torque[::thin, j]
+        axis.plot(speed, torque, ".", color=MEASURED, markersize=2, alpha=0.35, rasterized=True)
+        axis.plot(speed, points.modelled[::thin, j], ".", color=PREDICTED, markersize=1.5, alpha=0.35, rasterized=True)
         v = np.linspace(-np.max(np.abs(speed)), np.max(np.abs(speed)), 401)
         axis.plot(v, model.friction.laws[j].torque(v[:, None])[:, 0], color=PREDICTED, linewidth=1.6)
         axis.set_title(f"joint {j + 1}: {model.friction.laws[j].label}", fontsize=8.5)
@@ -209,6 +221,18 @@ def friction_figure(analysis: IdentificationResult) -> Figure:
     figure.supxlabel("speed [rad/s or m/s]", fontsize=9)
     figure.supylabel("torque [N m or N]", fontsize=9)
     return figure
+
+
+def friction_spread(analysis: IdentificationResult) -> tuple[list[str], list[list[Any]]]:
+    """How far the measured friction lies from the law's curve, and how much of that the whole model explains."""
+    model = analysis.model
+    points = friction_points(model, analysis.result)
+    rows: list[list[Any]] = []
+    for j, law in enumerate(model.friction.laws):
+        curve = law.torque(points.speed[:, j, None])[:, 0]
+        about, left = (float(np.std(points.torque[:, j] - of)) for of in (curve, points.modelled[:, j]))
+        rows.append([j + 1, law.label, about, float(np.std(points.modelled[:, j] - curve)), left])
+    return ["joint", "law", "points about the line [N m or N]", "of that load and reversals", "left"], rows
 
 
 def drift_figure(found: ControllerIdentification) -> Figure:

@@ -12,6 +12,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.replay import Replay
+from scenes.report.sensed import sensed_force, sensed_line
 from sensing.camera.polyline import Polyline
 
 _MARGIN = 0.08
@@ -36,8 +37,12 @@ def line_replay(result: LineResult) -> Replay | None:
     error = np.full(len(recording.t), np.nan)
     if len(counted.t) > 1:
         error = np.abs(np.interp(recording.t, counted.t, counted.lateral, left=np.nan, right=np.nan))
+    curves = {"drawn line": drawn, "reference": result.geometry.reference}
+    seen = sensed_line(robot, recording)
+    if len(seen) > 1:
+        curves["line as sensed"] = seen
     return Replay(robot, recording.t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
-                  curves={"drawn line": drawn, "reference": result.geometry.reference}, surface=surface_corners(result),
+                  curves=curves, surface=surface_corners(result), force=sensed_force(robot, recording),
                   pictures=tuple((one.t, _png(one)) for one in result.shown))
 
 

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _PHONE = 7.0
 """Width of a figure from which on it is scrolled on a phone instead of made smaller [inch]."""
+_SVG_MAX = 600_000
+"""Drawings of more bytes than that (clouds of points) are embedded as pixels."""
 
 
 @dataclass
@@ -72,10 +74,22 @@ class Report:
                              "raw": rows, "folded": folded})
 
     def figure(self, figure: Figure, caption: str = "") -> None:
-        """A matplotlib figure, embedded as PNG, with the sentence that says what to see in it."""
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=130, bbox_inches="tight")
-        self.image(buffer.getvalue(), caption, wide=figure.get_figwidth() > _PHONE)
+        """A matplotlib figure with the sentence that says what to see in it: as SVG, as PNG where it holds pictures.
+
+        Args:
+            figure: to embed.
+            caption: the sentence.
+        """
+        wide = figure.get_figwidth() > _PHONE
+        if not any(axes.images for axes in figure.axes):
+            svg = io.BytesIO()
+            figure.savefig(svg, format="svg", bbox_inches="tight", metadata={"Date": None})
+            if len(svg.getvalue()) <= _SVG_MAX:
+                self._embed(svg.getvalue(), "svg+xml", caption, wide)
+                return
+        png = io.BytesIO()
+        figure.savefig(png, format="png", dpi=130, bbox_inches="tight")
+        self.image(png.getvalue(), caption, wide=wide)
 
     def image(self, png: bytes, caption: str = "", *, wide: bool = False) -> None:
         """A PNG image.
@@ -85,8 +99,11 @@ class Report:
             caption: the sentence that says what to see in it.
             wide: whether its letters are too small on a phone's width.
         """
-        data = base64.b64encode(png).decode("ascii")
-        self._blocks.append({"kind": "image", "data": data, "caption": caption, "wide": wide})
+        self._embed(png, "png", caption, wide)
+
+    def _embed(self, data: bytes, kind: str, caption: str, wide: bool) -> None:
+        self._blocks.append({"kind": "image", "data": base64.b64encode(data).decode("ascii"), "type": kind,
+                             "caption": caption, "wide": wide})
 
     def replay(self, replay: Replay, caption: str = "") -> None:
         """A replay that moves in the page.

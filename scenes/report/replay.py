@@ -40,6 +40,7 @@ class Replay:
         pictures: camera pictures, time [s] and PNG.
         ghost: arm angles of another method at the same times ``(N, n)`` [rad], drawn pale, or None.
         enlarged: how many times the error is enlarged in the view from above.
+        force: of the environment on the tool ``(N, 3)`` [N] in the base frame, drawn as an arrow, or None.
     """
 
     robot: Robot
@@ -55,10 +56,13 @@ class Replay:
     pictures: tuple[tuple[float, bytes], ...] = ()
     ghost: Array | None = None
     enlarged: float = 50.0
+    force: Array | None = None
 
     def __post_init__(self) -> None:
         n = len(self.t)
         shapes = {"q": (n, self.robot.n), "tool": (n, 3), "wanted": (n, 3), "error": (n,)}
+        if self.force is not None:
+            shapes["force"] = (n, 3)
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise InputError(f"expected the shape {shape}", field=name, value=np.shape(getattr(self, name)))
@@ -92,4 +96,5 @@ class Replay:
             "pictures": [[round(float(t - self.t[0]), 3), "data:image/png;base64,"
                           + base64.b64encode(png).decode("ascii")] for t, png in self.pictures],
             "enlarged": self.enlarged,
+            "force": None if self.force is None else rounded(np.nan_to_num(self.force[rows]), 2),
         }

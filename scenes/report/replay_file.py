@@ -15,7 +15,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.report.replay import Replay
 
 ENDING = ".replay.npz"
-_ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost")
+_ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 
 
 def replay_beside(recording: Path) -> Path:

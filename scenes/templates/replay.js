@@ -35,6 +35,13 @@ for (const i of [0, Math.floor(DATA.t.length / 2), DATA.t.length - 1]) for (cons
 const centre = low.map((v, a) => 0.5 * (v + high[a])), size = Math.hypot(...high.map((v, a) => v - low[a]));
 const known = DATA.error.filter(e => e !== null), largest = Math.max(...known.map(Math.abs), 1e-9);
 
+const forces = (DATA.force || []).map(f => Math.hypot(...f)).sort((a, b) => a - b);
+const perNewton = forces.length ? 0.25 / Math.max(forces[Math.floor(0.99 * (forces.length - 1))], 1e-9) : 0;
+function curveColour(i) { return [C.ink, C.blue, "#784ea0", "#2b8a3e"][i % 4]; }
+const legend = element("div", scene.parentNode, { font: "13px system-ui" });
+Object.keys(DATA.curves).forEach((name, i) => { const s = element("span", legend, { color: curveColour(i), marginRight: "14px" }); s.textContent = "— " + name; });
+{ const s = element("span", legend, { color: "#2b8a3e", marginRight: "14px" }); s.textContent = "— tool, green to red: " + DATA.errorName; }
+if (DATA.force) { const s = element("span", legend, { color: C.blue }); s.textContent = "→ force on the tool"; }
 function sized(canvas) {
   const r = window.devicePixelRatio || 1, w = Math.max(1, Math.round(canvas.clientWidth * r)), h = Math.max(1, Math.round(canvas.clientHeight * r));
   if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
@@ -83,7 +90,7 @@ function drawScene() {
     const s = DATA.surface.map(see); g.beginPath(); s.forEach((p, i) => i ? g.lineTo(p[0], p[1]) : g.moveTo(p[0], p[1])); g.closePath();
     g.fillStyle = "#fbfbf7"; g.fill(); g.strokeStyle = C.soft; g.lineWidth = 1; g.stroke();
   }
-  Object.values(DATA.curves).forEach((c, i) => polyline(g, c.map(see), i ? C.blue : C.ink, i ? 1.2 : 2.2));
+  Object.values(DATA.curves).forEach((c, i) => polyline(g, c.map(see), curveColour(i), i ? 1.2 : 2.2));
   for (let i = 1; i <= k; i++) polyline(g, [see(DATA.tool[i - 1]), see(DATA.tool[i])], colour(DATA.error[i]), 2.5);
   if (DATA.ghost) arm(faces, DATA.ghost[k], see, true);
   arm(faces, DATA.links[k], see, false);
@@ -93,6 +100,12 @@ function drawScene() {
     g.fillStyle = c; g.fill(); g.strokeStyle = c; g.lineWidth = 0.6; g.stroke();
   }
   const p = see(DATA.tool[k]); g.beginPath(); g.arc(p[0], p[1], 4, 0, 7); g.fillStyle = C.accent; g.fill();
+  if (DATA.force && Math.hypot(...DATA.force[k]) * perNewton > 0.01) {
+    const q = see(DATA.tool[k].map((x, a) => x + perNewton * DATA.force[k][a])), l = Math.hypot(q[0] - p[0], q[1] - p[1]) || 1;
+    const u = [(q[0] - p[0]) / l, (q[1] - p[1]) / l], back = Math.min(10, l);
+    polyline(g, [p, q], C.blue, 2.5);
+    polyline(g, [-1, 0, 1].map(s => s ? [q[0] - back * u[0] - 0.5 * s * back * u[1], q[1] - back * u[1] + 0.5 * s * back * u[0]] : q), C.blue, 2.5);
+  }
 }
 // The two directions in which the path spreads most, so that any path is seen flat.
 const mean = [0, 1, 2].map(a => DATA.wanted.reduce((s, p) => s + p[a], 0) / DATA.wanted.length);
@@ -135,7 +148,7 @@ function drawPlot() {
 function draw() {
   drawScene(); drawAbove(); drawPlot();
   if (inset) { let best = DATA.pictures[0]; for (const p of DATA.pictures) if (Math.abs(p[0] - DATA.t[k]) < Math.abs(best[0] - DATA.t[k])) best = p; if (inset.src !== best[1]) inset.src = best[1]; }
-  said.textContent = DATA.t[k].toFixed(2) + " s, " + (DATA.error[k] === null ? "" : DATA.errorName + " " + DATA.error[k].toPrecision(3) + " " + DATA.unit);
+  said.textContent = DATA.t[k].toFixed(2) + " s, " + (DATA.error[k] === null ? "" : DATA.errorName + " " + DATA.error[k].toPrecision(3) + " " + DATA.unit) + (DATA.force ? ", force " + Math.hypot(...DATA.force[k]).toPrecision(3) + " N" : "");
   slider.value = k; host.dataset.frame = k;
 }
 let running = false, started = 0, from = 0;

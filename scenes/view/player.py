@@ -16,6 +16,8 @@ from scenes.view.viewer import GHOST, Viewer
 PERIOD = 0.04
 """Time between two pictures [s]."""
 SPEEDS = ("0.1 ×", "0.25 ×", "0.5 ×", "1 ×", "2 ×", "5 ×")
+_ARROW = 0.4
+"""Length of a large force's arrow [m]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
 _COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))
@@ -59,6 +61,9 @@ class Player:
             viewer.draw(name.replace(" ", "_"), points, colour)
         step = max(1, len(self._t) // 1500)
         viewer.draw("tool", replay.tool[::step], error_colours(replay.error[::step])[1:], thickness=5.0)
+        # The 99th percentile, so that a shock does not make all else invisible.
+        self._per_newton = 0.0 if replay.force is None else _ARROW / max(
+            float(np.nanquantile(np.linalg.norm(replay.force, axis=1), 0.99)), 1e-9)
         self.tool = viewer.server.scene.add_icosphere("/tool", radius=0.008, color=(224, 106, 0))
 
     def show(self, k: int) -> None:
@@ -68,9 +73,12 @@ class Player:
         if replay.ghost is not None:
             self.viewer.show(replay.ghost[k], GHOST)
         self.tool.position = tuple(float(v) for v in replay.tool[k])
+        if replay.force is not None and np.isfinite(replay.force[k]).all():
+            self.viewer.arrow("force", replay.tool[k], self._per_newton * replay.force[k], (0, 110, 190))
         error = replay.error[k]
         self.said.content = f"**{self._t[k]:.2f} s**" + (
-            f", {replay.error_name} {abs(error):.3g} {replay.unit}" if np.isfinite(error) else "")
+            f", {replay.error_name} {abs(error):.3g} {replay.unit}" if np.isfinite(error) else "") + (
+            f", force {np.linalg.norm(replay.force[k]):.3g} N" if replay.force is not None else "")
         if self.plot is not None:
             self.plot.data = self._plotted(k)
         if self.picture is not None:

@@ -12,6 +12,7 @@ from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.recording import Recording
 from scenes.report.replay import Replay
 from scenes.report.replay_file import read_replay, replay_beside
+from scenes.report.sensed import sensed_force, sensed_line
 
 MOST = 3000
 """Samples that are shown of a recording; longer ones are thinned out."""
@@ -66,26 +67,15 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     name = next((one for one in ("q_d", "q_c") if recording.has(one)), None)
     wanted = tool if name is None else _places(arm, recording.joints(name)[rows])
     error = np.full(len(rows), np.nan) if name is None else 1e3 * np.linalg.norm(tool - wanted, axis=1)
-    sensed = _sensed(arm, recording)
+    sensed = sensed_line(arm, recording)
     curves = {"commanded" if name == "q_c" else "desired": wanted} if name is not None else {}
     if len(sensed) > 1:
-        curves["sensed line"] = sensed
+        curves["line as sensed"] = sensed
     words = "distance from the desired position" if name == "q_d" else "distance from the commanded position"
-    return Replay(arm, recording.t[rows], q, tool, wanted, error, words, curves=curves)
+    return Replay(arm, recording.t[rows], q, tool, wanted, error, words, curves=curves,
+                  force=sensed_force(arm, recording, rows))
 
 
 def _places(arm: Robot, q: Array) -> Array:
     pose = arm.fk()
     return np.array([pose(row).translation for row in np.ascontiguousarray(q)])
-
-
-def _sensed(arm: Robot, recording: Recording) -> Array:
-    """The middle line point of every camera field in the base frame ``(K, 3)`` [m]."""
-    count = sum(name.startswith("line_x_") for name in recording.columns)
-    if count == 0:
-        return np.empty((0, 3))
-    middle = (count + 1) // 2
-    points = np.column_stack([recording.columns[f"line_{axis}_{middle}"] for axis in "xyz"])
-    q = recording.joints("qa" if recording.has("qa") else "q")
-    pose = arm.fk()
-    return np.array([pose(q[k]).act(points[k]) for k in np.flatnonzero(np.isfinite(points).all(axis=1))]).reshape(-1, 3)

@@ -40,6 +40,7 @@ class Viewer:
         self.server.initial_camera.position = (2.6, -2.2, 1.7)
         self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.25)
+        self._arrows: dict[str, Any] = {}
         self.frames: dict[str, list[Any]] = {ARM: self._add(ARM, None)}
         self.show(robot.home)
 
@@ -86,6 +87,22 @@ class Viewer:
         colours: Any = colour if whole else np.repeat(np.asarray(colour, dtype=np.uint8)[:, None], 2, axis=1)
         self.server.scene.add_line_segments(f"/curves/{name}", points=pieces, colors=colours, thickness=thickness,
                                             thickness_units="screen")
+
+    def arrow(self, name: str, start: Array, vector: Array, colour: tuple[int, int, int]) -> None:
+        """Draws an arrow, or moves it.
+
+        Args:
+            name: of the arrow in the scene's tree.
+            start: where it begins ``(3,)`` [m].
+            vector: from there to its point ``(3,)`` [m].
+            colour: 0 to 255.
+        """
+        points = np.array([[start, start + vector]])
+        if name in self._arrows:
+            self._arrows[name].points = points
+        else:
+            self._arrows[name] = self.server.scene.add_arrows(f"/arrows/{name}", points=points, colors=colour,
+                                                              shaft_radius=0.008, head_radius=0.02, head_length=0.05)
 
     def surface(self, corners: Array) -> None:
         """Draws a flat surface with ``corners (4, 3)`` [m]."""

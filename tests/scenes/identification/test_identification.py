@@ -132,7 +132,7 @@ def test_commands_from_plan_to_model(tmp_path: Path) -> None:
     assert isinstance(figures["warnings"], list)
     page = (tmp_path / "report" / "report.html").read_text()
     assert "Friction" in page
-    assert "data:image/png" in page
+    assert "data:image/svg+xml" in page
     assert Robot.load(tmp_path / "kr6.urdf").n == 6
 
 

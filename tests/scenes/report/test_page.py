@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
+from matplotlib.figure import Figure
+
 from scenes.report.page import Report
 from scenes.report.world_table import UNITS, world_rows
 from sim.arm.world import TABLE_KEYS, World
@@ -37,3 +40,15 @@ def test_every_setting_of_the_world_says_its_unit_or_has_none() -> None:
     rows = {row[0]: row[1:] for row in world_rows(World.default("kr6").table())}
     assert rows["stiffness"][1] == "N m/rad"
     assert len(rows["stiffness"][0].split(", ")) == 6
+
+
+def test_drawings_are_vectors_pictures_and_clouds_of_points_are_pixels(tmp_path: Path) -> None:
+    page = Report("t")
+    drawing, picture, cloud = (Figure() for _ in range(3))
+    drawing.add_subplot().plot([0, 1], [0, 1])
+    picture.add_subplot().imshow(np.eye(3))
+    cloud.add_subplot().plot(*np.random.default_rng(0).normal(size=(2, 20_000)), ".")
+    for figure in (drawing, picture, cloud):
+        page.figure(figure)
+    html = page.write(tmp_path / "p.html").read_text(encoding="utf-8")
+    assert re.findall(r"data:image/([\w+]+);", html) == ["svg+xml", "png", "png"]

@@ -1,8 +1,9 @@
-"""The viewer in a headless browser with software WebGL: the arm is seen, and it moves with the slider."""
+"""The viewer in a headless browser with software WebGL: arm, line, force, picture and error are seen, and move."""
 
 from __future__ import annotations
 
 import dataclasses
+import io
 import shutil
 import socket
 import subprocess
@@ -12,9 +13,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from scenes.report.replay import Replay
 from tests.scenes.report.test_replay import ROBOT, _replay
 
 pytest.importorskip("viser")
+
+SCENE = (slice(200, None), slice(None, 640))
+"""Rows and columns of the screenshot that show the scene and nothing else."""
+PANEL = (slice(None), slice(660, None))
+"""Those that show the controls."""
 
 
 def screenshot(port: int, path: Path) -> np.ndarray:
@@ -28,31 +35,58 @@ def screenshot(port: int, path: Path) -> np.ndarray:
     return np.array(Image.open(path).convert("RGB")).astype(int)
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs a headless Chromium")
-def test_the_arm_is_seen_and_moves_with_the_slider(tmp_path: Path) -> None:
-    from scenes.view.player import Player
-    from scenes.view.viewer import Viewer
+def png(colour: tuple[int, int, int]) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGB", (64, 48), colour).save(file, "png")
+    return file.getvalue()
 
+
+def replay_to_see() -> Replay:
+    """A wide motion over a dark curve, a force towards the viewer, camera pictures in colours that nothing else has."""
     plain = _replay(200)
     wide = plain.q + 0.8 * np.sin(plain.t)[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
     pose = ROBOT.fk()
     tool = np.array([pose(row).translation for row in wide])
-    replay = dataclasses.replace(plain, q=wide, tool=tool, wanted=tool)
+    angle = np.linspace(0, 2 * np.pi, 200)
+    ring = np.column_stack([0.7 + 0.5 * np.cos(angle), 0.5 * np.sin(angle), np.full(200, 0.02)])
+    return dataclasses.replace(plain, q=wide, tool=tool, wanted=tool, curves={"drawn line": ring},
+                               force=np.tile([0.0, -20.0, 5.0], (200, 1)),
+                               pictures=((0.0, png((255, 0, 255))), (4.0, png((0, 255, 255)))))
+
+
+def near(picture: np.ndarray, colour: tuple[int, int, int], within: int = 60) -> np.ndarray:
+    return np.asarray(np.abs(picture - np.array(colour)).max(axis=2) < within)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs a headless Chromium")
+def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp_path: Path) -> None:
+    from scenes.view.player import Player
+    from scenes.view.viewer import Viewer
+
     with socket.socket() as link:
         link.bind(("127.0.0.1", 0))
         port = link.getsockname()[1]
     viewer = Viewer(ROBOT, port)
     try:
-        player = Player(viewer, replay)
+        player = Player(viewer, replay_to_see())
         player.running.value = False
         pictures = []
-        for k, t in enumerate((0.1, 1.6)):
+        for k, t in enumerate((0.1, 3.9)):
             player.slider.value = t
             pictures.append(screenshot(viewer.port, tmp_path / f"{k}.png"))
     finally:
         viewer.server.stop()
     # The page fades in, so the arm's orange may still be pale; the notices stand above it.
-    before, after = ((one[..., 0] - one[..., 2] > 30)[200:, :640] for one in pictures)
+    before, after = ((one[..., 0] - one[..., 2] > 30)[SCENE] for one in pictures)
     assert before.sum() > 1500, "the arm"
     assert (before & ~after).sum() > 300, "the arm moves with the slider"
+    rows, columns = np.nonzero(near(pictures[0][SCENE], (40, 40, 40)))
+    assert len(rows) > 300, "the line"
+    assert np.ptp(columns) > 150
+    assert np.ptp(rows) > 40
+    assert near(pictures[0][SCENE], (0, 110, 190)).sum() > 50, "the force's arrow"
+    assert near(pictures[0][PANEL], (255, 0, 255)).sum() > 3000, "the camera's picture"
+    assert near(pictures[1][PANEL], (255, 0, 255)).sum() == 0
+    assert near(pictures[1][PANEL], (0, 255, 255)).sum() > 3000, "the camera's picture of the other instant"
+    assert near(pictures[0][PANEL], (224, 106, 0)).sum() > 100, "the error over time"

@@ -34,7 +34,7 @@ def whole_replay() -> Replay:
     corners = np.array([[0.0, 0, 0.3], [1, 0, 0.3], [1, 1, 0.3], [0, 1, 0.3]])
     plain = _replay(200)
     return dataclasses.replace(plain, surface=corners, pictures=((0.0, png(10)), (4.0, png(240))),
-                               ghost=plain.q + 0.1)
+                               ghost=plain.q + 0.1, force=np.outer(plain.t, [0.0, 0.0, 5.0]))
 
 
 @pytest.fixture
@@ -63,6 +63,9 @@ def test_the_slider_moves_arm_tool_ghost_and_picture(player) -> None:  # type: i
     pin.forwardKinematics(ROBOT.pinocchio, data, player.replay.q[k])
     np.testing.assert_allclose(arm[-1].position, data.oMi[-1].translation, atol=1e-9)
     assert player.picture.image.mean() > before[1] + 100
+    start, end = player.viewer._arrows["force"].points[0]
+    np.testing.assert_allclose(start, player.replay.tool[k], atol=1e-6)
+    assert end[2] > start[2] + 0.2
     assert "3.5" in player.said.content
     t, error, past = player.plot.data
     assert np.isfinite(error).all()
@@ -88,7 +91,7 @@ def test_a_replay_is_read_as_it_was_written(tmp_path: Path) -> None:
     recording = of_replay(replay)
     path = write_replay(replay, replay_beside(tmp_path / "recording.parquet"), recording)
     read = recorded_replay(tmp_path / "recording.parquet", ROBOT, recording)
-    for name in ("t", "q", "tool", "wanted", "error", "surface", "ghost"):
+    for name in ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force"):
         np.testing.assert_array_equal(getattr(read, name), getattr(replay, name))
     assert read.pictures == replay.pictures
     assert read.error_name == replay.error_name
