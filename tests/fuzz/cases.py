@@ -183,3 +183,31 @@ def drawn(seed: int, folder: Path, kinds: tuple[str, ...] = tuple(MAKERS)) -> Ca
     rng = np.random.default_rng(seed)
     weights = np.array([MAKERS[kind][1] for kind in kinds])
     return MAKERS[kinds[rng.choice(len(kinds), p=weights / weights.sum())]][0](rng, folder)
+
+
+def sound(folder: Path) -> list[Case]:
+    """One call of each verb with sound files, which loads all that the verb needs; RSI fails as nobody sends.
+
+    Args:
+        folder: for the sound files; any that lasts.
+    """
+    motion, path = _sound(folder, "motion"), _sound(folder, "path")
+    arm = {**_arm(), "r.csv": motion}
+    model = originals.model(folder)
+    return [
+        Case("identify", ["identify", "r.csv", "--urdf", "arm.urdf", "--friction", "viscous_coulomb", "--out", "o",
+                          "--json", "j.json", "--export-urdf", "e.urdf"], arm),
+        Case("diagnose", ["diagnose", "r.csv", "--urdf", "arm.urdf", "--out", "o", "--model-out", "m.json"], arm),
+        Case("diagnose with a model", ["diagnose", "r.csv", "--urdf", "arm.urdf", "--model", "m.json", "--out", "o"],
+             {**arm, "m.json": model}),
+        Case("stiffness", ["stiffness", "p.parquet", "--urdf", "arm.urdf", "--out", "o", "--json", "j.json"],
+             {**_arm(), "p.parquet": mutate_table._parquet(originals.pushes(folder), b"{}")}),
+        Case("precorrect", ["precorrect", "p.csv", "--model", "m.json", "-o", "c.csv", "--out", "o"],
+             {"p.csv": path, "m.json": originals.shipped_model()}),
+        Case("rsi", ["rsi", "p.csv", "--robot", "kr6", "--port", "0", "--wait", "0.1", "--record", "c.csv", "--method",
+                     "none"], {"p.csv": path}, must_fail=True),
+        Case("plan", ["plan-identification", "--urdf", "arm.urdf", "--period", "2", "--out", "o", "--z-min", "-5"],
+             arm),
+        *(Case(f"run {kind}", ["run", "s.toml", "--out", "o", "--json", "j.json"], {"s.toml": text})
+          for kind, text in originals.SCENES.items()),
+    ]

@@ -10,6 +10,8 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,11 +42,34 @@ class Played:
     broken: str | None
 
 
-def warm_up() -> None:
-    """Loads the program once, so that cases do not."""
+def warm_up(cases: Sequence[Case] = ()) -> None:
+    """Loads the program once, so that cases do not.
+
+    Args:
+        cases: sound calls that are played here, in the process from which the cases fork: what they import and load of
+            compiled code is there for all.
+
+    Raises:
+        RuntimeError: one of them fails that need not.
+    """
     import scenes.cli
 
     scenes.cli._register()
+    home, arguments = Path.cwd(), sys.argv
+    for case in cases:
+        with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, open(os.devnull, "w") as nowhere:
+            _write(case, Path(folder))
+            os.chdir(folder)
+            sys.argv = ["ideal-robot", *case.words]
+            try:
+                with redirect_stdout(nowhere), redirect_stderr(nowhere):
+                    scenes.cli.app(standalone_mode=False)
+            except Exception as error:
+                if not case.must_fail:
+                    raise RuntimeError(f"{case.name}: the sound call fails: {error}") from error
+            finally:
+                os.chdir(home)
+                sys.argv = arguments
 
 
 def play(case: Case, seconds: float = SECONDS) -> Played:
@@ -56,8 +81,7 @@ def play(case: Case, seconds: float = SECONDS) -> Played:
     """
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     try:
-        for name, raw in case.files.items():
-            (folder / name).write_bytes(raw)
+        _write(case, folder)
         start = time.monotonic()
         code, peak = _forked(case, folder, seconds)
         took = time.monotonic() - start
@@ -65,6 +89,11 @@ def play(case: Case, seconds: float = SECONDS) -> Played:
         return Played(code, took, peak, err, _broken(case, folder, code, took, peak, err, seconds))
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def _write(case: Case, folder: Path) -> None:
+    for name, raw in case.files.items():
+        (folder / name).write_bytes(raw)
 
 
 def _forked(case: Case, folder: Path, seconds: float) -> tuple[int, int]:
