@@ -1,31 +1,26 @@
-"""The camera on the arm, rendered by PyBullet's TinyRenderer from the arm's true poses.
+"""The camera on the arm, looking at a drawn plane from the arm's true poses.
 
-Only the pixels of the search windows are rendered: shifting the principal point in the projection matrix moves the
-window to any place of the image. TinyRenderer draws an undistorted picture; the lens is put in by sampling it where
-the distorted pixels' rays hit it. Exposure, gray noise, time stamp, latency and lost fields follow the settings.
+Each pixel is the mean of a few samples of the surface, taken where their rays, bent by the lens, meet it; only the pixels
+of the search windows are. Exposure, gray noise, time stamp, latency and lost fields follow the settings.
 """
 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from functools import lru_cache
 from types import TracebackType
-from typing import Any
 
-import cv2
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Field, Gray, Window
-from sim.bullet import output_dropped, pybullet
 from sim.camera.camera_settings import CameraSettings
-from sim.camera.lens_sampling import add_samples, displacements, sample_rays
+from sim.camera.lens_sampling import sample_rays
+from sim.camera.plane_sampling import sample_plane, texel_map
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture, paint
 
@@ -34,10 +29,6 @@ __all__ = ["CameraSettings", "PoseAt", "RenderedCamera"]
 PoseAt = Callable[[float], pin.SE3]
 """True TCP pose in the base frame at a time [s]."""
 
-# TinyRenderer samples at integer coordinates with rows counted from below: this much has to be added to the principal
-# point of OpenCV's convention (pixel centres at integers) before it goes into the projection matrix.
-PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
-NEAR, FAR = 0.02, 3.0
 FINE = 160_000
 """Pixels from which on a whole image gets one sample a pixel."""
 
@@ -72,11 +63,9 @@ class RenderedCamera:
             raise InputError("this lens folds the picture over within the image; take a weaker distortion",
                              field="camera.distortion", value=tuple(model.distortion))
         self._key = int(rng.integers(2**63))
-        self._offsets = displacements(settings.sub_exposures)
-        self._client = pybullet.connect(pybullet.DIRECT)
         self.texture = paint(surface, settings.resolution) if texture is None else texture
-        with output_dropped():
-            self._load(self.texture)
+        self._stamp_noise = lru_cache(maxsize=256)(self._drawn_stamp_noise)
+        self._whole_rays: dict[int, Array] = {}
 
     def __enter__(self) -> RenderedCamera:
         return self
@@ -85,10 +74,8 @@ class RenderedCamera:
         self.close()
 
     def close(self) -> None:
-        """Frees the renderer."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        """Frees what the camera holds for its pictures."""
+        self._whole_rays.clear()
 
     def due(self, t0: float, t1: float) -> list[float]:
         """Mid-exposure times [s] of the fields whose exposure *ends* in ``[t0, t1)``, without the lost ones.
@@ -102,15 +89,14 @@ class RenderedCamera:
             t = self.settings.phase + k / self.settings.rate
             if round((t + half - t1) * self.settings.rate, 6) >= 0.0:
                 break
-            if self._stream(k).random() >= self.settings.loss:
+            if self.settings.loss == 0.0 or self._stream(k).random() >= self.settings.loss:
                 times.append(t)
         return times
 
     def stamp(self, t_exposure: float) -> float:
         """Controller time that the camera says of the field exposed at ``t_exposure`` [s], one of ``due``."""
-        rng = self._stream(round((t_exposure - self.settings.phase) * self.settings.rate))
-        rng.random(), rng.standard_normal()
-        return float(t_exposure + self.settings.stamp_offset + self.settings.stamp_noise * rng.standard_normal())
+        k = round((t_exposure - self.settings.phase) * self.settings.rate)
+        return float(t_exposure + self.settings.stamp_offset + self.settings.stamp_noise * self._stamp_noise(k))
 
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window]) -> Field:
         """One field, cut to windows.
@@ -136,8 +122,10 @@ class RenderedCamera:
         t_stamp = self.stamp(t_exposure)
         n = s.sub_exposures
         poses = [pose_at(t_exposure + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
-        views = [self._view(pose) for pose in poses]
-        patches = tuple(self._noisy(self._render(window, views, s.supersampling), rng) for window in windows)
+        gray = self._noisy(self._sampled(windows, poses, s.supersampling), rng)
+        ends = np.cumsum([window.width * window.height for window in windows])
+        patches = tuple(gray[end - window.width * window.height : end].reshape(window.height, window.width)
+                        for window, end in zip(windows, ends, strict=True))
         return Field(t_stamp, t_exposure + latency, tuple(windows), patches)
 
     def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None) -> Gray:
@@ -145,79 +133,46 @@ class RenderedCamera:
         whole = Window(0, 0, self.model.width, self.model.height)
         # A fine image shows its line smooth enough with one sample a pixel, and takes long anyway.
         samples = 2 if whole.width * whole.height <= FINE else 1
-        gray = self._render(whole, [self._view(pose)], samples)
-        return self._noisy(gray, noise_rng)
+        gray = self._sampled([whole], [pose], samples)
+        return self._noisy(gray, noise_rng).reshape(whole.height, whole.width)
 
     def _stream(self, k: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=[self._key, k + 2**32]))
 
+    def _drawn_stamp_noise(self, k: int) -> float:
+        rng = self._stream(k)
+        rng.random(), rng.standard_normal()
+        return float(rng.standard_normal())
+
     def _noisy(self, gray: Array, rng: np.random.Generator | None) -> Gray:
         if rng is not None and self.settings.noise > 0.0:
             gray = gray + self.settings.noise * rng.standard_normal(gray.shape)
-        return np.clip(np.rint(gray), 0, 255).astype(np.uint8)
+        return np.clip(np.rint(gray, out=gray), 0, 255, out=gray).astype(np.uint8)
 
-    def _view(self, pose: pin.SE3) -> list[float]:
-        """OpenGL view matrix, column-major: base frame → camera with y up and z backwards."""
-        T = (pose * self.model.T_tool_camera).inverse()
-        V = np.eye(4)
-        V[:3, :3], V[:3, 3] = T.rotation, T.translation
-        V[1:3] *= -1.0
-        return V.T.ravel().tolist()
+    def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> Array:
+        """Mean gray values of all pixels of the windows, one after the other, over the TCP poses.
 
-    def _render(self, window: Window, views: Sequence[list[float]], n: int) -> Array:
-        """Mean gray values ``(height, width)`` of a window over the views, ``n`` × ``n`` samples per pixel and view."""
-        K, k = self.model.K, self.model.distortion
-        if window.width == 0 or window.height == 0:
-            return np.zeros((window.height, window.width))
-        x, y = sample_rays(window.u, window.v, window.height, window.width, n, K, k)
-        scale = n * K[0, 0]
-        offsets = self._offsets if len(views) > 1 else np.zeros((1, 2))
-        # The smallest undistorted picture that covers all samples wherever a sub-exposure moves its grid.
-        pad_u, pad_v = np.abs(offsets).max(axis=0)
-        column0, row0 = pad_u - scale * x.min(), pad_v - scale * y.min()
-        width = int(scale * x.max() + column0 + pad_u) + 2
-        height = int(scale * y.max() + row0 + pad_v) + 2
-        total = np.zeros((window.height, window.width))
-        for view, (du, dv) in zip(views, offsets, strict=True):
-            # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
-            image = self._picture(view, width, height, scale, column0 + du, row0 + dv)
-            add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(views))
-        return total
+        Args:
+            windows: rectangles inside the image.
+            poses: of the TCP in the base frame.
+            n: ``n`` × ``n`` samples per pixel and pose.
+        """
+        base = self.surface.plane.inverse()
+        maps = np.array([texel_map(base * pose * self.model.T_tool_camera, self.texture) for pose in poses])
+        table = np.array(windows, dtype=np.int64).reshape(-1, 4)
+        if self.model.width * self.model.height <= FINE:
+            return sample_plane(self.texture.image, maps, self._rays_of_image(n), 0, 0, table)
+        # The rays of a fine image would fill the memory.
+        return np.concatenate([np.empty(0), *(
+            sample_plane(self.texture.image, maps, self._rays(window, n), window.u, window.v, row[None])
+            for window, row in zip(windows, table, strict=True))])
 
-    def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float) -> NDArray[np.uint8]:
-        cx, cy = cx + PIXEL_SHIFT_U, cy + PIXEL_SHIFT_V
-        projection = [
-            2 * f / width, 0.0, 0.0, 0.0,
-            0.0, 2 * f / height, 0.0, 0.0,
-            (width - 2 * cx) / width, (2 * cy - height) / height, -(FAR + NEAR) / (FAR - NEAR), -1.0,
-            0.0, 0.0, -2 * FAR * NEAR / (FAR - NEAR), 0.0,
-        ]  # fmt: skip
-        picture: Any = pybullet.getCameraImage(
-            width, height, view, projection, lightDirection=[0, 0, 1], lightColor=[1, 1, 1], lightAmbientCoeff=1.0,
-            lightDiffuseCoeff=0.0, lightSpecularCoeff=0.0, shadow=0, renderer=pybullet.ER_TINY_RENDERER,
-            flags=pybullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client,
-        )  # fmt: skip
-        return picture[2]
+    def _rays_of_image(self, n: int) -> Array:
+        if n not in self._whole_rays:
+            self._whole_rays[n] = self._rays(Window(0, 0, self.model.width, self.model.height), n)
+        return self._whole_rays[n]
 
-    def _mesh(self, texture: Texture) -> str:
-        """The surface as an .obj: two triangles with texture coordinates, in the plane's frame."""
-        x0, y1 = texture.x_min, texture.y_max
-        x1, y0 = x0 + texture.size[0], y1 - texture.size[1]
-        corners = "".join(f"v {x!r} {y!r} 0\n" for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1)))
-        return corners + "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n"
-
-    def _load(self, texture: Texture) -> None:
-        """Puts the surface into the renderer's client. Only an .obj file has the right texture coordinates there."""
-        # PyBullet caches meshes by file name, so each file gets a fresh folder.
-        with tempfile.TemporaryDirectory(prefix="ideal_robot_surface_") as folder:
-            mesh, image = Path(folder) / "surface.obj", Path(folder) / "surface.png"
-            mesh.write_text(self._mesh(texture), encoding="ascii")
-            cv2.imwrite(str(image), texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-            shape = pybullet.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), rgbaColor=[1, 1, 1, 1],
-                                               physicsClientId=self._client)
-            plane = self.surface.plane
-            quaternion = pin.Quaternion(plane.rotation).coeffs().tolist()
-            body = pybullet.createMultiBody(0, -1, shape, plane.translation.tolist(), quaternion,
-                                            physicsClientId=self._client)
-            identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
-        pybullet.changeVisualShape(body, -1, textureUniqueId=identifier, physicsClientId=self._client)
+    def _rays(self, window: Window, n: int) -> Array:
+        """Rays (x, y, 1) of ``n`` × ``n`` samples in each pixel, their x and y ``(height, width, n², 2)``."""
+        return np.stack(sample_rays(window.u, window.v, window.height, window.width, n, self.model.K,
+                                    self.model.distortion), axis=-1)

@@ -1,17 +1,27 @@
-"""The rendered camera over a surface that is not flat: the drawn texture on a relief."""
+"""The camera over a surface that is not flat: the drawn texture on a relief, rendered by PyBullet's TinyRenderer.
+
+Shifting the principal point in the projection matrix moves a window to any place of the image. TinyRenderer draws an
+undistorted picture; the lens is put in by sampling it where the distorted pixels' rays hit it.
+"""
 
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
+from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CameraModel
-from sim.bullet import pybullet
+from sensing.camera.field import Window
+from sim.bullet import output_dropped, pybullet
 from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.lens_sampling import add_samples, displacements, sample_rays
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture
 from sim.contact.contact import HeightSurface
@@ -20,6 +30,12 @@ STRIP = 0.008
 """Length of the mesh's strips along the plane's x [m]: on a radius of 1 m they leave the surface by 8 µm."""
 ROWS = 4
 """Strips across."""
+
+
+# TinyRenderer samples at integer coordinates with rows counted from below: this much has to be added to the principal
+# point of OpenCV's convention (pixel centres at integers) before it goes into the projection matrix.
+PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
+NEAR, FAR = 0.02, 3.0
 
 
 class ReliefCamera(RenderedCamera):
@@ -34,8 +50,65 @@ class ReliefCamera(RenderedCamera):
 
     def __init__(self, model: CameraModel, surface: DrawnLine, relief: HeightSurface, settings: CameraSettings,
                  rng: np.random.Generator) -> None:
-        self._relief = relief
         super().__init__(model, surface, settings, rng)
+        self._relief = relief
+        self._offsets = displacements(settings.sub_exposures)
+        self._client = pybullet.connect(pybullet.DIRECT)
+        with output_dropped():
+            self._load(self.texture)
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> Array:
+        views = [self._view(pose) for pose in poses]
+        return np.concatenate([np.empty(0), *(self._render(window, views, n).ravel() for window in windows)])
+
+    def _view(self, pose: pin.SE3) -> list[float]:
+        """OpenGL view matrix, column-major: base frame → camera with y up and z backwards."""
+        T = (pose * self.model.T_tool_camera).inverse()
+        V = np.eye(4)
+        V[:3, :3], V[:3, 3] = T.rotation, T.translation
+        V[1:3] *= -1.0
+        return V.T.ravel().tolist()
+
+    def _render(self, window: Window, views: Sequence[list[float]], n: int) -> Array:
+        """Mean gray values ``(height, width)`` of a window over the views, ``n`` × ``n`` samples per pixel and view."""
+        K, k = self.model.K, self.model.distortion
+        if window.width == 0 or window.height == 0:
+            return np.zeros((window.height, window.width))
+        x, y = sample_rays(window.u, window.v, window.height, window.width, n, K, k)
+        scale = n * K[0, 0]
+        offsets = self._offsets if len(views) > 1 else np.zeros((1, 2))
+        # The smallest undistorted picture that covers all samples wherever a sub-exposure moves its grid.
+        pad_u, pad_v = np.abs(offsets).max(axis=0)
+        column0, row0 = pad_u - scale * x.min(), pad_v - scale * y.min()
+        width = int(scale * x.max() + column0 + pad_u) + 2
+        height = int(scale * y.max() + row0 + pad_v) + 2
+        total = np.zeros((window.height, window.width))
+        for view, (du, dv) in zip(views, offsets, strict=True):
+            # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
+            image = self._picture(view, width, height, scale, column0 + du, row0 + dv)
+            add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(views))
+        return total
+
+    def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float) -> NDArray[np.uint8]:
+        cx, cy = cx + PIXEL_SHIFT_U, cy + PIXEL_SHIFT_V
+        projection = [
+            2 * f / width, 0.0, 0.0, 0.0,
+            0.0, 2 * f / height, 0.0, 0.0,
+            (width - 2 * cx) / width, (2 * cy - height) / height, -(FAR + NEAR) / (FAR - NEAR), -1.0,
+            0.0, 0.0, -2 * FAR * NEAR / (FAR - NEAR), 0.0,
+        ]  # fmt: skip
+        picture: Any = pybullet.getCameraImage(
+            width, height, view, projection, lightDirection=[0, 0, 1], lightColor=[1, 1, 1], lightAmbientCoeff=1.0,
+            lightDiffuseCoeff=0.0, lightSpecularCoeff=0.0, shadow=0, renderer=pybullet.ER_TINY_RENDERER,
+            flags=pybullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client,
+        )  # fmt: skip
+        return picture[2]
 
     def _load(self, texture: Texture) -> None:
         x0, y1 = texture.x_min, texture.y_max
