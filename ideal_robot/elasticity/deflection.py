@@ -36,15 +36,22 @@ class GearDeflection:
 
     def at(self, q_d: Array) -> Array:
         """Deflection ``(n,)`` [rad] one cycle after row 0 of the horizon ``q_d (n_d ≥ 3, n)`` [rad]."""
+        return np.asarray(self.along(q_d[:3])[1]) if len(q_d) > 2 else np.zeros(q_d.shape[1])
+
+    def along(self, q_d: Array) -> Array:
+        """Deflections ``(K, n)`` [rad] on a whole path ``(K, n)`` [rad]; zero at both ends, where nothing is known."""
+        deflection = np.zeros(q_d.shape)
         if len(q_d) < 3 or not (self._compliance.any() or self._gears):
-            return np.zeros(q_d.shape[1])
-        v = (q_d[2] - q_d[0]) / (2.0 * self._T)
-        a = (q_d[2] - 2.0 * q_d[1] + q_d[0]) / self._T**2
-        load = inverse_dynamics(self._chain, q_d[1:2], v[None], a[None])[0]
-        deflection = np.asarray(self._compliance * load)
+            return deflection
+        q, inside = q_d[1:-1], deflection[1:-1]
+        v = (q_d[2:] - q_d[:-2]) / (2.0 * self._T)
+        a = (q_d[2:] - 2.0 * q + q_d[:-2]) / self._T**2
+        load = inverse_dynamics(self._chain, q, v, a)
+        inside[:] = self._compliance * load
         for j, change in self._gears:
             if change.uneven is not None:
                 order, cosine, sine = change.uneven
-                deflection[j] -= cosine * np.cos(order * q_d[1, j]) + sine * np.sin(order * q_d[1, j])
-            deflection[j] += change.half_gap * float(side_of_gap(load[j], v[j], np.array(change.gap_load)))
+                inside[:, j] -= cosine * np.cos(order * q[:, j]) + sine * np.sin(order * q[:, j])
+            if change.half_gap:
+                inside[:, j] += change.half_gap * side_of_gap(load[:, j], v[:, j], np.array(change.gap_load))
         return deflection

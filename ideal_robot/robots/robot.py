@@ -9,6 +9,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import resources
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,7 @@ class Robot(Summarised):
         """SHA-256 of the URDF file, first 16 hex digits."""
         return hashlib.sha256(self.urdf.read_bytes()).hexdigest()[:16]
 
-    @property
+    @cached_property
     def tool_id(self) -> int:
         """Pinocchio's index of the TCP frame."""
         return int(self.pinocchio.getFrameId(self.tool_frame))

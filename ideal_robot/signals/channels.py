@@ -134,13 +134,15 @@ def _limits(values: Array, step: float) -> Iterator[np.ndarray]:
 def filtered_above(values: Array, rate: float) -> float | None:
     """The frequency above which a channel holds nothing, not even noise [Hz]; None if it holds something.
 
+    None as well where nothing can be said: a channel of zeros alone, or of numbers whose squares overflow.
+
     Args:
         values: uniformly sampled ``(N,)``.
         rate: sampling rate [Hz].
     """
     f, power = signal.welch(values, fs=rate, window="blackmanharris", nperseg=min(len(values), 1024))
     largest = float(np.max(power[1:]))
-    if largest <= 0.0 or np.median(power[f > 0.35 * rate]) > _SILENT * largest:
+    if not 0.0 < largest < np.inf or np.median(power[f > 0.35 * rate]) > _SILENT * largest:
         return None
     return float(f[np.flatnonzero(power > 1e-8 * largest)[-1]])
 

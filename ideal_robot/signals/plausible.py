@@ -33,6 +33,9 @@ _STRONGER = 50.0
 _BEYOND = 2.0
 """... and how many times the span of the signal."""
 
+_LARGEST = 1.0e9
+"""No arm has larger positions, torques, currents or forces in any usual unit [rad, m, N m, A, N]."""
+
 
 def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[str]
               ) -> tuple[Recording, list[str]]:
@@ -44,7 +47,8 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
         torques: columns of torques, currents or forces ``(N,)``.
 
     Raises:
-        InputError: time runs backwards or jumps, a position jumps and stays, more than ``MOST_LEFT_OUT`` is bad.
+        InputError: time runs backwards or jumps, a position jumps and stays, more than ``MOST_LEFT_OUT`` is bad, a
+            column of values far beyond what any arm has.
     """
     recording, warnings = _numbers(recording, ["t", *positions, *torques])
     warnings += checked_time(recording.t, recording.source)
@@ -65,6 +69,11 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
         recording = _without(recording, bad, worst, "are spikes")
     for name in positions:
         _refuse_jump(recording, name)
+    for name in (*positions, *torques):
+        largest = float(np.max(np.abs(recording.columns[name]), initial=0.0))
+        if largest > _LARGEST:
+            raise InputError("values that no arm has; check the column's unit, or leave the column out",
+                             file=recording.source, field=name, value=f"{largest:.3g}")
     return recording, warnings
 
 

@@ -23,7 +23,7 @@ class ReferenceTable:
         reference: the reference path.
         profile: the travel along it.
         rest: cycles that the table goes on at rest behind the end of the travel.
-        joint_path: the reference in joint space, if it is known already.
+        joint_path: the reference in joint space; the profile's own if None.
 
     Attributes:
         s: arc length at every cycle ``(K,)`` [m].
@@ -47,7 +47,7 @@ class ReferenceTable:
         self.frames = reference.frames(self.s)
         self.rotations = reference.rotation(self.s)
         self.poses = [pin.SE3(R, p) for R, p in zip(self.rotations, self.frames.position, strict=True)]
-        path = joint_path or JointPath.of(kinematics.robot, reference)
+        path = joint_path or profile.joint_path or JointPath.of(kinematics.robot, reference)
         guess = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
         self.q = kinematics.refine(self.poses, guess, tolerance=1e-12)
 

@@ -11,6 +11,8 @@ changed. Looking ahead, it has no delay: a wave of frequency :math:`f` passes wi
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -31,36 +33,7 @@ class Smoother:
 
     def __init__(self, samples: int, t_ipo: float, cutoff: float = 15.0, acceleration: float = 4.0) -> None:
         self.samples, self._t, self._acceleration = samples, t_ipo, acceleration
-        T = t_ipo
-        A = np.array([[1.0, T, 0.5 * T**2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
-        B = np.array([T**3 / 6.0, T**2 / 2.0, T])
-        # States after each cycle from the first state and the jerks, jerk constant over a cycle.
-        free, forced = np.zeros((samples, 3, 3)), np.zeros((samples, 3, samples))
-        power = np.eye(3)
-        for i in range(samples):
-            power = A @ power
-            free[i] = power
-        response = [B]
-        for _ in range(samples - 1):
-            response.append(A @ response[-1])
-        for i in range(samples):
-            for j in range(i + 1):
-                forced[i, :, j] = response[i - j]
-        G = forced[:, 0]
-        self._laws: list[Array] = []
-        frequency = cutoff
-        while True:
-            weight = (2.0 * np.pi * frequency) ** -6
-            jerk = np.linalg.solve(G.T @ G + weight * np.eye(samples), G.T)
-            # Columns: first state (3), then the estimate's samples.
-            law = np.concatenate(
-                [free - np.einsum("isj,jk,kl->isl", forced, jerk, free[:, 0]), np.einsum("isj,jk->isk", forced, jerk)],
-                axis=2,
-            )
-            self._laws.append(np.ascontiguousarray(law.transpose(1, 0, 2).reshape(3 * samples, 3 + samples)))
-            frequency /= 1.4
-            if frequency < 1.0:
-                break
+        self._laws = _laws(samples, t_ipo, cutoff)
 
     def plan(self, state: Array, estimate: Array) -> Array:
         """Positions, velocities and accelerations of the next cycles.
@@ -79,3 +52,39 @@ class Smoother:
             if np.abs(planned[2, :-1] - bend).max() <= self._acceleration:
                 break
         return np.asarray(planned)
+
+
+@lru_cache(maxsize=8)
+def _laws(samples: int, T: float, cutoff: float) -> tuple[Array, ...]:
+    """Matrices ``(3 samples, 3 + samples)`` from first state and estimate to the plan, the stiffest first."""
+    A = np.array([[1.0, T, 0.5 * T**2], [0.0, 1.0, T], [0.0, 0.0, 1.0]])
+    B = np.array([T**3 / 6.0, T**2 / 2.0, T])
+    # States after each cycle from the first state and the jerks, jerk constant over a cycle.
+    free, forced = np.zeros((samples, 3, 3)), np.zeros((samples, 3, samples))
+    power = np.eye(3)
+    for i in range(samples):
+        power = A @ power
+        free[i] = power
+    response = [B]
+    for _ in range(samples - 1):
+        response.append(A @ response[-1])
+    for i in range(samples):
+        for j in range(i + 1):
+            forced[i, :, j] = response[i - j]
+    G = forced[:, 0]
+    laws = []
+    frequency = cutoff
+    while True:
+        weight = (2.0 * np.pi * frequency) ** -6
+        jerk = np.linalg.solve(G.T @ G + weight * np.eye(samples), G.T)
+        # Columns: first state (3), then the estimate's samples.
+        law = np.concatenate(
+            [free - np.einsum("isj,jk,kl->isl", forced, jerk, free[:, 0]), np.einsum("isj,jk->isk", forced, jerk)],
+            axis=2,
+        )
+        law = np.ascontiguousarray(law.transpose(1, 0, 2).reshape(3 * samples, 3 + samples))
+        law.setflags(write=False)
+        laws.append(law)
+        frequency /= 1.4
+        if frequency < 1.0:
+            return tuple(laws)

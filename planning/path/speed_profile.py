@@ -90,6 +90,7 @@ class SpeedProfile:
         length: distance travelled [m].
         top_speed: highest speed that is reached [m/s].
         slowed: where a joint keeps the speed below the one asked for: ``(from s, to s, lowest speed, joint)``.
+        joint_path: the path in joint space that it was planned on; None for a travel given by its samples.
     """
 
     def __init__(self, s: Array) -> None:
@@ -99,6 +100,7 @@ class SpeedProfile:
         self._spline = CubicSpline(TICK * np.arange(len(s)), s, bc_type="clamped")
         self.top_speed = float(np.max(self.speed(TICK * np.arange(len(s)))))
         self.slowed: tuple[tuple[float, float, float, int], ...] = ()
+        self.joint_path: JointPath | None = None
 
     def s(self, t: npt.ArrayLike) -> Array:
         """Arc length [m] at times ``t`` after the start [s]; at rest before the start and after the end."""
@@ -145,6 +147,7 @@ class SpeedProfile:
         if profile.top_speed < 0.98 * limits.speed:
             possible = _possible(path, by_joint, limits, v_max, a_max)
             raise _unreachable(path, by_joint, limits, robot, possible)
+        profile.joint_path = path
         profile.slowed = _slowed(path, limit, by_joint, profile, limits.speed)
         return profile
 

@@ -72,6 +72,7 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
     view = _View(robot, reference, believed, detection, detector, commands[0])
     # The camera's clock runs ahead of the arm's by a whole number of fields.
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate
+    sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
     late: list[tuple[Field, PredictedLine]] = []
     due = fields = 0
     for k, q_c in enumerate(commands):
@@ -79,10 +80,7 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
         due += len(exposures)
         predictions = [view.predicted(camera.stamp(t) - ahead) for t in taken]
-        q = arm.cycle(q_c).q
-        if deflection is not None:
-            q = q - deflection.at(commands[max(k - 1, 0) : k + 2])
-        view.history.add((k + 1) * T, q)
+        view.history.add((k + 1) * T, arm.cycle(q_c).q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
             windows = search_windows(believed, prediction, detection)
             late.append((camera.windows(t, lambda at: arm.tcp_at(at - ahead), windows), prediction))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from ideal_robot.signals.channels import channel_findings, dead_joints, lattice
+from ideal_robot.signals.channels import channel_findings, dead_joints, filtered_above, lattice
 from ideal_robot.signals.recording import Recording
 
 T = np.arange(0.0, 20.0, 0.004)
@@ -55,3 +55,8 @@ def test_a_step_is_measured() -> None:
     rng = np.random.default_rng(3)
     assert lattice(0.25 * rng.integers(-20, 20, 1000)) == pytest.approx(0.25)
     assert lattice(rng.normal(size=1000)) == 0.0
+
+
+def test_numbers_whose_squares_overflow_say_nothing_of_their_filter() -> None:
+    with np.errstate(over="ignore", invalid="ignore"):
+        assert filtered_above(1e200 * np.sin(T), 250.0) is None

@@ -106,3 +106,10 @@ def test_measured_recordings_pass_untouched() -> None:
         driven = [f"{key}_{i}" for key in ("tau", "current") if one.has(key) for i in joints]
         same, _ = plausible(one, [f"q_{i}" for i in joints], driven)
         assert same is one, file.name
+
+
+@pytest.mark.parametrize("name", ["q_1", "tau_2"])
+def test_a_column_of_values_that_no_arm_has_is_refused(name: str) -> None:
+    one = recording()
+    with pytest.raises(InputError, match=r"no arm has"):
+        check(changed(name, slice(None), 1e200 * one.columns[name] if name == "tau_2" else one.columns[name] + 1e10))
