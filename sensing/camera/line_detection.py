@@ -70,9 +70,10 @@ def _consensus(
     candidates' qualities, each falling with its distance from that line, times a prior on the mean deviation.
     """
     k, m = deviation.size, along.size
-    best = np.full(m, -1, dtype=np.int64)
-    choice = np.empty(m, dtype=np.int64)
+    best, choice = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     gain = np.empty(m)
+    for i in range(m):
+        best[i] = -1
     best_score = 0.0
     for a in range(k):
         for b in range(a, k):
@@ -81,8 +82,8 @@ def _consensus(
             slope = 0.0 if a == b else (deviation[b] - deviation[a]) / (along[window[b]] - along[window[a]])
             if abs(slope) > 0.3:
                 continue
-            choice[:] = -1
-            gain[:] = 0.0
+            for i in range(m):
+                choice[i], gain[i] = -1, 0.0
             for c in range(k):
                 r = (deviation[c] - deviation[a] - slope * (along[window[c]] - along[window[a]])) / tolerance
                 value = quality[c] * (1.0 - r * r)
@@ -98,7 +99,8 @@ def _consensus(
             score = total * np.exp(-0.5 * mean / total)
             if score > best_score:
                 best_score = score
-                best[:] = choice
+                for i in range(m):
+                    best[i] = choice[i]
     return best
 
 
@@ -128,7 +130,8 @@ def _sections(
         sections = find_sections(rows, pixels[i, a] + slant[i] * middle - windows[i, a], slant[i],
                                  line_width / abs(metres[i]), blur, polarity, min_contrast, width_tolerance)
         for j in range(sections.shape[0]):
-            found[n, :5] = sections[j]
+            for c in range(5):
+                found[n, c] = sections[j, c]
             found[n, 0] += windows[i, a]
             found[n, 5] = middle
             owner[n] = i
@@ -146,7 +149,9 @@ def _evaluate(
     m = pixels.shape[0]
     s, owner, n = _sections(pixels, axis, slant, metres, gray, windows, line_width, blur, polarity, min_contrast,
                             width_tolerance)
-    deviation, grade, nearest = np.empty(n), np.empty(n), np.full(m, -1, dtype=np.int64)
+    deviation, grade, nearest = np.empty(n), np.empty(n), np.empty(m, dtype=np.int64)
+    for i in range(m):
+        nearest[i] = -1
     for j in range(n):
         i = owner[j]
         # The window's middle row is not the predicted point's: what the line runs on between them is no deviation.
@@ -158,11 +163,15 @@ def _evaluate(
             nearest[i] = j
     along = np.zeros(m)
     for i in range(1, m):
-        along[i] = along[i - 1] + math.sqrt(np.sum((points[i] - points[i - 1]) ** 2))
+        square = 0.0
+        for c in range(3):
+            square += (points[i, c] - points[i - 1, c]) ** 2
+        along[i] = along[i - 1] + math.sqrt(square)
     chosen = _consensus(deviation, grade, owner[:n], along, smoothness, sigma, least)
-    at, lateral, spread = np.full((m, 2), np.nan), np.full(m, np.nan), np.full(m, np.nan)
+    at, lateral, spread = np.empty((m, 2)), np.empty(m), np.empty(m)
     quality, used, any_found = np.zeros(m), np.zeros(m, dtype=np.bool_), 0
     for i in range(m):
+        at[i, 0] = at[i, 1] = lateral[i] = spread[i] = np.nan
         if nearest[i] < 0:
             continue
         any_found += 1

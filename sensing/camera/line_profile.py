@@ -51,7 +51,9 @@ def _solve(A: Array, b: Array) -> bool:
                     A[r, c] -= f * A[i, c]
                     inverse[r, c] -= f * inverse[i, c]
                 b[r] -= f * b[i]
-    A[:] = inverse
+    for r in range(n):
+        for c in range(n):
+            A[r, c] = inverse[r, c]
     return True
 
 
@@ -84,8 +86,10 @@ def fit_section(
     J = np.empty(5)
     residual, n = 0.0, 0
     for iteration in range(8):
-        A[:] = 0.0
-        g[:] = 0.0
+        for p in range(5):
+            g[p] = 0.0
+            for q in range(5):
+                A[p, q] = 0.0
         residual, n = 0.0, 0
         for r in range(rows):
             centre = u0 + slant * (r - middle)
@@ -193,12 +197,18 @@ def find_sections(
             if (1.0 - width_tolerance) * width - 1.0 <= apart <= (1.0 + width_tolerance) * width + 1.0:
                 centres[k] = 0.5 * (rising[j] + falling[i])
                 k += 1
-    order = np.argsort(np.abs(centres[:k] - predicted))
+    # By insertion, the nearest to the prediction first: a library's sort takes longer to compile than all the rest.
+    for i in range(1, k):
+        centre, j = centres[i], i
+        while j > 0 and abs(centres[j - 1] - predicted) > abs(centre - predicted):
+            centres[j] = centres[j - 1]
+            j -= 1
+        centres[j] = centre
     n = 0
     for i in range(min(k, 2 * MAX_CANDIDATES)):
         if n == MAX_CANDIDATES:
             break
-        u0, w, c, residual, spread = fit_section(patch, centres[order[i]], slant, width, blur, polarity)
+        u0, w, c, residual, spread = fit_section(patch, centres[i], slant, width, blur, polarity)
         if not (c >= min_contrast and abs(w - width) <= width_tolerance * width):
             continue
         new = True

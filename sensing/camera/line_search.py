@@ -114,15 +114,17 @@ def _predict(
     axis = np.zeros(m, dtype=np.int64)
     slant, metres = np.empty(m), np.empty(m)
     step = 5e-4
-    seen = np.empty((5, 2))
+    seen, lateral, d = np.empty((5, 2)), np.empty(3), np.empty(3)
     for i in range(m):
         t = tangents[i]
-        lateral = np.array([normal[1] * t[2] - normal[2] * t[1], normal[2] * t[0] - normal[0] * t[2],
-                            normal[0] * t[1] - normal[1] * t[0]])
+        lateral[0] = normal[1] * t[2] - normal[2] * t[1]
+        lateral[1] = normal[2] * t[0] - normal[0] * t[2]
+        lateral[2] = normal[0] * t[1] - normal[1] * t[0]
         for j in range(5):
             along = step * ((j == 2) - (j == 1))
             across = step * ((j == 4) - (j == 3))
-            d = points[i] + along * t + across * lateral - p
+            for r in range(3):
+                d[r] = points[i, r] + along * t[r] + across * lateral[r] - p[r]
             z = R[0, 2] * d[0] + R[1, 2] * d[1] + R[2, 2] * d[2]
             x, y = np.nan, np.nan
             if z > 0.0:
@@ -130,13 +132,13 @@ def _predict(
                                (R[0, 1] * d[0] + R[1, 1] * d[1] + R[2, 1] * d[2]) / z, k)
             seen[j, 0] = K[0, 0] * x + K[0, 1] * y + K[0, 2]
             seen[j, 1] = K[1, 1] * y + K[1, 2]
-        pixels[i] = seen[0]
-        along_px, across_px = seen[2] - seen[1], (seen[4] - seen[3]) / (2.0 * step)
-        a = 1 if abs(along_px[0]) > abs(along_px[1]) else 0
+        pixels[i, 0], pixels[i, 1] = seen[0, 0], seen[0, 1]
+        a = 1 if abs(seen[2, 0] - seen[1, 0]) > abs(seen[2, 1] - seen[1, 1]) else 0
         axis[i] = a
-        slant[i] = along_px[a] / along_px[1 - a]
+        slant[i] = (seen[2, a] - seen[1, a]) / (seen[2, 1 - a] - seen[1, 1 - a])
         # A pixel e along the scan is the lateral shift d with e - d·across parallel to the line.
-        metres[i] = 1.0 / (across_px[a] - slant[i] * across_px[1 - a])
+        metres[i] = 1.0 / ((seen[4, a] - seen[3, a]) / (2.0 * step)
+                           - slant[i] * ((seen[4, 1 - a] - seen[3, 1 - a]) / (2.0 * step)))
     return pixels, axis, slant, metres
 
 
