@@ -37,6 +37,7 @@ check: .venv/installed
 	@test -n "$(PYTHON)" || { echo "ideal-robot needs Python 3.11 (python3.11 on the PATH; on newer ones also a C++ compiler for PyBullet): none was found."; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev,docs,view,cluster]'
+	$(BIN)/python -m scenes.compiled
 	touch $@
 
 clean:

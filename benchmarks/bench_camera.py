@@ -241,7 +241,7 @@ def calibration_in_scenes(seeds: int) -> list[dict[str, Any]]:
                       RenderedCamera(cell.true_camera, cell.line, CameraSettings(), cell.camera_noise) as camera):
                     begin = time.process_time()
                     result = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, bending,
-                                                 0.5 * cell.reference.length, DetectionSettings())
+                                                 0.5 * cell.reference.length, DetectionSettings(), cell.detector)
                     taken.append(time.process_time() - begin)
                 for camera_, errors in ((cell.camera, before), (result.camera, after)):
                     back = camera_.on_plane(cell.true_camera.project_tool(probe), UP, 0.0)

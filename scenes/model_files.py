@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -24,7 +25,7 @@ def model_at(wanted: str, robot: Robot) -> Model:
         InputError: no shipped model for that robot, no such file, or a model of another robot.
     """
     path = shipped_model(robot.name) if wanted == SHIPPED else Path(wanted)
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError("no such model file" if wanted != SHIPPED else
                          f"no model is shipped for {robot.name}; identify one and give its path", field="model",
                          value=wanted)

@@ -53,7 +53,7 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
         InputError: an arm whose world does not fit its data.
     """
     path = cache_folder() / f"{robot.name}_{_digest(robot, world)}.json"
-    if path.is_file():
+    if os.path.isfile(path):
         return PreparedModel(path, fresh=False)
     model, _ = identified_model(world.robot, world=world, progress=progress)
     return PreparedModel(model.save(path), fresh=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import resources
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def load_scene(name_or_path: str | Path) -> Scene:
 def _find(wanted: str) -> Path:
     """A path is taken if it looks like one; a name is looked up among the scene files here and in the library."""
     if wanted.endswith(".toml") or "/" in wanted:
-        if not Path(wanted).is_file():
+        if not os.path.isfile(wanted):
             raise InputError("no such scene file", field="scene", value=wanted)
         return Path(wanted)
     found = []

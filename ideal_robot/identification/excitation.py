@@ -18,6 +18,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.workspace import Workspace, clear_of_obstacles
 from ideal_robot.robots.robot import Robot
 
+LONGEST = 3600.0
+"""Longest period of a motion [s]."""
+
 
 @dataclass(frozen=True)
 class FourierMotion:
@@ -63,11 +66,13 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         travel: the same of the position limits.
 
     Raises:
-        InputError: too few harmonics, or no motion within the limits was found.
+        InputError: too few harmonics, a period that is none, or no motion within the limits was found.
     """
     if harmonics < 3:
         raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
                          field="harmonics", value=harmonics)
+    if not 0.0 < period <= LONGEST:
+        raise InputError(f"expected a period of more than 0 and at most {LONGEST:g} s", field="period", value=period)
     search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
     independent = list(base_parameters(robot.pinocchio).independent)
 

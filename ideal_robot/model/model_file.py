@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ def read_values(path: Path) -> dict[str, Any]:
     Raises:
         InputError: no such file, not a model file, or one of a later schema.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise InputError("no such model file", file=path)
     values = read_json(path, "a model file")
     if not isinstance(values, dict) or type(values.get("schema")) is not int:

@@ -6,10 +6,11 @@ Nothing here is identified and nothing comes from the simulator: it is what stan
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import resources
 from functools import cached_property
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -174,13 +175,14 @@ def _locate(name_or_urdf: str | Path, data: str | Path | None) -> tuple[Path, Pa
     if urdf.suffix == ".toml":
         raise InputError("expected a shipped robot or a URDF; drive data (TOML) go to --drive-data", field="robot",
                          value=str(name_or_urdf))
-    if not urdf.is_file():
+    # A name that is too long is no file either, not an error of the system.
+    if not os.path.isfile(urdf):
         raise InputError(f"no such URDF file, nor a shipped robot; shipped are {', '.join(SHIPPED)}",
                          field="urdf", value=str(name_or_urdf))
-    if data is not None and not Path(data).is_file():
+    if data is not None and not os.path.isfile(data):
         raise InputError("no such robot data file", field="robot", value=str(data))
     beside = urdf.with_suffix(".toml")
-    return urdf, Path(data) if data else (beside if beside.is_file() else None)
+    return urdf, Path(data) if data else (beside if os.path.isfile(beside) else None)
 
 
 def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,14 +30,14 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
         InputError: nothing of that name, nothing readable in it, or a picture that is too large.
     """
     path = Path(source)
-    if path.is_dir():
+    if os.path.isdir(path):
         found = sorted(one for one in path.iterdir() if one.suffix.lower() in PICTURES)
         if not found:
             raise InputError(f"no pictures in this folder; expected files ending in {', '.join(PICTURES)}", file=path)
         for one in found[:most]:
             yield one.name, _read(one)
     elif path.suffix.lower() in PICTURES:
-        if not path.is_file():
+        if not os.path.isfile(path):
             raise InputError("no such picture", file=path)
         yield path.name, _read(path)
     else:
@@ -52,7 +53,7 @@ def _read(path: Path) -> Gray:
 
 def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
     address = "://" in source
-    if not (source.isdigit() or address or Path(source).is_file()):
+    if not (source.isdigit() or address or os.path.isfile(source)):
         raise InputError("no such file or folder, nor the number of a camera or an address such as rtsp://…",
                          field="source", value=source)
     capture = cv2.VideoCapture(int(source) if source.isdigit() else source)

@@ -189,7 +189,7 @@ def find_rough_line(gray: Gray) -> RoughLine | None:
 
 
 def _bends(values: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-    """Of the second derivatives at one scale: mean and half difference of the principal curvatures ``(height, width)``."""
+    """Mean and half difference of the principal curvatures at one scale ``(height, width)``."""
     smooth = cv2.GaussianBlur(values, (0, 0), sigma)
     xx, yy = cv2.Sobel(smooth, cv2.CV_32F, 2, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 2)
     xy = cv2.Sobel(smooth, cv2.CV_32F, 1, 1)

@@ -1,7 +1,7 @@
 """The camera on the arm, looking at a drawn plane from the arm's true poses.
 
-Each pixel is the mean of a few samples of the surface, taken where their rays, bent by the lens, meet it; only the pixels
-of the search windows are. Exposure, gray noise, time stamp, latency and lost fields follow the settings.
+Each pixel is the mean of a few samples of the surface, taken where their rays, bent by the lens, meet it; only the
+pixels of the search windows are. Exposure, gray noise, time stamp, latency and lost fields follow the settings.
 """
 
 from __future__ import annotations

@@ -1,0 +1,51 @@
+"""Compiles what scenes and identification need, once: ``python -m scenes.compiled``, done when make installs.
+
+Compiled code is kept beside the sources, or in ``NUMBA_CACHE_DIR``; without this step a first run takes half
+a minute longer. It plays short scenes, so that everything is compiled for the very types that runs use.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.feedforward.method import Needs
+from ideal_robot.feedforward.registry import feedforward, methods
+from ideal_robot.identification.idim import identify
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from scenes.models import shipped_model
+from scenes.play import run_scene
+from scenes.scene_file import load_scene
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+
+SHORT: dict[str, dict[str, Any]] = {"straight": {"line": {"points": [[0.0, 0.0], [0.4, 0.0]]}}, "iso9283_1": {},
+                                    "force_wave": {"line": {"length": 0.2}}}
+"""A scene of each kind, with what makes it short."""
+
+
+def compile_all() -> float:
+    """Plays a short scene of each kind, every feedforward and an identification; returns the time it took [s]."""
+    started = time.perf_counter()
+    for name, short in SHORT.items():
+        run_scene(load_scene(name), **short)
+    robot = Robot.load("kr6")
+    model = Model.load(shipped_model("kr6"))
+    for key in methods(Needs.MODEL):
+        law = feedforward(key, model, robot, n_d=30)
+        law.step(law.init(robot.home), np.tile(robot.home, (law.n_d, 1)))
+    governor = CommandGovernor(robot, robot.home)
+    with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(0)) as arm:
+        for k in range(400):
+            way = 0.3 * np.sin(0.012 * k * np.arange(2.0, 8.0)) ** 2
+            arm.cycle(governor.allowed(robot.home + way))
+        identify([arm.recording()], robot, friction="viscous_coulomb")
+    return time.perf_counter() - started
+
+
+if __name__ == "__main__":
+    print(f"compiled in {compile_all():.0f} s")
