@@ -77,6 +77,7 @@ class Findings:
         domains: the domains after their search, that of the motor torque first.
         results: what they add to the report.
         warnings: for people.
+        held: parameters, from 0, that are zero as they would drive the joint instead of braking it.
     """
 
     start: Model
@@ -88,3 +89,4 @@ class Findings:
     domains: tuple[DomainDiagnosis, ...] = ()
     results: tuple[DomainResult, ...] = ()
     warnings: tuple[str, ...] = ()
+    held: tuple[int, ...] = ()

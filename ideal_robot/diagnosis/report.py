@@ -10,6 +10,7 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.unused import unused_columns
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters, with_possible_inertias
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
+from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
@@ -21,7 +22,9 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     effects = tuple(f for f in every if not f.fitted.effect.learned)
     unknown = tuple(f for f in every if f.fitted.effect.learned)
     channels = tuple(channel for result in found.results for channel in result.channels)
-    left = bool(unknown) or any(channel.unexplained for channel in channels)
+    refitted = () if case.given is None else explained_by_refitting(case.given, found.domains[0],
+                                                                    found.results[0].channels)
+    left = bool(unknown or refitted) or any(channel.unexplained for channel in channels)
     verdict = "unknown" if left else ("effects" if effects else "none")
     return Diagnosis(verdict, channels, effects,
                      unknown, _held_out(case, found), found.domains[0].held_out_seconds,
@@ -30,7 +33,8 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
                      remaining=tuple(structure for result in found.results for structure in result.remaining),
                      warnings=found.warnings, model=_extended(case, found, every),
                      traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred,
-                     unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)))
+                     unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)),
+                     refitted=refitted)
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:

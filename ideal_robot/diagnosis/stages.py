@@ -17,6 +17,7 @@ from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.statistics.reversal_width import reversal_widths
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
+from ideal_robot.diagnosis.validation.braking import with_braking_friction, without_scatter
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transferring
 from ideal_robot.effects import MOTOR_TORQUE, library
@@ -84,12 +85,21 @@ def found_but_not_added(case: Case, found: Findings) -> Findings:
 
 def joint_fit(case: Case, found: Findings) -> Findings:
     """Parameters and effects of the motor torque, fitted together to all of the recording."""
-    final = found.problem.on_all_blocks().fit([c.candidate for c in found.choices], uncertainty=True)
-    torque = DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
-                             case.recording.hash)
-    torque, dropped = torque.settled()
+    found = with_braking_friction(case, found)
+    torque, dropped = _domain_of(case, found).settled()
+    if dropped:
+        # What was dropped leaves more to friction.
+        found = with_braking_friction(case, replace(found, choices=tuple(torque.choices)))
+        torque = _domain_of(case, found)
+    torque = replace(torque, final=without_scatter(torque.final, found.held))
     return replace(found, domains=(torque,), choices=tuple(torque.choices),
                    not_transferred=found.not_transferred + dropped)
+
+
+def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:
+    final = found.problem.on_all_blocks().fit([c.candidate for c in found.choices], uncertainty=True)
+    return DomainDiagnosis(found.problem, list(found.choices), final, found.validation, case.given is not None,
+                           case.recording.hash)
 
 
 def effects_of_other_channels(case: Case, found: Findings) -> Findings:

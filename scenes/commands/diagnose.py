@@ -68,6 +68,8 @@ def command(
         typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); {d.reason}", err=True)
     for joint, reason in sorted(found.undecided.items()):
         typer.echo(f"undecided: joint {joint} {reason}", err=True)
+    for refit in found.refitted:
+        typer.echo(f"explained by refitting alone: joint {refit.joint}: {refit.text}", err=True)
     for warning in found.warnings:
         typer.echo(f"warning: {warning}", err=True)
     if loud := unexplained(found):

@@ -17,6 +17,8 @@ _WORDS = {
     "loud": "No effect could be named, though the model leaves more than the noise of the measurement.",
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
     "left": "The model misses {effects}.",
+    "refit": "No effect could be named, though the model as it was does not predict this recording: only with other "
+             "parameters it does.",
     "undecided": "This recording moves too little to decide anything.",
 }
 _MILLI = {"m": (1e3, "mm"), "rad": (1e3, "mrad")}
@@ -46,6 +48,8 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
         page.warning(warning)
     if loud := unexplained(diagnosis):
         page.warning(loud)
+    for refit in diagnosis.refitted:
+        page.warning(f"Joint {refit.joint}: {refit.text}.")
     if diagnosis.unused:
         page.text(f"Not used: {unused(diagnosis)}.")
     page.heading("Error before and after, on held-out data")
@@ -85,7 +89,7 @@ def summary(diagnosis: Diagnosis) -> str:
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
     words = diagnosis.verdict
     if words == "unknown" and not unknown:
-        words = "left" if named else "loud"
+        words = "left" if named else "refit" if diagnosis.refitted else "loud"
     text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has", unknown=_listed(unknown))
     if doubtful:
         words = _listed(doubtful)

@@ -11,6 +11,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.noise import noise_left
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice
+from ideal_robot.diagnosis.search.known_model import HELD
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.problem import Problem
@@ -19,6 +20,9 @@ from ideal_robot.diagnosis.validation.limits import with_limits
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import SENSOR
+
+_CLEAR = 3.0
+"""Standard deviations by which a change of a model's parameter has to differ from none, in one coefficient at least."""
 
 
 @dataclass(frozen=True)
@@ -95,14 +99,18 @@ class DomainDiagnosis:
         return domain, tuple(dropped)
 
     def _unsound(self) -> tuple[int, NotTransferred] | None:
-        """The last effect whose coefficients in the final fit are not plausible."""
+        """The last effect whose coefficients in the final fit are not plausible, or no change of a given model."""
         signals = self.problem.regression.signals
         for k in reversed(range(len(self.choices))):
-            candidate, own = self.effects[k], self.final.coefficients[k]
-            if np.any(own) and not candidate.effect.plausible(own, candidate.theta, signals, candidate.joint):
-                said = ", ".join(p.text for p in fitted_effect(candidate, self.final, k).parameters)
-                return k, self._not_added(k, self._ladder()[1], "in the fit of everything together it has a sign or a "
-                                          f"size that physics does not allow ({said})")
+            candidate, own, std = self.effects[k], self.final.coefficients[k], self.final.std[k]
+            allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
+            clear = not candidate.effect.absorbed_by_base or bool(np.any(np.abs(own) > _CLEAR * std))
+            if allowed and clear:
+                continue
+            why = ("it is not distinguished from none" if allowed
+                   else "it has a sign or a size that physics does not allow")
+            said = ", ".join(p.text for p in fitted_effect(candidate, self.final, k).parameters)
+            return k, self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
         return None
 
     def _worthless(self) -> tuple[int, NotTransferred] | None:
@@ -123,22 +131,26 @@ class DomainDiagnosis:
     def _ladder(self) -> tuple[list[Array], list[Array]]:
         """Residuals of the reported regression with the first 0, 1, … effects, and their errors; see ``result``.
 
-        Against a given model the first error is that of the model as it was: an effect that could as well be a change
-        of its parameters is measured against it.
+        The parameters of a model that holds stay as they were: an effect that could as well be a change of them is
+        measured against it, and what refitting alone explains is no merit of any effect.
         """
-        effects, reported = self.effects, self.reported
-        steps = [self.problem.fit(effects[:k]) for k in range(len(effects) + 1)]
+        effects, reported, problem = self.effects, self.reported, self.problem
+        if problem.prior is not None:
+            problem = problem.with_prior(HELD * problem.prior)
+        steps = [problem.fit(effects[:k]) for k in range(len(effects) + 1)]
         residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
-        levels = [self._rms(residual) for residual in residuals]
-        if self.given:
-            levels[0] = self._rms(reported.y)
-        return residuals, levels
+        return residuals, [self._rms(residual) for residual in residuals]
+
+    def levels_with_held_parameters(self) -> list[Array]:
+        """Held-out errors ``(c,)`` with the first 0, 1, … effects, parameters of a model that holds as they were."""
+        return self._ladder()[1]
 
     def result(self, rng: np.random.Generator) -> DomainResult:
         """Errors of each step, effects with their numbers, and what the residual depends on."""
         effects, own, reported = self.effects, self.problem.regression, self.reported
-        residuals, levels = self._ladder()
+        levels = self._ladder()[1]
         steps = [self.problem.fit(effects[:k]) for k in (0, len(effects))]
+        residuals = [step.residual(reported, effects[:k]) for k, step in zip((0, len(effects)), steps, strict=True)]
         before = reported.y if self.given else residuals[0]
         refit = self._rms(residuals[0])
         start, signal = self._rms(before), self._rms(reported.measured)

@@ -16,6 +16,7 @@ from ideal_robot.plots import over_time
 from ideal_robot.summary import Summarised
 
 if TYPE_CHECKING:
+    from ideal_robot.diagnosis.validation.refit import RefitExplains
     from ideal_robot.plots import Figure
 
 _LOUD = 3.0
@@ -186,6 +187,7 @@ class Diagnosis(Summarised):
         traces: series for plots, one per domain.
         not_transferred: effects that were found but are a habit of the recording.
         unused: columns that measure something but took no part, with the reason.
+        refitted: joints whose error refitting the given model explains alone, so that a cause may hide in it.
     """
 
     verdict: str
@@ -202,6 +204,7 @@ class Diagnosis(Summarised):
     traces: tuple[tuple[tuple[str, ...], Traces], ...] = ()
     not_transferred: tuple[NotTransferred, ...] = ()
     unused: dict[str, str] = field(default_factory=dict)
+    refitted: tuple[RefitExplains, ...] = ()
 
     @property
     def unexplained(self) -> tuple[ChannelResult, ...]:
@@ -248,6 +251,7 @@ class Diagnosis(Summarised):
             "residual_after": [_structure(s) for s in self.remaining],
             "warnings": list(self.warnings),
             "unused": [{"columns": names, "reason": reason} for names, reason in self.unused.items()],
+            "explained_by_refitting": [r.to_dict() for r in self.refitted],
             "unexplained": [c.channel for c in self.unexplained],
         })
         return values

@@ -133,3 +133,19 @@ def test_none_is_said_only_where_nothing_is_left_that_matters(one):
     assert kicked.verdict == "unknown"
     assert kicked.to_dict()["unexplained"] == ["tau_1"]
     assert "Nothing is missing" not in summary(kicked)
+
+
+def test_a_coefficient_of_friction_that_would_drive_is_none_in_the_extended_model(one):
+    recording, _ = moved()
+    qd = np.gradient(recording.columns["q_1"], recording.t)
+    # The controller's record lacks more of the viscous friction than there is.
+    lacking = Recording({**recording.columns, "tau_1": recording.columns["tau_1"] - 1.8 * qd})
+    found = diagnose(lacking, one, only=())
+    (law,) = found.model.friction.laws
+    viscous, coulomb = law.coefficients[:, 0]
+    assert (viscous, coulomb) == (0.0, pytest.approx(2.0, rel=0.15))
+    at = found.model.base.count
+    assert found.model.covariance[at, at] == 0.0
+    assert found.model.covariance[at + 1, at + 1] > 0.0
+    free = diagnose(recording, one, only=()).model.friction.laws[0].coefficients[:, 0]
+    assert free == pytest.approx([1.5, 2.0], rel=0.05)
