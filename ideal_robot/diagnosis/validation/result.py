@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.validation.refit_explains import RefitExplains
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -16,7 +17,6 @@ from ideal_robot.plots import over_time
 from ideal_robot.summary import Summarised
 
 if TYPE_CHECKING:
-    from ideal_robot.diagnosis.validation.refit import RefitExplains
     from ideal_robot.plots import Figure
 
 _LOUD = 3.0
