@@ -23,6 +23,9 @@ from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transf
 from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.model.model import Model
 
+_CHANGED = 0.2
+"""RMS of a change of columns over that of a channel's residual from which on the search is resumed with the new ones."""
+
 
 def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:
     """The regression of the motor torques about the model that is known, or about the nominal one."""
@@ -47,27 +50,58 @@ def baseline(case: Case, found: Findings) -> Findings:
 
 
 def effects_of_motor_torque(case: Case, found: Findings) -> Findings:
-    """Effects that the motor torques show, selected one by one."""
+    """Effects that the motor torques show, selected one by one.
+
+    The columns of some effects follow from the model, which at first had to do without them; so the search is resumed
+    once with columns that follow from the model with the effects in it.
+    """
+    first = _searched(case, found)
+    if not first.choices or not case.shared:
+        return first
+    first = replace(first, problem=first.problem.with_regression(_with_signals(case, first, found.problem.regression)))
+    if not _columns_changed(found.problem.regression, first):
+        return first
+    last = _searched(case, replace(found, problem=found.problem.with_regression(first.problem.regression),
+                                   choices=first.choices))
+    return replace(last, problem=last.problem.with_regression(_with_signals(case, last, last.problem.regression)))
+
+
+def _columns_changed(before: Regression, found: Findings) -> bool:
+    """Whether the columns of the effects changed so much that some channel's residual was made of it.
+
+    Args:
+        before: the regression in which the effects were selected.
+        found: the effects, and the regression with columns that follow from the model with them in it.
+    """
+    after, effects = found.problem.regression, [choice.candidate for choice in found.choices]
+    fit = found.problem.fit(effects)
+    residual = fit.residual(after, effects) * after.use
+    changes = [(new - old) * after.use for old, new in zip(fit.contributions(before, effects),
+                                                           fit.contributions(after, effects), strict=True)]
+    return any(bool(np.any((change**2).sum(axis=0) > _CHANGED**2 * (residual**2).sum(axis=0))) for change in changes)
+
+
+def _searched(case: Case, found: Findings) -> Findings:
+    """What a search finds that begins with the physical causes found before."""
     effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
     problem, warnings = found.problem, found.warnings
+    start = [choice for choice in found.choices if not choice.candidate.effect.learned]
     options = case.options
     if case.validate is not None:
         # The other recording decides what stays; a curve would only stand in the way of smaller physical causes.
         options = replace(options.finer(), smallest_learned=options.smallest_learned)
     if case.given is None or not np.any(found.start.covariance):
         choices = Search(problem, effects, options, case.rng, absorbed=False, only=case.only,
-                         progress=case.progress).run()
+                         progress=case.progress).run(start)
     else:
         prior = prior_precision(found.start, problem)
         choices, holds = selected_against(problem, prior, effects, options, case.rng, only=case.only,
-                                          progress=case.progress)
+                                          progress=case.progress, start=start)
         problem = problem.with_prior(prior if holds else None)
         if not holds:
             warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
                          "parameters are therefore not listed as effects",)
-    found = replace(found, problem=problem, choices=tuple(choices), warnings=warnings)
-    # The columns of some effects follow from the model; with the effects in it they are taken once more.
-    return replace(found, problem=problem.with_regression(_with_signals(case, found, problem.regression)))
+    return replace(found, problem=problem, choices=tuple(choices), warnings=warnings)
 
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:

@@ -89,6 +89,8 @@ class Effect(ABC):
             alone.
         flexible: whether its form bends to nearly any curve over the joint's angle, so that a learned curve has to be
             only as good to replace it.
+        of_angle_alone: whether it is a function of its joint's angle alone, so that a learned curve over that angle which
+            is needed beside it says that its form is wrong.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -109,6 +111,7 @@ class Effect(ABC):
     geometric: ClassVar[bool] = False
     caution: ClassVar[float] = 1.0
     flexible: ClassVar[bool] = False
+    of_angle_alone: ClassVar[bool] = False
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""

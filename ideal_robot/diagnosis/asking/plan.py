@@ -29,7 +29,6 @@ from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Progress, silent
-from ideal_robot.diagnosis.search.known_model import HELD
 from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, Domain, library
@@ -214,7 +213,7 @@ def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
     """The domains in which a motion of the joints tells anything, as the diagnosis sees them."""
     problem = found.problem
     if case.given is not None and np.any(found.start.covariance):
-        problem = problem.with_prior(HELD * prior_precision(found.start, problem))
+        problem = problem.with_prior(prior_precision(found.start, problem)).held()
     yield MOTOR_TORQUE, problem
     torque = in_position_band(found.problem.regression, case.recording)
     made: dict[Domain, Regression | None] = {

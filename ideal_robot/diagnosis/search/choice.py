@@ -19,8 +19,9 @@ class Options:
         smallest_next: the same for a channel that has an effect already: its form may be slightly another.
         smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
         smallest_absorbed: the same for an effect that is a change of the model's own parameters.
-        smallest_torque: rms of an effect over the torque's standard deviation below which nothing is claimed.
-        smallest_beside: rms of an effect over that of the largest other one at the same joint, at least.
+        smallest_torque: rms of what an effect takes away over the torque's standard deviation below which nothing is
+            claimed.
+        smallest_beside: the same over the rms of the largest other effect at the same joint, at least.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
         unknown_margin: a learned curve replaces the best effect of the library only if it reduces squares by so many
             times as much.
@@ -32,7 +33,7 @@ class Options:
     smallest_next: float = 0.20
     smallest_learned: float = 0.30
     smallest_absorbed: float = 0.10
-    smallest_torque: float = 0.003
+    smallest_torque: float = 0.002
     smallest_beside: float = 0.05
     smallest_own: float = 0.0005
     unknown_margin: float = 1.6

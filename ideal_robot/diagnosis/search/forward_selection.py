@@ -6,6 +6,7 @@ no part in the fit, and taken out again when later ones make it superfluous.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -57,30 +58,41 @@ class Search:
         self.pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
                      if only is None or (starts[0].effect.name, starts[0].joint) in only]
 
-    def run(self) -> list[Choice]:
-        """Selects; returns the choices in the order they were taken."""
+    def run(self, start: Sequence[Choice] = ()) -> list[Choice]:
+        """Selects; returns the choices in the order they were taken.
+
+        Args:
+            start: choices of an earlier search to begin with, as far as they still hold their places.
+        """
+        self.model.replace(list(start))
+        for choice in sorted(start, key=lambda c: c.share):
+            self._drop_if_small(choice)
         for round_ in range(self.options.most):
             self.progress(min(0.9, 0.1 + 0.8 * round_ / (round_ + 4.0)), f"round {round_ + 1}")
             choice = self._next()
             if choice is None:
                 break
             self.model.take(choice)
-            if not choice.candidate.effect.learned:
-                # A learned curve never pushes out a physical cause.
+            if choice.candidate.effect.learned:
+                self._drop_refuted(choice)
+            else:
                 self._prune()
                 self._exchange()
+            self._retune(choice.candidate)
         return self.model.choices
 
     def settle(self, prior: Array) -> None:
-        """Takes a looser prior ``(P, P)`` and drops effects that the model's own parameters can now take over."""
+        """Takes a looser prior ``(P, P)`` and drops effects that the model's own parameters can now take over.
+
+        Changes of parameters stay where they stand out of what was known of the parameters.
+        """
         self.model.with_prior(prior)
         for choice in sorted(self.model.choices, key=lambda c: c.share):
             if choice.candidate.effect.absorbed_by_base:
+                if self.model.fit(choice).p_value(choice.candidate.key) > self.options.false_discovery:
+                    self.model.drop(choice)
                 continue
-            s = self.scoring.tested(self.model.fit(without=choice), choice.candidate, choice.dependence)
-            if s.p_value > self.options.false_discovery or s.share < self.scoring.smallest_share(choice.candidate,
-                                                                                                 choice):
-                self.model.drop(choice)
+            self._drop_if_small(choice)
 
     def _next(self) -> Choice | None:
         fit = self.model.fit()
@@ -112,6 +124,40 @@ class Search:
             s = self.scoring.tested(self.model.fit_of_rivals(choice), choice.candidate)
             if s.p_value > self.options.false_discovery or s.share < 0.5 * self.options.smallest:
                 self.model.drop(choice)
+
+    def _drop_refuted(self, curve: Choice) -> None:
+        """Takes out effects whose form a curve over the same angle refutes: it was needed beside them, not they beside it.
+
+        No other physical cause is pushed out by a learned curve.
+        """
+        dependence = curve.dependence
+        if dependence is None or dependence.names != [f"q_{curve.candidate.joint}"]:
+            return
+        for choice in [c for c in self.model.choices if c.candidate.joint == curve.candidate.joint]:
+            if choice.candidate.effect.of_angle_alone:
+                self._drop_if_small(choice)
+
+    def _drop_if_small(self, choice: Choice) -> None:
+        """Takes a choice out that the others leave too little, curves among them."""
+        s = self.scoring.tested(self.model.fit(choice), choice.candidate, choice.dependence)
+        if s.p_value > self.options.false_discovery or s.share < self.scoring.smallest_share(choice.candidate, choice):
+            self.model.drop(choice)
+
+    def _retune(self, newest: Candidate) -> None:
+        """Theta of each effect once more, where the newest acts on the same channels: both were found without the other.
+
+        Args:
+            newest: that was taken, or has just been exchanged.
+        """
+        for choice in self.model.choices:
+            candidate = choice.candidate
+            if candidate.effect.learned or not candidate.theta or not overlap(self.model, candidate, newest):
+                continue
+            fit = self.model.fit(choice)
+            better = self.scoring.refined(fit, self.scoring.tested(fit, candidate)).candidate
+            if better.key != candidate.key:
+                self.model.replace([dataclasses.replace(c, candidate=better) if c is choice else c
+                                    for c in self.model.choices])
 
     def _exchange(self) -> None:
         """Tries, for each selected effect, every other one that acts on the same joint in its place."""

@@ -12,8 +12,6 @@ from ideal_robot.diagnosis.search.forward_selection import Only, Progress, Searc
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import Effect
 
-HELD = 1e4
-"""Times the prior's precision with which parameters are held while their changes are effects."""
 _AS_GOOD = 1.05
 _NEARLY_AS_GOOD = 1.1
 """Ratio of the mean squares with held parameters to those with free ones up to which the model holds: for the same
@@ -21,8 +19,8 @@ effects, and after a search of its own."""
 
 
 def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], options: Options,
-                     rng: np.random.Generator, *, only: Only | None,
-                     progress: Progress) -> tuple[list[Choice], bool]:
+                     rng: np.random.Generator, *, only: Only | None, progress: Progress,
+                     start: Sequence[Choice] = ()) -> tuple[list[Choice], bool]:
     """Selects effects with the model's parameters held, or with free ones where the model does not hold.
 
     Args:
@@ -33,13 +31,14 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
         rng: for null distributions.
         only: names and joints of the effects that may be looked for.
         progress: called with the share done and a word.
+        start: choices of an earlier search to begin with.
 
     Returns:
         The choices, and whether the model holds.
     """
-    held = Search(problem.with_prior(HELD * prior), effects, options, rng, absorbed=True, only=only,
+    held = Search(problem.with_prior(prior).held(), effects, options, rng, absorbed=True, only=only,
                   progress=progress)
-    held.run()
+    held.run(start)
     held.settle(prior)
     free = Search(problem, effects, options, rng, absorbed=False, only=only, progress=progress)
     free.model.replace([c for c in held.model.choices if not c.candidate.effect.absorbed_by_base])

@@ -64,7 +64,7 @@ class LearnedCurves:
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
         if period is not None:
             tests.append(self.dependence.test(residual[:, j], use, j, period))
-        tests.sort(key=lambda d: -(d.share - d.expected))
+        tests.sort(key=lambda d: -d.adjusted)
         # Only a first choice: what is promising is tested on blocks left out, corrected for all curves looked at.
         promising = [d for d in tests if d.p_value < 0.05 and 3.0 * d.share * squares > least]
         scored = []

@@ -27,18 +27,24 @@ class PresentModel:
         self.choices: list[Choice] = []
         self.weights = self._weights()
 
-    def keys(self, without: Choice | None = None, *, learned: bool = True) -> list[str]:
-        """Groups of the fit; ``learned`` says whether learned curves are among them."""
-        return ["W", *[c.candidate.key for c in self.choices
-                       if c is not without and (learned or not c.candidate.effect.learned)]]
+    def keys(self, *without: Choice) -> list[str]:
+        """Groups of the fit."""
+        return ["W", *[c.candidate.key for c in self.choices if not any(c is other for other in without)]]
 
-    def fit(self, without: Choice | None = None, *, learned: bool = True) -> Fit:
-        """Fit with the selected effects."""
-        return Fit(self.design, self.keys(without, learned=learned), self.weights, self.problem.prior)
+    def fit(self, *without: Choice) -> Fit:
+        """Fit with the selected effects but some."""
+        return Fit(self.design, self.keys(*without), self.weights, self.problem.prior)
 
     def fit_of_rivals(self, choice: Choice) -> Fit:
-        """The fit against which a choice has to hold its place: without it, for a physical cause without curves too."""
-        return self.fit(without=choice, learned=choice.candidate.effect.learned)
+        """The fit against which a choice has to hold its place: without it, and without curves where it is physical.
+
+        Curves of other joints stay: what they take away would else be looked for in the parameters.
+        """
+        if choice.candidate.effect.learned:
+            return self.fit(choice)
+        curves = [c for c in self.choices if c.candidate.effect.learned
+                  and (c.candidate.joint == choice.candidate.joint or not choice.candidate.joint)]
+        return self.fit(choice, *curves)
 
     def residual(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``."""

@@ -77,17 +77,25 @@ class Scoring:
         if s.share < self.smallest_share(s.candidate):
             return False
         columns = self.model.design.groups[s.candidate.key]
+        channels = list(columns.channels)
         own = columns.values @ s.test.coefficients
-        size = np.sqrt(np.mean(own**2, axis=0))
         # What the other parameters cancel almost wholly is no cause but a way of bending a curve.
-        weighted = float(((own**2).sum(axis=0) * self.model.weights[list(columns.channels)]).sum())
+        weighted = float(((own**2).sum(axis=0) * self.model.weights[channels]).sum())
         if s.test.gain < self.options.smallest_own * weighted:
             return False
-        if np.max(size / self.measured_std[list(columns.channels)]) <= self.options.smallest_torque:
+        # What counts is what it takes away, not what the other parameters would have taken as well.
+        size = self._taken_away(s)[channels]
+        if np.max(size / self.measured_std[channels]) <= self.options.smallest_torque:
             return False
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
-        beside = self._sizes_at(s.candidate.joint)[list(columns.channels)]
+        beside = self._sizes_at(s.candidate.joint)[channels]
         return bool(np.any(size > self.options.smallest_beside * beside))
+
+    def _taken_away(self, s: Scored) -> Array:
+        """RMS of what a candidate takes away from each channel on blocks left out ``(c,)``."""
+        problem = self.model.problem
+        squares = self.model.weights * problem.products.count[problem.blocks.selecting].sum(axis=0)
+        return np.asarray(np.sqrt(np.maximum(s.test.reduction_by_channel, 0.0) / np.maximum(squares, 1e-300)))
 
     def _sizes_at(self, joint: int) -> Array:
         """RMS of the largest effect taken at a joint in each channel ``(c,)``."""

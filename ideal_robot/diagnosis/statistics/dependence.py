@@ -40,6 +40,11 @@ class Dependence:
     p_value: float
 
     @property
+    def adjusted(self) -> float:
+        """Share it explains of what it would not explain by chance: a residual in few places is followed by many curves."""
+        return (self.share - self.expected) / max(1.0 - self.expected, 1e-12)
+
+    @property
     def names(self) -> list[str]:
         """Signals it depends on, ``sign(qd_j)`` among them for a directed curve."""
         extra = [f"sign(qd_{self.channel + 1})"] if self.term.directed else []

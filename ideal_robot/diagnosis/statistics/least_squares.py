@@ -150,6 +150,16 @@ class Fit:
         inflation = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
         return plain * np.outer(inflation, inflation)
 
+    @property
+    def inflation(self) -> float:
+        """Ratio of the parameters' scatter over blocks to that of white noise, one at least: samples are coloured."""
+        return max(float(np.median(np.diag(self.covariance()) / np.maximum(np.diag(self.inverse), 1e-300))), 1.0)
+
+    def p_value(self, key: str) -> float:
+        """Of one more group by the likelihood ratio in sample, which knows of the prior: of groups that it may absorb."""
+        gain, coefficients = self.gain(key)
+        return float(stats.chi2.sf(gain / self.inflation, len(coefficients)))
+
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
         CX, Cy, CC = self._candidate(key)

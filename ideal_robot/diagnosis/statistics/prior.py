@@ -13,8 +13,9 @@ from ideal_robot.model.model import Model
 def prior_precision(model: Model, problem: Problem) -> Array:
     """Precision of the model's parameters ``(P, P)``, in the units of the weighted squares.
 
-    The model's own covariance, never taken for better than two percent of a parameter or than what moves a torque by
-    a five-hundredth of its size; times the number of samples that count for one, as the residual is coloured.
+    The model's own covariance, never taken for better than two percent of a friction coefficient or, of any parameter,
+    than what moves a torque by a five-hundredth of its size; times the number of samples that count for one, as the
+    residual is coloured.
     """
     products = problem.products
     design = problem.design()
@@ -24,11 +25,11 @@ def prior_precision(model: Model, problem: Problem) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = 0.002 * np.sqrt(torque[:, None] / squares)
         visible = np.min(np.where(squares > 0, moves, np.inf), axis=0)
-    values = np.abs(np.concatenate([model.base_values, *[law.coefficients[:, 0] for law in model.friction.laws],
-                                    *[law.shape[:, 0] for law in model.friction.laws]]))
+    # Friction changes from day to day, bodies do not.
+    friction = np.abs(np.concatenate([np.concatenate([law.coefficients[:, 0] for law in model.friction.laws]),
+                                      *[law.shape[:, 0] for law in model.friction.laws]]))
+    values = np.concatenate([np.zeros(model.base.count), friction])
     size = len(values)
     floor = np.where(np.isfinite(visible[:size]), np.hypot(0.02 * values, visible[:size]), 1.0)
     covariance = model.covariance + np.diag(floor**2)
-    # Ratio of the parameters' actual scatter over blocks to that of white noise: the inflation by colour.
-    inflation = float(np.median(np.diag(fit.covariance()) / np.maximum(np.diag(fit.inverse), 1e-300)))
-    return np.asarray(max(inflation, 1.0) * np.linalg.pinv(covariance))
+    return np.asarray(fit.inflation * np.linalg.pinv(covariance))

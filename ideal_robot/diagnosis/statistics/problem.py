@@ -18,6 +18,8 @@ from ideal_robot.diagnosis.statistics.least_squares import Design, Fit, weights_
 
 _ROUNDS = 2
 """Refits after which the channels' weights of the final fit have settled."""
+_HELD = 1e4
+"""Times the prior's precision with which parameters are held while their changes are effects."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +53,17 @@ class Problem:
         made.__dict__["products"] = self.products
         return made
 
+    def held(self) -> Problem:
+        """The same problem with parameters as the prior has them, so that changes of them have to be said as effects."""
+        return self if self.prior is None else self.with_prior(_HELD * self.prior)
+
     def on_all_blocks(self) -> Problem:
         """The same problem where all blocks estimate: for numbers that are reported, not for selection."""
         return replace(self, blocks=self.blocks.without_folds())
 
     def prepared(self, columns: Array) -> Columns:
         """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
-        channels = np.flatnonzero(np.any(columns != 0.0, axis=(0, 2)))
+        channels = np.flatnonzero(columns.any(axis=0).any(axis=1))
         small = self.regression.decimate(np.ascontiguousarray(columns[:, channels]))
         values = small * self.regression.use[:, channels, None]
         return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))

@@ -32,7 +32,8 @@ def transferring(problem: Problem, choices: Sequence[Choice], validation: Regres
                  samples: np.ndarray) -> tuple[list[Choice], tuple[NotTransferred, ...]]:
     """Drops, one after another, the effect without which samples that took no part are predicted better.
 
-    Each time everything else is fitted anew to the selecting blocks; these samples only compare.
+    Each time everything else is fitted anew to the selecting blocks; these samples only compare. Parameters that are known
+    before are held: else they would follow whatever change of them was left out.
 
     Args:
         problem: that was searched.
@@ -43,6 +44,7 @@ def transferring(problem: Problem, choices: Sequence[Choice], validation: Regres
     Returns:
         The choices that stay, in their order, and what was dropped with its errors.
     """
+    problem = problem.held()
     effects = [choice.candidate for choice in choices]
     design = problem.design(effects)
     weights = weights_of_channels(design, ["W", *[c.key for c in effects]], problem.prior, 1)

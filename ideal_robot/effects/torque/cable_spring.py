@@ -13,6 +13,7 @@ class CableSpring(Effect):
     name = "cable_spring"
     coefficient_names = ("stiffness",)
     coefficient_units = ("N m/rad",)
+    of_angle_alone = True
     source = "hose packs and cables along the arm"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:

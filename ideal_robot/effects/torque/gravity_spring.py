@@ -33,6 +33,7 @@ class GravitySpring(Effect):
     )
     flexible = True
     caution = 1.5
+    of_angle_alone = True
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
