@@ -2,7 +2,10 @@
 """Trials of the diagnosis in strangers' physics, with the strict score.
 
 Run: ``python benchmarks/stranger_trials.py --count 45 --first 40000 --json scores.jsonl``. Every recording follows from
-its seed; the engine goes by turns. With ``--json`` each score is a line, and trials that have one are not played again.
+its seed; the engine goes by turns. With ``--json`` each score is a line, and trials that have one are not played again;
+``--write`` puts the tables into docs/diagnosis.md. ``--kind none --share-scale 0.5`` plays empty recordings with all
+shares of the residual that are asked of an effect halved, and says which factor on them each two engines ask for and
+what it does in the third.
 """
 
 from __future__ import annotations
@@ -13,37 +16,33 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import argparse
-import dataclasses
 import json
-import tempfile
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from ideal_robot.diagnosis import diagnose
-from ideal_robot.robots.robot import Robot
+from ideal_robot.diagnosis import Options, diagnose
+from trials.report import arm_of, write_tables
 from trials.strangers.engines import ENGINES
-from trials.strangers.score import Score, report, score
+from trials.strangers.score import Score, score
+from trials.strangers.tables import leaving_out, report
 from trials.strangers.trial import KINDS, draw_trial
 
-Job = tuple[int, str | None, str | None, tuple[float, float]]
+Job = tuple[int, str | None, str | None, tuple[float, float], float]
 
 
 def play(job: Job) -> Score:
     """Draws, diagnoses and scores one trial."""
-    seed, kind, engine, size = job
+    seed, kind, engine, size, scale = job
     trial = draw_trial(seed, kind, engine, size)
-    with tempfile.TemporaryDirectory() as folder:
-        urdf = Path(folder) / "arm.urdf"
-        urdf.write_text(trial.urdf, encoding="utf-8")
-        robot = Robot.load(urdf)
+    options = Options().scaled(scale)
+    with arm_of(trial.urdf) as robot:
         model = None
         if trial.reference is not None:
-            model = diagnose(trial.reference, robot).model
-            # What was learned of the healthy arm is not held against it: only the parameters are known before.
-            model = None if model is None else dataclasses.replace(model, effects=())
+            # What is known before is a rigid body with friction, as an identification has it, and no effects.
+            model = diagnose(trial.reference, robot, only=()).model
         start = time.process_time()
-        found = diagnose(trial.recording, robot, model=model)
+        found = diagnose(trial.recording, robot, model=model, options=options)
         return score(trial, found, time.process_time() - start)
 
 
@@ -68,6 +67,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
     parser.add_argument("--json", type=Path, metavar="OUT", help="a line per score; what is there is not played again")
+    parser.add_argument("--share-scale", type=float, default=1.0, help="factor on all shares that are asked of an effect")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
     options = parser.parse_args()
     size = (options.size_min, options.size_max)
     scores: list[Score] = []
@@ -77,7 +78,7 @@ def main() -> None:
         scores = [s for s in old if s.seed in wanted and options.engine in (None, s.engine)
                   and options.kind in (None, s.kind)]
     done = {s.seed for s in scores}
-    jobs: list[Job] = [(seed, options.kind, options.engine, size)
+    jobs: list[Job] = [(seed, options.kind, options.engine, size, options.share_scale)
                        for seed in range(options.first, options.first + options.count) if seed not in done]
     begun = time.monotonic()
     with ProcessPoolExecutor(options.processes) as pool:
@@ -90,7 +91,10 @@ def main() -> None:
             if time.monotonic() - begun > 60.0 * options.minutes:
                 pool.shutdown(wait=False, cancel_futures=True)
                 break
-    print(report(scores))
+    text = report(scores) if options.share_scale == 1.0 else leaving_out(scores, options.share_scale)
+    print(text)
+    if options.write:
+        write_tables("stranger trials" if options.share_scale == 1.0 else "engines left out", text)
 
 
 if __name__ == "__main__":

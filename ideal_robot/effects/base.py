@@ -91,6 +91,8 @@ class Effect(ABC):
             only as good to replace it.
         of_angle_alone: whether it is a function of its joint's angle alone, so that a learned curve over that angle which
             is needed beside it says that its form is wrong.
+        at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of vibrations that
+            look like it are not.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -112,6 +114,7 @@ class Effect(ABC):
     caution: ClassVar[float] = 1.0
     flexible: ClassVar[bool] = False
     of_angle_alone: ClassVar[bool] = False
+    at_all_frequencies: ClassVar[bool] = False
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""

@@ -105,14 +105,14 @@ def cable_spring(rng: np.random.Generator, s: Setup, j: int) -> Drawn:
 
 
 def gravity_spring(rng: np.random.Generator, s: Setup, j: int) -> Drawn | None:
-    """A preloaded spring between two links; a spatial tendon where the engine has such.
+    """A preloaded spring between two links, where there is gravity to balance; a spatial tendon where the engine has such.
 
     Args:
         rng: source of the draw.
         s: plant and logger that get the effect.
         j: joint, from 0.
     """
-    if sliding(s.plant.model)[j]:
+    if sliding(s.plant.model)[j] or not _carries(s, j):
         return None
     rest, angle, k = float(rng.uniform(0.1, 0.25)), float(rng.uniform(-np.pi, np.pi)), 1.0 * s.plant.arm.need[j]
 
@@ -121,6 +121,13 @@ def gravity_spring(rng: np.random.Generator, s: Setup, j: int) -> Drawn | None:
         return dataclasses.replace(setup, plant=dataclasses.replace(setup.plant, spring=spring))
 
     return Drawn("gravity_spring", j + 1, apply)
+
+
+def _carries(s: Setup, j: int) -> bool:
+    """Whether gravity asks of a joint what a balancer would be mounted for: a tenth of what motions ask of it."""
+    arm = s.plant.arm
+    places = [arm.low + share * (arm.high - arm.low) for share in np.linspace(0.0, 1.0, 9)]
+    return bool(max(abs(s.plant.holding(q)[j]) for q in places) > 0.1 * arm.need[j])
 
 
 def axis_coupling(rng: np.random.Generator, s: Setup, j: int) -> Drawn | None:

@@ -67,6 +67,7 @@ class Trial:
         healthy: names with joints that are true of the plant without any cause.
         values: true numbers of parameters by effect, joint, parameter.
         arm, motion, logger, controller, friction, gears: what was drawn, in a word each.
+        late: by how much the logger makes all torques late [s].
     """
 
     seed: int
@@ -84,6 +85,7 @@ class Trial:
     controller: str
     friction: str
     gears: str
+    late: float = 0.0
 
 
 def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
@@ -146,10 +148,12 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
         other = dataclasses.replace(healthy.setup.logger, seed=int(rng.integers(2**31)))
         reference = record(other, plant, ENGINES[engine](plant, again))
     logger = setup.logger
+    # Two lags in a row are one.
+    values = {key: value + (logger.late if key[0] == "torque_filter" else 0.0) for key, value in values.items()}
     return Trial(
         seed, kind, engine, record(logger, setup.plant, run), arm.urdf, reference, tuple(causes),
         _truly_there(setup), values, f"{arm.name}/{arm.n}", motion.kind, logger.torque, plant.controller,
-        REGULARISATIONS[int(plant.regularisation[0])], "elastic" if plant.elastic.any() else "rigid")
+        REGULARISATIONS[int(plant.regularisation[0])], "elastic" if plant.elastic.any() else "rigid", logger.late)
 
 
 def _with_cascade(rng: np.random.Generator, plant: Plant) -> Plant:

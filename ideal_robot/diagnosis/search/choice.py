@@ -48,6 +48,13 @@ class Options:
                        smallest_learned=self.smallest_learned / 3.0)
 
 
+    def scaled(self, factor: float) -> Options:
+        """All shares of the residual that are asked of an effect, times a factor."""
+        return replace(self, smallest=factor * self.smallest, smallest_next=factor * self.smallest_next,
+                       smallest_learned=factor * self.smallest_learned,
+                       smallest_absorbed=factor * self.smallest_absorbed)
+
+
 @dataclass(frozen=True)
 class Choice:
     """A selected candidate and the evidence for it in the round it was taken.
@@ -59,6 +66,7 @@ class Choice:
             they reach.
         share: share of the most affected channel's squares that it takes away on held-out blocks.
         dependence: for a learned term, the dependence that led to it.
+        asked: share that was asked of it.
     """
 
     candidate: Candidate
@@ -66,6 +74,7 @@ class Choice:
     rivals: tuple[tuple[str, int, float], ...] = ()
     share: float = 0.0
     dependence: Dependence | None = None
+    asked: float = 0.0
 
 
 @dataclass

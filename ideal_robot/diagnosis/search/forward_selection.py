@@ -107,8 +107,15 @@ class Search:
         if not passed:
             return None
         passed.sort(key=lambda s: -s.test.total)
-        top = passed[0].test.total
-        refined = [self.scoring.refined(fit, s) for s in passed[:_REFINED] if s.test.total > 0.4 * top]
+        refined: list[Scored] = []
+        for s in passed:
+            if len(refined) == _REFINED or refined and s.test.total < 0.4 * refined[0].test.total:
+                break
+            better = self.scoring.refined(fit, s)
+            if self.scoring.holds_slowly(better):
+                refined.append(better)
+        if not refined:
+            return None
         refined.sort(key=lambda s: -s.test.total)
         best = refined[0]
         # Of those that the data cannot tell apart, the one with fewest parameters.
@@ -116,7 +123,8 @@ class Search:
             if other.candidate.parameter_count < best.candidate.parameter_count \
                     and indistinguishable(self.model, refined[0], other, 0.95):
                 best = other
-        return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share)
+        return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share,
+                      asked=self.scoring.smallest_share(best.candidate))
 
     def _prune(self) -> None:
         """Takes out what the others have made superfluous."""
@@ -173,7 +181,8 @@ class Search:
                       if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
                       and s.test.total > 0.8 * present.test.total]
             refined = sorted((self.scoring.refined(fit, s) for s in rivals), key=lambda s: -s.test.total)
-            if refined and refined[0].test.total > 1.03 * present.test.total:
+            if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds_slowly(refined[0]):
                 s = refined[0]
-                better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share)
+                better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share,
+                                asked=self.scoring.smallest_share(s.candidate, choice))
                 self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])

@@ -51,7 +51,7 @@ class LearnedCurves:
         if not scored:
             return None
         s = max(scored, key=lambda s: s.test.total)
-        return Choice(s.candidate, s.p_value, (), s.share, s.dependence)
+        return Choice(s.candidate, s.p_value, (), s.share, s.dependence, self.scoring.smallest_share(s.candidate))
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
                     least: float) -> list[Scored]:

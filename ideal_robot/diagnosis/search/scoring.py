@@ -91,6 +91,18 @@ class Scoring:
         beside = self._sizes_at(s.candidate.joint)[channels]
         return bool(np.any(size > self.options.smallest_beside * beside))
 
+    def holds_slowly(self, s: Scored) -> bool:
+        """Whether a cause that is the same at all frequencies is so: no less than half as large in half of the band.
+
+        Vibrations of elastic arms turn phases as well, but ever less the slower the motion.
+        """
+        if not s.candidate.effect.at_all_frequencies:
+            return True
+        problem = self.model.problem
+        effects = [*(c.candidate for c in self.model.choices if c.candidate.place != s.candidate.place), s.candidate]
+        whole, slow = (made.fit(effects).coefficients[-1] for made in (problem, problem.slow()))
+        return bool(np.all(slow * np.sign(whole) > 0.5 * np.abs(whole)))
+
     def _taken_away(self, s: Scored) -> Array:
         """RMS of what a candidate takes away from each channel on blocks left out ``(c,)``."""
         problem = self.model.problem

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy import signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import Blocks
@@ -18,6 +19,8 @@ from ideal_robot.diagnosis.statistics.least_squares import Design, Fit, weights_
 
 _ROUNDS = 2
 """Refits after which the channels' weights of the final fit have settled."""
+_FEWEST = 64
+"""Rows from which on a part of the band can be told from the rest."""
 _HELD = 1e4
 """Times the prior's precision with which parameters are held while their changes are effects."""
 
@@ -31,17 +34,19 @@ class Problem:
         blocks: of its rows.
         prior: precision of the model's parameters about zero ``(P, P)``, in the units of the weighted squares; None
             where they are free.
+        band: share of the regression's band that is looked at.
     """
 
     regression: Regression
     blocks: Blocks
     prior: Array | None = None
+    band: float = 1.0
 
     @cached_property
     def products(self) -> BlockProducts:
         """The rows, masked and ready for cross-products of blocks."""
         r = self.regression
-        return BlockProducts(r.y, r.W, r.use, self.blocks)
+        return BlockProducts(self._in_band(r.y), self._in_band(r.W), r.use, self.blocks)
 
     def with_regression(self, regression: Regression) -> Problem:
         """The same problem about another model."""
@@ -52,6 +57,10 @@ class Problem:
         made = replace(self, prior=prior)
         made.__dict__["products"] = self.products
         return made
+
+    def slow(self) -> Problem:
+        """The same problem in the lower half of its band."""
+        return replace(self, band=0.5 * self.band)
 
     def held(self) -> Problem:
         """The same problem with parameters as the prior has them, so that changes of them have to be said as effects."""
@@ -64,9 +73,15 @@ class Problem:
     def prepared(self, columns: Array) -> Columns:
         """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
         channels = np.flatnonzero(columns.any(axis=0).any(axis=1))
-        small = self.regression.decimate(np.ascontiguousarray(columns[:, channels]))
+        small = self._in_band(self.regression.decimate(np.ascontiguousarray(columns[:, channels])))
         values = small * self.regression.use[:, channels, None]
         return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))
+
+    def _in_band(self, values: Array) -> Array:
+        """Rows ``(N, …)`` without what is above the band."""
+        if self.band >= 1.0 or len(values) < _FEWEST:
+            return values
+        return np.asarray(signal.sosfiltfilt(signal.butter(4, self.band, output="sos"), values, axis=0))
 
     def columns(self, candidate: Candidate) -> Columns:
         """A candidate's columns at the rows of the regression."""

@@ -11,7 +11,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.noise import noise_left
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice
-from ideal_robot.diagnosis.search.known_model import HELD
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.problem import Problem
@@ -134,9 +133,7 @@ class DomainDiagnosis:
         The parameters of a model that holds stay as they were: an effect that could as well be a change of them is
         measured against it, and what refitting alone explains is no merit of any effect.
         """
-        effects, reported, problem = self.effects, self.reported, self.problem
-        if problem.prior is not None:
-            problem = problem.with_prior(HELD * problem.prior)
+        effects, reported, problem = self.effects, self.reported, self.problem.held()
         steps = [problem.fit(effects[:k]) for k in range(len(effects) + 1)]
         residuals = [step.residual(reported, effects[:k]) for k, step in enumerate(steps)]
         return residuals, [self._rms(residual) for residual in residuals]
@@ -188,7 +185,8 @@ class DomainDiagnosis:
         before, after = float(levels[k][j]), float(levels[k + 1][j])
         transfers = None if self.validation is None else bool(levels[k + 1][j] < levels[k][j])
         evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
-                    "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source}
+                    "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
+                    "share": choice.share, "share_asked": choice.asked}
         sliding = effect.depends_on_joint and candidate.joint > 0 and self.reported.prismatic[candidate.joint - 1]
         fitted = fitted_effect(candidate, self.final, k, sliding=sliding, evidence=evidence)
         fitted = with_limits(fitted, candidate, self.problem.regression.signals)

@@ -46,6 +46,16 @@ class AxisCoupling(Effect):
             result[:, i] = np.column_stack([signals.qdd[:, j], signals.qd[:, j], sense * together])
         return result
 
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. The shaft has inertia and friction, not less than none.
+
+        Small terms may come out below zero: the negative ones are less than a fifth of the largest.
+        """
+        i, sense = int(theta[0]) - 1, theta[1]
+        sizes = np.array([np.std(signals.qdd[:, i]), np.std(signals.qd[:, i]), 1.0])
+        parts = coefficients * sizes * np.array([sense, sense, 1.0])
+        return bool(-np.min(parts) < 0.2 * np.max(parts))
+
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
         """See ``Effect.parameters``. The three coefficients and the partner, which is a choice and has no deviation."""

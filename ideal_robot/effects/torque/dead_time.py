@@ -46,6 +46,7 @@ class DeadTime(Effect):
     )
     source = "first-order expansion of a pure delay"
     caution = 2.5
+    at_all_frequencies = True
     longest = 0.06
     _shortest = 5e-5
 

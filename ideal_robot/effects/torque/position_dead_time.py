@@ -23,6 +23,7 @@ class PositionDeadTime(Effect):
     coefficient_units = ("s",)
     source = "first-order expansion of a pure delay"
     caution = 2.5
+    at_all_frequencies = True
     longest = 0.06
     _step = 1e-3
 

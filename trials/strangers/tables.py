@@ -1,0 +1,192 @@
+"""Tables of the strict score: rates, power over size, what is named and is not there, what is taken for what."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from trials.strangers.score import Score
+
+SIZES = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
+"""Edges of the power curve, in multiples of visible."""
+VISIBLE = 3.0
+"""Size from which on the rates that were asked for hold."""
+_QUIET = 0.98
+"""Share of empty recordings that are to be left alone."""
+_SINGLE = ("inside", "new", "model", "arm")
+
+
+def rates(scores: Sequence[Score]) -> str:
+    """Markdown table of the rates, all engines together and each by itself."""
+    engines = sorted({s.engine for s in scores})
+    groups = [list(scores), *([s for s in scores if s.engine == e] for e in engines)]
+    lines = ["| what | all | " + " | ".join(engines) + " |", "| --- |" + " --- |" * (1 + len(engines))]
+
+    def row(name: str, value: Callable[[list[Score]], str]) -> None:
+        lines.append(f"| {name} | " + " | ".join(value(group) for group in groups) + " |")
+
+    def single(group: list[Score]) -> list[bool]:
+        return [s.right for s in group if s.kind in _SINGLE]
+
+    row("recordings", lambda g: str(len(g)))
+    row("empty ones left alone", lambda g: _share(s.right for s in g if s.kind == "none"))
+    row("false names per recording", lambda g: _mean(len(s.false) for s in g))
+    row("false names per empty recording", lambda g: _mean(len(s.false) for s in g if s.kind == "none"))
+    row("one effect of any size, right and nothing else", lambda g: _share(single(g)))
+    row(f"one effect ≥ {VISIBLE:g} × visible, right and nothing else", lambda g: _share(single(_large(g))))
+    row("the same, named at its joint whatever else", lambda g: _share(
+        all(s.found) for s in _large(g) if s.kind in _SINGLE))
+    row(f"outside the library ≥ {VISIBLE:g} ×, unknown and no name", lambda g: _share(
+        s.right for s in _large(g) if s.kind == "outside"))
+    row(f"two effects ≥ {VISIBLE:g} ×, both and nothing else", lambda g: _share(
+        s.right for s in _large(g) if s.kind == "two"))
+    row("95 % intervals that hold the truth", lambda g: _share(abs(error) <= 1.96 for s in g for _, error in s.covered))
+    row("processor time of a diagnosis [s]", lambda g: _mean(s.seconds for s in g))
+    return "\n".join(lines)
+
+
+def power(scores: Sequence[Score], by: str = "engine") -> str:
+    """Markdown table of finding one effect of the library, right and nothing else, over its size.
+
+    Args:
+        scores: of trials.
+        by: an attribute of the trials; a column for each of its values.
+    """
+    single = [s for s in scores if s.kind in _SINGLE]
+    values = sorted({getattr(s, by) for s in single})
+    lines = [f"| size, × visible | effects | named at its joint | and nothing else | {' | '.join(values)} |",
+             "| --- | --- | --- | --- |" + " --- |" * len(values)]
+    for low, high in zip((0.0, *SIZES), (*SIZES, np.inf), strict=True):
+        here = [s for s in single if low <= s.causes[0][2] < high]
+        if here:
+            cells = [_share(s.right for s in here if getattr(s, by) == value) for value in values]
+            lines.append(f"| {low:g} … {high:g} | {len(here)} | {_share(all(s.found) for s in here)} | "
+                         f"{_share(s.right for s in here)} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def breakdown(scores: Sequence[Score], by: str) -> str:
+    """Markdown table by an attribute of the trial: empty ones left alone, false names, right."""
+    lines = [f"| {by} | recordings | empty left alone | false names per recording | right and nothing else |",
+             "| --- | --- | --- | --- | --- |"]
+    for value in sorted({getattr(s, by) for s in scores}):
+        here = [s for s in scores if getattr(s, by) == value]
+        lines.append(f"| {value} | {len(here)} | {_share(s.right for s in here if s.kind == 'none')} | "
+                     f"{_mean(len(s.false) for s in here)} | {_share(s.right for s in here)} |")
+    return "\n".join(lines)
+
+
+def falsehoods(scores: Sequence[Score]) -> str:
+    """Markdown table: what is named and is not there, by engine; in brackets those of empty recordings."""
+    engines = sorted({s.engine for s in scores})
+    every: dict[str, Counter[str]] = defaultdict(Counter)
+    empty: dict[str, Counter[str]] = defaultdict(Counter)
+    for s in scores:
+        for name, _ in s.false:
+            every[name][s.engine] += 1
+            if s.kind == "none":
+                empty[name][s.engine] += 1
+    lines = ["| named, not there | " + " | ".join(engines) + " |", "| --- |" + " --- |" * len(engines)]
+    for name in sorted(every, key=lambda key: -every[key].total()):
+        cells = [f"{every[name][e]} ({empty[name][e]})" if every[name][e] else "" for e in engines]
+        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def confusion(scores: Sequence[Score]) -> str:
+    """Markdown table: for each cause, how often it was found in which engine, and what was said of its joint instead."""
+    engines = sorted({s.engine for s in scores})
+    lines = [f"| cause | found | {' | '.join(engines)} | said of its joint where it was not |",
+             "| --- | --- |" + " --- |" * len(engines) + " --- |"]
+    rows: dict[str, list[tuple[bool, list[str], str]]] = defaultdict(list)
+    for s in scores:
+        said = [*s.named, *(("unknown", j) for j in s.unknown)]
+        for (name, joint, _), found in zip(s.causes, s.found, strict=True):
+            here = [n for n, j in said if joint in (0, j)] or (["other joints"] if said else ["nothing"])
+            rows[name].append((found, here, s.engine))
+    for name in sorted(rows):
+        instead = Counter(n for found, here, _ in rows[name] if not found for n in set(here))
+        cells = [_of([found for found, _, engine in rows[name] if engine == e]) for e in engines]
+        lines.append(f"| {name} | {_of([found for found, _, _ in rows[name]])} | {' | '.join(cells)} | "
+                     + ", ".join(f"{n} {count}" for n, count in instead.most_common()) + " |")
+    return "\n".join(lines)
+
+
+def intervals(scores: Sequence[Score]) -> str:
+    """Markdown table: how many 95 % intervals hold the truth, by parameter, and the factor on σ that would make it so.
+
+    The factor is the 95 % quantile of the errors over 1.96 σ; that of the engines but one is set against the intervals
+    of the engine left out.
+    """
+    rows: dict[str, list[float]] = defaultdict(list)
+    for s in scores:
+        for name, error in s.covered:
+            rows[name].append(abs(error))
+    lines = ["| parameter | 95 % intervals that hold the truth | median error, in σ |", "| --- | --- | --- |"]
+    lines += [f"| {name} | {_of([e <= 1.96 for e in errors])} | {np.median(errors):.1f} |"
+              for name, errors in sorted(rows.items())]
+    lines += ["", "| engine left out | factor on σ from the others | its intervals that hold the truth with it |",
+              "| --- | --- | --- |"]
+    for engine in sorted({s.engine for s in scores}):
+        others = [abs(e) for s in scores if s.engine != engine for _, e in s.covered]
+        own = [abs(e) for s in scores if s.engine == engine for _, e in s.covered]
+        if others and own:
+            factor = max(float(np.quantile(others, 0.95)) / 1.96, 1.0)
+            lines.append(f"| {engine} | {factor:.1f} | {_of([e <= 1.96 * factor for e in own])} |")
+    return "\n".join(lines)
+
+
+def leaving_out(scores: Sequence[Score], scale: float) -> str:
+    """Markdown table: the factor on all shares that the engines but one would ask for, and what it does in that one.
+
+    Made of empty recordings that were diagnosed with all shares lowered: the largest margin of what is named and is
+    not there says with which factor the recording is left alone.
+
+    Args:
+        scores: of trials; only the empty ones count.
+        scale: by which the shares were multiplied when they were played.
+    """
+    empty = [s for s in scores if s.kind == "none"]
+
+    def needed(s: Score) -> float:
+        if not s.false:
+            return 0.0 if s.right else np.inf
+        return scale * max((np.inf if np.isnan(m) else m) for m in s.margins)
+
+    lines = ["| engine left out | factor on all shares from the others | its empty ones left alone with it | "
+             "with the factor 1 |", "| --- | --- | --- | --- |"]
+    for engine in sorted({s.engine for s in empty}):
+        others = sorted(needed(s) for s in empty if s.engine != engine)
+        own = [needed(s) for s in empty if s.engine == engine]
+        if others:
+            factor = others[min(int(np.ceil(_QUIET * len(others))), len(others)) - 1]
+            lines.append(f"| {engine} | {factor:.2f} | {_of([n <= factor for n in own])} | {_of([n <= 1.0 for n in own])} |")
+    return "\n".join(lines)
+
+
+def report(scores: Sequence[Score]) -> str:
+    """All tables."""
+    parts = [rates(scores), *(power(scores, by) for by in ("engine", "motion", "logger")), falsehoods(scores),
+             confusion(scores), intervals(scores)]
+    parts += [breakdown(scores, by) for by in ("engine", "motion", "logger", "friction", "gears", "controller")]
+    return "\n\n".join(parts)
+
+
+def _large(scores: Iterable[Score]) -> list[Score]:
+    return [s for s in scores if s.causes and min(size for _, _, size in s.causes) >= VISIBLE]
+
+
+def _share(values: Iterable[bool]) -> str:
+    every = list(values)
+    return f"{100.0 * sum(every) / len(every):.0f} % of {len(every)}" if every else ""
+
+
+def _mean(values: Iterable[float]) -> str:
+    every = list(values)
+    return f"{sum(every) / len(every):.2f}" if every else ""
+
+
+def _of(values: list[bool]) -> str:
+    return f"{sum(values)} of {len(values)}" if values else ""
