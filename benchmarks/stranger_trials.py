@@ -67,7 +67,8 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
     parser.add_argument("--json", type=Path, metavar="OUT", help="a line per score; what is there is not played again")
-    parser.add_argument("--share-scale", type=float, default=1.0, help="factor on all shares that are asked of an effect")
+    parser.add_argument("--share-scale", type=float, default=1.0,
+                        help="factor on all shares that are asked of an effect")
     parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
     options = parser.parse_args()
     size = (options.size_min, options.size_max)

@@ -24,7 +24,7 @@ from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.model.model import Model
 
 _CHANGED = 0.2
-"""RMS of a change of columns over that of a channel's residual from which on the search is resumed with the new ones."""
+"""RMS of a change of columns over that of a channel's residual from which on the search is resumed with new ones."""
 
 
 def prepared(case: Case, warnings: tuple[str, ...]) -> Findings:

@@ -89,10 +89,10 @@ class Effect(ABC):
             alone.
         flexible: whether its form bends to nearly any curve over the joint's angle, so that a learned curve has to be
             only as good to replace it.
-        of_angle_alone: whether it is a function of its joint's angle alone, so that a learned curve over that angle which
-            is needed beside it says that its form is wrong.
-        at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of vibrations that
-            look like it are not.
+        of_angle_alone: whether it is a function of its joint's angle alone, so that a learned curve over that angle
+            which is needed beside it says that its form is wrong.
+        at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
+            vibrations that look like it are not.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.

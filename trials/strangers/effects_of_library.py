@@ -105,7 +105,7 @@ def cable_spring(rng: np.random.Generator, s: Setup, j: int) -> Drawn:
 
 
 def gravity_spring(rng: np.random.Generator, s: Setup, j: int) -> Drawn | None:
-    """A preloaded spring between two links, where there is gravity to balance; a spatial tendon where the engine has such.
+    """A preloaded spring between two links, where there is gravity to balance; a tendon where the engine has such.
 
     Args:
         rng: source of the draw.

@@ -11,6 +11,7 @@ from typing import Any
 
 from trials.strangers.trial import Trial
 
+
 @dataclass(frozen=True)
 class Score:
     """One trial, as plain values.

@@ -96,7 +96,7 @@ def falsehoods(scores: Sequence[Score]) -> str:
 
 
 def confusion(scores: Sequence[Score]) -> str:
-    """Markdown table: for each cause, how often it was found in which engine, and what was said of its joint instead."""
+    """Markdown table: for each cause, how often it was found in which engine, what was said of its joint instead."""
     engines = sorted({s.engine for s in scores})
     lines = [f"| cause | found | {' | '.join(engines)} | said of its joint where it was not |",
              "| --- | --- |" + " --- |" * len(engines) + " --- |"]
@@ -162,7 +162,8 @@ def leaving_out(scores: Sequence[Score], scale: float) -> str:
         own = [needed(s) for s in empty if s.engine == engine]
         if others:
             factor = others[min(int(np.ceil(_QUIET * len(others))), len(others)) - 1]
-            lines.append(f"| {engine} | {factor:.2f} | {_of([n <= factor for n in own])} | {_of([n <= 1.0 for n in own])} |")
+            alone, as_it_is = (_of([n <= most for n in own]) for most in (factor, 1.0))
+            lines.append(f"| {engine} | {factor:.2f} | {alone} | {as_it_is} |")
     return "\n".join(lines)
 
 

@@ -18,6 +18,7 @@ from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.pool import candidates
 from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.search.scoring import Scoring
+from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import Effect
@@ -65,8 +66,8 @@ class Search:
             start: choices of an earlier search to begin with, as far as they still hold their places.
         """
         self.model.replace(list(start))
-        for choice in sorted(start, key=lambda c: c.share):
-            self._drop_if_small(choice)
+        for one in sorted(start, key=lambda c: c.share):
+            self._drop_if_small(one)
         for round_ in range(self.options.most):
             self.progress(min(0.9, 0.1 + 0.8 * round_ / (round_ + 4.0)), f"round {round_ + 1}")
             choice = self._next()
@@ -109,7 +110,7 @@ class Search:
         passed.sort(key=lambda s: -s.test.total)
         refined: list[Scored] = []
         for s in passed:
-            if len(refined) == _REFINED or refined and s.test.total < 0.4 * refined[0].test.total:
+            if len(refined) == _REFINED or (refined and s.test.total < 0.4 * refined[0].test.total):
                 break
             better = self.scoring.refined(fit, s)
             if self.scoring.holds_slowly(better):
@@ -134,7 +135,7 @@ class Search:
                 self.model.drop(choice)
 
     def _drop_refuted(self, curve: Choice) -> None:
-        """Takes out effects whose form a curve over the same angle refutes: it was needed beside them, not they beside it.
+        """Takes out effects whose form a curve over the same angle refutes: it is needed, they beside it are not.
 
         No other physical cause is pushed out by a learned curve.
         """
@@ -152,7 +153,7 @@ class Search:
             self.model.drop(choice)
 
     def _retune(self, newest: Candidate) -> None:
-        """Theta of each effect once more, where the newest acts on the same channels: both were found without the other.
+        """Theta of each effect once more, where the newest acts on the same channels: they were found without it.
 
         Args:
             newest: that was taken, or has just been exchanged.

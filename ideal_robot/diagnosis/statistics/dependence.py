@@ -41,7 +41,7 @@ class Dependence:
 
     @property
     def adjusted(self) -> float:
-        """Share it explains of what it would not explain by chance: a residual in few places is followed by many curves."""
+        """Share explained of what would not be by chance: many curves follow a residual that is in few places."""
         return (self.share - self.expected) / max(1.0 - self.expected, 1e-12)
 
     @property

@@ -156,7 +156,7 @@ class Fit:
         return max(float(np.median(np.diag(self.covariance()) / np.maximum(np.diag(self.inverse), 1e-300))), 1.0)
 
     def p_value(self, key: str) -> float:
-        """Of one more group by the likelihood ratio in sample, which knows of the prior: of groups that it may absorb."""
+        """Of one more group that the prior may absorb, by the likelihood ratio in sample."""
         gain, coefficients = self.gain(key)
         return float(stats.chi2.sf(gain / self.inflation, len(coefficients)))
 

@@ -63,7 +63,7 @@ class Problem:
         return replace(self, band=0.5 * self.band)
 
     def held(self) -> Problem:
-        """The same problem with parameters as the prior has them, so that changes of them have to be said as effects."""
+        """The same problem with parameters as the prior has them, so that changes have to be said as effects."""
         return self if self.prior is None else self.with_prior(_HELD * self.prior)
 
     def on_all_blocks(self) -> Problem:
@@ -72,7 +72,7 @@ class Problem:
 
     def prepared(self, columns: Array) -> Columns:
         """Raw columns ``(N_raw, c, m)`` filtered, decimated and masked; channels that are zero are not touched."""
-        channels = np.flatnonzero(columns.any(axis=0).any(axis=1))
+        channels = np.flatnonzero(np.any(np.any(columns, axis=0), axis=1))
         small = self._in_band(self.regression.decimate(np.ascontiguousarray(columns[:, channels])))
         values = small * self.regression.use[:, channels, None]
         return Columns(np.ascontiguousarray(values), tuple(int(j) for j in channels))

@@ -32,8 +32,8 @@ def transferring(problem: Problem, choices: Sequence[Choice], validation: Regres
                  samples: np.ndarray) -> tuple[list[Choice], tuple[NotTransferred, ...]]:
     """Drops, one after another, the effect without which samples that took no part are predicted better.
 
-    Each time everything else is fitted anew to the selecting blocks; these samples only compare. Parameters that are known
-    before are held: else they would follow whatever change of them was left out.
+    Each time everything else is fitted anew to the selecting blocks; these samples only compare. Parameters that are
+    known before are held: else they would follow whatever change of them was left out.
 
     Args:
         problem: that was searched.

@@ -11,7 +11,7 @@ import pytest
 from ideal_robot.signals.recording import Recording
 from trials.strangers.equivalents import right_names
 from trials.strangers.score import Score, score
-from trials.strangers.tables import leaving_out, power, rates
+from trials.strangers.tables import power, rates
 from trials.strangers.trial import Cause, Trial
 
 
