@@ -79,7 +79,7 @@ class Causes:
         best = self.best(pool, choice)
         if best is None:
             return None
-        fit = self.model.fit(without=choice)
+        fit = self.model.fit(choice)
         weights = self.model.weights
         others = tuple(c.candidate for c in self.model.choices if c is not choice)
         return Pair(self._cause(own, fit.gain(own.key)[1]),
@@ -88,7 +88,7 @@ class Causes:
 
     def best(self, pool: list[list[Candidate]], instead_of: Choice | None = None) -> Scored | None:
         """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
-        fit = self.model.fit(without=instead_of)
+        fit = self.model.fit(*(() if instead_of is None else (instead_of,)))
         scored = [s for s in self.scoring.scored(fit, pool)
                   if instead_of is None or overlap(self.model, instead_of.candidate, s.candidate)]
         if not scored:
