@@ -27,7 +27,7 @@ from ideal_robot.feedforward.command_inverse import command_inverse
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, behind_uneven_gears, ripple_torque, unevenness
+from ideal_robot.loop.loop_model import Drives, LoopModel, behind_uneven_gears, bristles, ripple_torque, unevenness
 from ideal_robot.model.gear_gap import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -48,7 +48,7 @@ class IdealState:
         q_d: desired positions of the cycles before ``(_BEFORE, n)``.
         q_c: commands of the cycles before ``(P, n)``, newest last.
         u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
-        preslide: how far friction has turned since the last reversal ``(n,)``, -1 … 1.
+        preslide: friction over its dry size ``(n,)``: how far its bristles are bent.
         sag: gear deflection under gravity at the start, not yet compensated ``(n,)`` [rad].
         cycle: cycles since the start.
     """
@@ -170,11 +170,11 @@ class IdealRobot(Feedforward):
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
         smooth = reflected + loop.rotor_inertia * a_m + loop.offset
-        turned = _turned(drives.friction_bend, v_m, loop.t_position, state.preslide)
+        friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
-        signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth, gear, turned, further, self._lag,
+        signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth + friction, further, self._lag,
                                                loop.t_position, loop.steps_ipo, state.u, state.tau)
-        preslide = turned[loop.steps_ipo - 1]
+        preslide = bent[loop.steps_ipo - 1]
         q_c = np.einsum("ij,ji->i", self._inverse.wanted, signal) + np.einsum("ij,ji->i", self._inverse.past, state.q_c)
         last = state.q_c[-1]
         q_c = np.clip(np.clip(q_c, last - self._step_max, last + self._step_max), loop.q_min, loop.q_max)
@@ -197,38 +197,43 @@ class IdealRobot(Feedforward):
 
 
 @numba.njit(cache=True)
-def _turned(bend: Array, v_m: Array, t_position: float, preslide: Array) -> Array:
-    """How far dry friction has turned since the last reversal ``(m, n)``, -1 … 1.
+def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, preslide: Array
+              ) -> tuple[Array, Array, Array]:
+    """Friction torque, the bend of its bristles, and how far it has turned since the last reversal, all ``(m, n)``.
 
     Args:
-        bend: angle over which it turns ``(n,)`` [rad]; 0 for a jump.
+        drives: parameters of the drives.
         v_m: motor velocities at the position cycles ``(m, n)`` [rad/s].
+        load: torque that the gears transmit ``(m, n)`` [N m].
         t_position: the cycle [s].
-        preslide: before the first of them ``(n,)``.
+        preslide: bend before the first of them ``(n,)``.
     """
-    turned, still = np.empty_like(v_m), 1e-3
+    torque, bent, turned, still = np.empty_like(v_m), np.empty_like(v_m), np.empty_like(v_m), 1e-3
     for i in range(v_m.shape[1]):
-        z = preslide[i]
+        z, dry = preslide[i], drives.friction_dry[i]
         for j in range(len(v_m)):
             v = v_m[j, i]
-            if bend[i] > 0.0:
-                side = np.sign(v)
-                z = side + (z - side) * np.exp(-abs(v) * t_position / bend[i])
+            sliding = (np.interp(abs(v), drives.friction_velocity[:, i],
+                                 drives.friction_torque[0 if v >= 0.0 else 1, :, i])
+                       + drives.friction_load[i] * abs(load[j, i]))
+            if drives.friction_bend[i] > 0.0:
+                z = bristles(z, v, t_position, sliding, dry, drives.friction_bend[i])
+                torque[j, i] = dry * z
+                turned[j, i] = min(max(dry * z / max(sliding, 1e-12), -1.0), 1.0)
             else:
                 # The jump at rest is passed within ±1e-3 rad/s, else rounding at standstill would switch it.
-                z = min(max(v / still, -1.0), 1.0)
-            turned[j, i] = z
-    return turned
+                turned[j, i] = min(max(v / still, -1.0), 1.0)
+                torque[j, i] = sliding * turned[j, i]
+            bent[j, i] = z
+    return torque, bent, turned
 
 
 @numba.njit(cache=True)
-def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, smooth: Array, load: Array,
-                          turned: Array, further: Array, lag: Array, t_position: float, steps: int, u0: Array,
-                          tau0: Array) -> tuple[Array, Array, Array]:
+def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, acting: Array, further: Array, lag: Array,
+                          t_position: float, steps: int, u0: Array, tau0: Array) -> tuple[Array, Array, Array]:
     """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.
 
-    ``smooth`` is the motor torque without friction, ``load`` the torque the gears transmit, ``turned`` how far dry
-    friction has turned, ``further`` the torque of other effects, all ``(m, n)``.
+    ``acting`` is the motor torque with friction, without ripple, ``further`` that of other effects, all ``(m, n)``.
     """
     N, n = q_m.shape
     signal = np.empty((N, n))
@@ -239,11 +244,7 @@ def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, sm
         half = 0.5 * k_i[i] * t_position
         for j in range(N):
             v = v_m[j, i]
-            friction = (np.interp(abs(v), drives.friction_velocity[:, i],
-                                  drives.friction_torque[0 if v >= 0.0 else 1, :, i])
-                        + drives.friction_load[i] * abs(load[j, i]))
-            acting = smooth[j, i] + friction * turned[j, i] + ripple_torque(drives.ripple, i, q_m[j, i])
-            wanted = drives.gain[i] * acting + further[j, i]
+            wanted = drives.gain[i] * (acting[j, i] + ripple_torque(drives.ripple, i, q_m[j, i])) + further[j, i]
             # [G] (18) with the trapezoidal rule: k_p Δu + k_i T (u + u_before)/2 = Δτ.
             u = (wanted - tau + u * (k_p[i] - half)) / (k_p[i] + half)
             tau = wanted

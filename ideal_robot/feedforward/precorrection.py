@@ -25,7 +25,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import behind_uneven_gears, low_pass_taps, ripple_torque
+from ideal_robot.loop.loop_model import behind_uneven_gears, bristles, low_pass_taps, ripple_torque
 from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.gear_gap import side_of_gap
 from ideal_robot.model.model import Model
@@ -47,7 +47,7 @@ class PrecorrectionState:
     Attributes:
         q_d: desired positions before ``(4, n)`` [rad].
         motor: motor position planned last ``(n,)`` [rad].
-        turned: how far friction has turned over since the last reversal ``(n,)``, -1 … 1.
+        bent: friction over its dry size ``(n,)``: how far its bristles are bent.
         tau, u, correction: last ``τ_d`` [N m], ``u_d`` and ``Δq`` [rad], each ``(n,)``.
         sag: deflection under gravity at the start ``(n,)`` [rad].
         cycle: cycles since the start.
@@ -55,7 +55,7 @@ class PrecorrectionState:
 
     q_d: Array
     motor: Array
-    turned: Array
+    bent: Array
     tau: Array
     u: Array
     correction: Array
@@ -143,13 +143,13 @@ class Precorrection(Feedforward):
         left = 1.0 - np.clip(begun, 0.0, 1.0)
         motor = self._motor(arm, speed, load) - state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
         qd, qdd = (motor[2] - motor[0]) / (2 * T), (motor[2] - 2 * motor[1] + motor[0]) / T**2
-        turned = self._turned(state, motor[1], qd)
-        tau = self._torque(state.cycle * T + self._lead, motor[1], qd, qdd, load[1], turned)
+        bent = self._bent(state, motor[1], qd, load[1])
+        tau = self._torque(state.cycle * T + self._lead, motor[1], qd, qdd, load[1], bent)
         u = (tau - state.tau + state.u) / (1 + gains.k_i)
         correction = ((u + gains.k_d * state.correction / T - gains.k_1 * qd - gains.k_2 * qdd)
                       / (gains.k_p + gains.k_d / T))
         q_c = np.clip(motor[1] + correction, *self._range)
-        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), motor[1], turned, tau, u, correction,
+        return q_c, PrecorrectionState(np.concatenate([state.q_d[1:], q_d[:1]]), motor[1], bent, tau, u, correction,
                                        state.sag, state.cycle + 1)
 
     def _motor(self, arm: Array, speed: Array, load: Array) -> Array:
@@ -162,25 +162,24 @@ class Precorrection(Feedforward):
             output = behind_uneven_gears(self._loop.uneven, output, still, still)[0]
         return output
 
-    def _torque(self, t: float, q: Array, qd: Array, qdd: Array, load: Array, turned: Array) -> Array:
+    def _torque(self, t: float, q: Array, qd: Array, qdd: Array, load: Array, bent: Array) -> Array:
         """Motor torque ``(n,)`` [N m], [G] (8), with ripple and further effects."""
         loop = self._loop
-        acting = load + loop.rotor_inertia * qdd + loop.offset + self._friction(qd, load) * turned
+        acting = load + loop.rotor_inertia * qdd + loop.offset + loop.friction_dry * bent
         if len(loop.ripple):
             acting = acting + [ripple_torque(loop.ripple, i, float(angle)) for i, angle in enumerate(q)]
+        turned = np.clip(bent, -1.0, 1.0)
         further = further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], turned[None])[0]
         return np.asarray(loop.gain * acting + further)
 
-    def _turned(self, state: PrecorrectionState, motor: Array, qd: Array) -> Array:
-        """How far friction has turned over, -1 … 1: at once, or over the presliding distance where one is known."""
-        step = motor - state.motor
-        bend = self._loop.friction_bend
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            left = np.where(bend > 0, np.exp(-np.abs(step) / bend), 0.0)
-        side = np.sign(step)
-        turned = side + (state.turned - side) * left
-        return np.where(bend > 0, np.where(step == 0, state.turned, turned),
-                        np.where(np.abs(qd) < _STILL, 0.0, np.sign(qd)))
+    def _bent(self, state: PrecorrectionState, motor: Array, qd: Array, load: Array) -> Array:
+        """Friction over its dry size ``(n,)``: at once, or over the presliding distance where one is known."""
+        step, loop, T = motor - state.motor, self._loop, self.t_ipo
+        sliding = self._friction(qd, load)
+        at_once = np.where(np.abs(qd) < _STILL, 0.0, np.sign(qd)) * sliding / loop.friction_dry
+        return np.array([bristles(before, way / T, T, most, dry, bend) if bend > 0.0 else jump
+                         for before, way, most, dry, bend, jump in
+                         zip(state.bent, step, sliding, loop.friction_dry, loop.friction_bend, at_once, strict=True)])
 
     def _friction(self, qd: Array, load: Array) -> Array:
         """Size of sliding friction ``(n,)`` [N m]."""

@@ -39,6 +39,9 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
         friction_load=np.maximum(load, 0.0), friction_bend=bend, offset=offset, rotor_inertia=rotor, gain=gain,
         stiffness=stiffness, half_gap=half_gap, gap_load=gap_load, ripple=_joined(ripples, loop.n),
         uneven=_joined(uneven, loop.n),
+        # Where there was no dry friction, what is found is all of it.
+        friction_dry=np.where(loop.friction_torque[:, 0].mean(axis=0) > 0.0, loop.friction_dry,
+                              np.where(torque[:, 0].mean(axis=0) > 0.0, torque[:, 0].mean(axis=0), 1.0)),
         terms=(*loop.terms, *(effect for effect, change in changes if change.torque)))
 
 

@@ -45,6 +45,7 @@ class Drives(NamedTuple):
     gain: Array
     half_gap: Array
     uneven: Array
+    friction_dry: Array
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,9 @@ class LoopModel:
         friction_torque: what sliding friction brakes with at them, forward and backward ``(2, m, n)`` [N m]; at speed 0
             the dry friction.
         friction_load: friction in proportion to the torque the gear transmits ``(n,)`` [-].
-        friction_bend: angle over which friction turns after a reversal ``(n,)`` [rad]; 0 for a jump.
+        friction_bend: angle over which friction of size ``friction_dry`` turns after a reversal ``(n,)`` [rad]; 0 for a
+            jump. What more there is at standstill takes as much longer: bristles are as stiff as they were.
+        friction_dry: dry friction that ``friction_bend`` belongs to ``(n,)`` [N m]; that of the table if not given.
         offset: constant torque of the drive ``(n,)`` [N m].
         stiffness: of the gears ``(n,)`` [N m/rad]; ``inf`` where they count as rigid.
         damping: of the gears ``(n,)`` [N m s/rad].
@@ -112,11 +115,16 @@ class LoopModel:
     half_gap: Array = field(default_factory=lambda: np.zeros(0))
     gap_load: Array = field(default_factory=lambda: np.zeros(0))
     terms: tuple[FittedEffect, ...] = ()
+    friction_dry: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         for name, none in (("gain", 1.0), ("half_gap", 0.0), ("gap_load", 0.0)):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.rotor_inertia), none))
+        if not len(self.friction_dry):
+            # Without dry friction nothing turns; the number then only has to be one.
+            dry = self.friction_torque[:, 0].mean(axis=0)
+            object.__setattr__(self, "friction_dry", np.where(dry > 0.0, dry, 1.0))
         for name in ("k_v", "k_p", "rotor_inertia", "stiffness"):
             values = getattr(self, name)
             if np.any(~(values > 0)) and not (name == "rotor_inertia" and np.all(values >= 0)):
@@ -170,6 +178,26 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
         phase = ripple[m, 0, i] * q
         torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
     return torque
+
+
+@numba.njit(cache=True)
+def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend: float) -> float:
+    """Dry and sliding friction over its dry size after ``dt`` at constant velocity, -… to … (Dahl's model, exact).
+
+        dF/dq = (dry / bend) (1 - F sign(v) / friction)
+
+    Args:
+        bent: before.
+        v: velocity [rad/s].
+        dt: step [s].
+        friction: that sliding at this velocity brakes with [N m].
+        dry: friction that ``bend`` belongs to [N m].
+        bend: angle over which friction turns [rad].
+    """
+    if v == 0.0:
+        return bent
+    settled = np.sign(v) * friction / dry
+    return settled + (bent - settled) * np.exp(-abs(v) * dt / bend * min(max(dry / max(friction, 1e-12), 0.2), 5.0))
 
 
 @numba.njit(cache=True)

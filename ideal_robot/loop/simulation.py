@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, ripple_torque, unevenness
+from ideal_robot.loop.loop_model import Drives, LoopModel, bristles, ripple_torque, unevenness
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _played(loop: LoopModel, drives: Drives, reference: Array, external: Array, 
 def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: Array, preslide: Array) -> Array:
     if not loop.terms:
         return np.zeros(loop.n)
-    direction = np.where(loop.friction_bend > 0.0, preslide, np.clip(qd / 1e-3, -1.0, 1.0))
+    direction = np.where(loop.friction_bend > 0.0, np.clip(preslide, -1.0, 1.0), np.clip(qd / 1e-3, -1.0, 1.0))
     return further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], direction[None])[0]
 
 
@@ -213,8 +213,7 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
                 side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
                 friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
                             + drives.friction_load[i] * abs(load[i]))
-                v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives.friction_bend[i],
-                                  state.preslide, i)
+                v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
                 acceleration[i] = (load[i] - bias[i] + external[cycle, i]
                                    + give[i] * 0.5 * dt * stiffness[i] * (slope[i] * v_m[i] - v_a[i]))
             # (M + dt/2 D + dt²/4 K) a = load half a step on - bias, by the Cholesky factor of this position cycle.
@@ -235,14 +234,12 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
 
 
 @numba.njit(cache=True)
-def _sliding(v: float, torque: float, inertia: float, dt: float, friction: float, bend: float, preslide: Array,
+def _sliding(v: float, torque: float, inertia: float, dt: float, friction: float, drives: Drives, preslide: Array,
              i: int) -> float:
     """Velocity after one step under ``torque`` and friction, which stops a joint but never drives it."""
-    if bend > 0.0:
-        # Dahl: friction turns over the angle `bend` after a reversal; exact over one step of constant velocity.
-        side = np.sign(v)
-        preslide[i] = side + (preslide[i] - side) * np.exp(-abs(v) * dt / bend)
-        return v + (torque - friction * preslide[i]) / inertia * dt
+    if drives.friction_bend[i] > 0.0:
+        preslide[i] = bristles(preslide[i], v, dt, friction, drives.friction_dry[i], drives.friction_bend[i])
+        return v + (torque - drives.friction_dry[i] * preslide[i]) / inertia * dt
     free = v + torque / inertia * dt
     slow = friction / inertia * dt
     if abs(free) <= slow:

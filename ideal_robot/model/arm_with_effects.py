@@ -89,7 +89,9 @@ def _joined_bodies(mass: float, com: Array, inertia: Array, body: tuple[float, .
     # A body taken off that outweighs the link as identified: what is left has moments but no mass of its own.
     total = max(mass + m, 1e-6)
     centre = moment / total
-    return total, centre, inertia + about + mass * _steiner(com) - total * _steiner(centre)
+    sizes, axes = np.linalg.eigh(inertia + about + mass * _steiner(com) - total * _steiner(centre))
+    # Of a body found in torques the inertias that hardly show may be anything; none of a link's is negative.
+    return total, centre, np.asarray(axes * np.maximum(sizes, 1e-6) @ axes.T)
 
 
 def _steiner(c: Array) -> Array:

@@ -17,7 +17,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.validation.adoption import adopted, with_joint
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
@@ -32,8 +32,8 @@ from scenes.path.scene import JointPath
 
 _LEAST = 0.99
 """An error that falls by less than a hundredth has not fallen."""
-_ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's stiffness; motor angles "
-                "and currents do not")
+_ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
+                "motor angles and currents do not")
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,12 @@ class Step:
     error: float
 
 
-def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, measured: Measured) -> float:
+def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, measured: Measured,
+                   effects: tuple[FittedEffect, ...] = ()) -> float:
     """Path error ``E_car``, aligned, as this arm measures it [m].
 
     Motor angles are brought behind the gears by what was known of these before, so that a changed stiffness cannot
-    confirm itself.
+    confirm itself; what the gears carry, which currents show, counts.
 
     Args:
         played: the play.
@@ -67,6 +68,7 @@ def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, me
         robot: kinematics.
         known: the model of before.
         measured: what is measured.
+        effects: found since.
     """
     recording = played.recording
     if measured == "tcp":
@@ -74,7 +76,7 @@ def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, me
     else:
         q = recording.joints("qa" if measured == "arm" else "q")
         if measured == "motor":
-            q = q - _deflections(known, recording)
+            q = q - _deflections(known.with_effects(_loads(effects)), recording)
         pose = robot.fk()
         x = np.array([pose(row).translation for row in q])
     return path_errors(path.t[path.counts], path.x_d[path.counts], recording.t, x).aligned.E_car
@@ -96,46 +98,53 @@ def adopt_on_path(cell: PathCell, found: Diagnosis, before: Play, known: Model, 
         error: measured with the present model [m].
     """
     steps: list[Step] = []
-    model = cell.model
+    model, at_present = cell.model, before
 
     def attempt(label: str, candidate: Model) -> bool:
-        nonlocal model, error
+        nonlocal model, error, at_present
         try:
             again = dataclasses.replace(cell, model=candidate)
-            reached = measured_error(again.play(again.feedforward(IDEAL)), cell.path, cell.robot, known, measured)
+            played = again.play(again.feedforward(IDEAL))
+            # Both plays with the same idea of what the gears carry.
+            reached, present = (measured_error(one, cell.path, cell.robot, known, measured, candidate.effects)
+                                for one in (played, at_present))
         except IdealRobotError as failed:
             steps.append(Step(round_, label, False, f"cannot be played: {failed}", float("nan")))
             return False
-        if reached < _LEAST * error:
-            model, error = candidate, reached
+        if reached < _LEAST * present:
+            model, error, at_present = candidate, reached, played
             steps.append(Step(round_, label, True, "", reached))
             return True
-        steps.append(Step(round_, label, False, f"the path error does not fall: {1e3 * error:.3g} to "
+        steps.append(Step(round_, label, False, f"the path error does not fall: {1e3 * present:.3g} to "
                                                 f"{1e3 * reached:.3g} mm", reached))
         return False
 
     whole = adopted(model, found, visible(before.recording, measured), cell.robot)
     changed = whole.effects != model.effects and not _stiffens(whole, model, measured)
-    if changed and attempt("all that predict the run better", whole):
-        return model, error, tuple(steps)
-    for label, change in _packages(found, measured, steps, round_):
-        attempt(label, change(model))
+    taken = changed and attempt("all that predict the run better", whole)
+    for label, change, effects in _packages(found, measured, steps, round_):
+        # Behind what was taken together only the tool is left to be looked at.
+        if not taken or all(effect.domain == TCP_POSITION for effect in effects):
+            attempt(label, change(model))
     return model, error, tuple(steps)
 
 
 def _packages(found: Diagnosis, measured: Measured, steps: list[Step],
-              round_: int) -> list[tuple[str, Callable[[Model], Model]]]:
+              round_: int) -> list[tuple[str, Callable[[Model], Model], tuple[FittedEffect, ...]]]:
     """What can be taken alone: a joint's effects of the torque with its friction, an effect behind a gear."""
-    changes: list[tuple[str, Callable[[Model], Model]]] = []
+    changes: list[tuple[str, Callable[[Model], Model], tuple[FittedEffect, ...]]] = []
     torque: dict[int, list[FittedEffect]] = {}
     for one in (*found.effects, *found.unknown):
         effect = one.fitted
         name = f"{effect.name} in joint {effect.joint}" if effect.joint else effect.name
-        if effect.domain == ARM_POSITION:
-            changes.append((name, partial(_with_effect, effect=effect)))
+        nowhere = effect.effect.loop_change(effect.coefficients, effect.theta).nowhere
+        if effect.domain == SENSOR:
+            nowhere = "no sensor takes part in this path"
+        if nowhere:
+            steps.append(Step(round_, name, False, f"does not act: {nowhere}", float("nan")))
         elif effect.domain != MOTOR_TORQUE:
-            steps.append(Step(round_, name, False, "does not act in this loop", float("nan")))
-        elif measured == "motor" and effect.name == "joint_elasticity":
+            changes.append((name, partial(_with_effect, effect=effect), (effect,)))
+        elif measured == "motor" and _behind_gear(effect):
             steps.append(Step(round_, name, False, _ONLY_BEHIND, float("nan")))
         else:
             torque.setdefault(effect.joint, []).append(effect)
@@ -145,7 +154,8 @@ def _packages(found: Diagnosis, measured: Measured, steps: list[Step],
             break
         label = " and ".join(effect.name for effect in effects)
         label += f" in joint {joint}" if joint else ""
-        changes.append((label, partial(with_joint, fitted=fitted, joint=joint, effects=tuple(effects))))
+        changes.append((label, partial(with_joint, fitted=fitted, joint=joint, effects=tuple(effects)),
+                        tuple(effects)))
     return changes
 
 
@@ -154,9 +164,19 @@ def _with_effect(model: Model, effect: FittedEffect) -> Model:
 
 
 def _stiffens(candidate: Model, model: Model, measured: Measured) -> bool:
-    """Whether a candidate holds a gear's stiffness that this arm cannot show."""
-    new = candidate.effects[len(model.effects):]
-    return measured == "motor" and any(effect.name == "joint_elasticity" for effect in new)
+    """Whether a candidate holds something of a gear or a joint's zero that this arm cannot show."""
+    return measured == "motor" and any(_behind_gear(effect) for effect in candidate.effects[len(model.effects):])
+
+
+def _behind_gear(effect: FittedEffect) -> bool:
+    change = effect.effect.loop_change(effect.coefficients, effect.theta)
+    return change.gear_compliance is not None or bool(change.half_gap) or bool(change.zero)
+
+
+def _loads(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
+    """Those that change what the gears carry."""
+    changes = [(effect, effect.effect.loop_change(effect.coefficients, effect.theta)) for effect in effects]
+    return tuple(effect for effect, change in changes if change.body or change.gravity is not None)
 
 
 def _deflections(model: Model, recording: Recording) -> Array:

@@ -119,13 +119,18 @@ def about(path: JointPath, q_d: Array, t_ipo: float) -> JointPath:
     return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, path.tool)
 
 
-def set_up(scene: PathScene, *, delay: bool) -> PathCell:
+def set_up(scene: PathScene, *, delay: bool, model: Model | None = None) -> PathCell:
     """Everything a path scene needs, with or without the standard path planner's delay.
+
+    Args:
+        scene: the scene.
+        delay: whether the delay is in force.
+        model: of the arm; None for the one that the scene asks for.
 
     Raises:
         InputError: path out of reach, no model, a value of the world that makes no sense.
     """
     robot = Robot.load(scene.robot)
     world = World.from_table(scene.robot, {**scene.world, "correction_delay": delay})
-    return PathCell(robot, world, model_for(scene, robot), joint_path(scene, robot, world.t_ipo), scene.learn_from,
-                    scene.seed)
+    return PathCell(robot, world, model or model_for(scene, robot), joint_path(scene, robot, world.t_ipo),
+                    scene.learn_from, scene.seed)

@@ -15,26 +15,23 @@ import numpy as np
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.validation.oracle import with_named_effects
-from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
+from scenes.models import model_for
 from scenes.path.adoption_on_path import Step, adopt_on_path, measured_error
 from scenes.path.cell import PathCell, set_up, training_path
 from scenes.path.close_loop_page import write_circle
 from scenes.path.close_loop_result import CloseLoopResult
+from scenes.path.last_good import last_good
 from scenes.path.scene import JointPath, PathScene
+from scenes.path.undeclared import declared_world, undeclared_effects
 from scenes.result import Progress, silent
-from sim.arm.world import World
-
-_EFFECT_OF_KEY = {"stribeck": "stribeck", "presliding": "presliding_hysteresis", "stiffness": "joint_elasticity",
-                  "viscous": "viscous", "coulomb": "coulomb", "friction_asymmetry": "asymmetric_friction",
-                  "backlash": "backlash", "degressive": "degressive", "load_friction": "load_dependent_friction"}
-"""What a key of the scene's world is called in the effect library."""
-
+from scenes.scene import OWN
 
 ROUNDS = 3
 """Of run and diagnosis, at most."""
@@ -45,6 +42,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = No
     """Plays a path, finds what its model misses from a diagnostic motion, extends the model and plays it again.
 
     What does not lower the path error that the arm measures is taken back; the rounds end when nothing more is found.
+    Whatever ends it early, the folder holds the model of the last round that was done.
 
     Args:
         scene: what to play.
@@ -53,11 +51,33 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = No
         progress: called with the fraction done.
 
     Raises:
-        InputError: a scene whose world holds nothing undeclared, or another word for what is measured.
+        InputError: a scene whose world holds nothing undeclared or cannot be closed, or another word for what is
+            measured.
+    """
+    checked_measured(measured)
+    undeclared = undeclared_effects(scene, Robot.load(scene.robot).n)
+    # An own model is of the arm as it was before.
+    own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
+    cell = set_up(scene, delay=False, model=model_for(own, Robot.load(scene.robot), progress))
+    return closed(scene, cell, undeclared, measured=measured, out=out, progress=progress)
+
+
+def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], ...], *, measured: str = "tcp",
+           oracle: Model | None = None, rounds_at_most: int = ROUNDS, out: Path | None = None,
+           progress: Progress = silent) -> CloseLoopResult:
+    """The same with a cell that is set up: its arm may be one that no scene file describes.
+
+    Args:
+        scene: whose path the cell plays.
+        cell: path, arm and the model as it was.
+        undeclared: effects that the arm has and the model does not know: name, joint.
+        measured: what the arm measures.
+        oracle: what an oracle knows of the arm; None: name and joint, and the size from the first recording.
+        rounds_at_most: of run and diagnosis.
+        out: folder for recording, model and report; nothing is written without.
+        progress: called with the fraction done.
     """
     seen_by = checked_measured(measured)
-    cell = set_up(scene, delay=False)
-    undeclared = undeclared_effects(scene, cell.robot.n)
     progress(0.0, "before")
     known, before = cell.model, cell.play(cell.feedforward(IDEAL))
     error = measured_error(before, cell.path, cell.robot, known, seen_by)
@@ -65,47 +85,33 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = No
     steps: tuple[Step, ...] = ()
     present = before
     rounds: list[tuple[Diagnosis, Recording]] = []
-    for round_ in range(1, ROUNDS + 1):
-        share = 0.05 + 0.8 * (round_ - 1) / ROUNDS
-        progress(share, f"round {round_}: diagnostic motion")
-        moved = visible(cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording, seen_by)
-        # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
-        diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=partial(_shifted, progress, share))
-        rounds.append((diagnosis, moved))
-        model, error, tried = adopt_on_path(cell, diagnosis, present, known, seen_by, round_, error)
-        steps += tried
-        if model is cell.model:
-            break
-        cell = dataclasses.replace(cell, model=model)
-        present = cell.play(cell.feedforward(IDEAL))
-    progress(0.9, "oracle")
-    found, recording = rounds[0]
-    told = with_named_effects(recording, cell.robot, known, undeclared)
-    result = CloseLoopResult(scene, undeclared, before.errors, present.errors, _played(cell, told), found, recording,
-                             seen_by, first, steps)
-    if out is None:
-        return result
-    return write_circle(result, cell.model, out)
+    with last_good(out) as keep:
+        for round_ in range(1, rounds_at_most + 1):
+            share = 0.05 + 0.8 * (round_ - 1) / rounds_at_most
+            progress(share, f"round {round_}: diagnostic motion")
+            keep.round = round_
+            moved = visible(cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording, seen_by)
+            # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
+            diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=partial(_shifted, progress, share))
+            rounds.append((diagnosis, moved))
+            model, error, tried = adopt_on_path(cell, diagnosis, present, known, seen_by, round_, error)
+            steps += tried
+            if model is cell.model:
+                break
+            keep.model(model)
+            cell = dataclasses.replace(cell, model=model)
+            present = cell.play(cell.feedforward(IDEAL))
+        keep.round = 0
+        progress(0.9, "oracle")
+        found, recording = rounds[0]
+        told = with_named_effects(recording, cell.robot, known, undeclared) if oracle is None else oracle
+        result = CloseLoopResult(scene, undeclared, before.errors, present.errors, _played(cell, told), found,
+                                 recording, seen_by, first, steps)
+        return result if out is None else write_circle(result, cell.model, out)
 
 
 def _shifted(progress: Progress, start: float, share: float, word: str) -> None:
     progress(start + 0.15 * share, word)
-
-
-def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
-    """Effects by which the scene's world differs from the default one, with the joints they sit in."""
-    default = World.default(scene.robot)
-    result = []
-    for key, value in scene.world.items():
-        if key not in _EFFECT_OF_KEY:
-            continue
-        usual = default.per_joint(key, n)
-        own = np.broadcast_to(np.asarray(value, dtype=float), (n,))
-        result += [(_EFFECT_OF_KEY[key], int(j) + 1) for j in np.flatnonzero(own != usual)]
-    if not result:
-        raise InputError("the scene's world holds nothing that the model does not know; set one of "
-                         f"{', '.join(_EFFECT_OF_KEY)}", file=f"scene {scene.name}", field="world")
-    return tuple(result)
 
 
 def diagnostic_motion(cell: PathCell) -> JointPath:

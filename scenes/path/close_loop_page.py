@@ -12,6 +12,7 @@ from ideal_robot.model.model import Model
 from scenes.diagnosis.page import add_diagnosis, summary
 from scenes.outputs import whole_folder
 from scenes.path.close_loop_result import CloseLoopResult
+from scenes.path.last_good import NAME
 from scenes.report.page import Report
 
 SEES = {"motor": "motor angles and currents", "arm": "motor and arm angles, and currents",
@@ -45,9 +46,9 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
     add_diagnosis(page, result.diagnosis)
     with whole_folder(folder) as new:
         result.recording.write(new / "diagnostic_motion.parquet")
-        extended.save(new / "extended_model.json")
+        extended.save(new / NAME)
         page.write(new / "report.html")
-    return dataclasses.replace(result, model_path=folder / "extended_model.json", report=folder / "report.html")
+    return dataclasses.replace(result, model_path=folder / NAME, report=folder / "report.html")
 
 
 def _deviations(result: CloseLoopResult) -> Figure:

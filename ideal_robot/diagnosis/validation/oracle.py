@@ -12,12 +12,23 @@ from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import fitted_effect
 from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, Domain, Effect, FittedEffect, library
+from ideal_robot.effects import (
+    ARM_POSITION,
+    MOTOR_TORQUE,
+    SENSOR,
+    TCP_POSITION,
+    Domain,
+    Effect,
+    FittedEffect,
+    library,
+    names,
+)
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
@@ -29,7 +40,8 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
                        effects: tuple[tuple[str, int], ...]) -> Model:
     """The model with the named effects, estimated jointly with its parameters.
 
-    An effect that shows in measured arm angles is estimated there, else in the torque. Those of the torque and the
+    An effect that shows in measured arm angles or at the measured tool is estimated there, else in the torque. Those of
+    the torque and the
     parameters of the model are one fit, and the model returned is that of the fit: the effects on top of the
     parameters of before would count twice what both describe.
 
@@ -44,16 +56,25 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = torque_regression(recording, robot, model, payload=True)
-    arm = arm_angle_regression(recording, robot, torque, model.stiffness)
+    made = [(domain, build(recording, robot, torque, model.stiffness)) for domain, build in
+            ((ARM_POSITION, arm_angle_regression), (TCP_POSITION, tool_regression))]
     found, result = [], model
     for name, joint in effects:
-        behind = _named(name, ARM_POSITION) if arm is not None else []
-        if arm is not None and behind:
-            found.append(_estimated(arm, behind, joint, None)[0])
+        places = [(regression, _named(name, domain)) for domain, regression in made if regression is not None]
+        behind = next(((regression, kinds) for regression, kinds in places if kinds), None)
+        if behind is not None:
+            found.append(_estimated(*behind, joint, None)[0])
             continue
         kinds = _named(name, MOTOR_TORQUE)
         if not kinds:
+            if name in names():
+                # This arm measures nothing in which it shows.
+                continue
             raise InputError("no such effect", field="effect", value=name)
+        if kinds[0].absorbed_by_base:
+            # A change of parameters beside parameters that are free could be anything: those of before are held.
+            result = result.with_effects((_alone(recording, robot, result, kinds[0], joint),))
+            continue
         # With what was estimated before in the model, as its parameters now are.
         effect, change = _estimated(torque_regression(recording, robot, result, payload=True), kinds, joint, result)
         result = with_parameters(result, change).with_effects((effect,))
@@ -94,7 +115,7 @@ def _estimated(regression: Regression, kinds: Sequence[Effect], joint: int,
         problem = problem.with_prior(prior_precision(model, problem))
     best: tuple[float, Candidate] | None = None
     for effect in kinds:
-        for theta in effect.starts(regression.signals, joint):
+        for theta in _starts(problem, effect, joint):
             candidate = Candidate(effect, joint, theta)
             left = problem.fit([candidate]).residual(regression, [candidate])
             loss = float(np.sum(np.log(np.mean(np.where(regression.use, left, 0.0) ** 2, axis=0) + 1e-300)))
@@ -104,3 +125,22 @@ def _estimated(regression: Regression, kinds: Sequence[Effect], joint: int,
         raise InputError("the effect has nothing to start from in this recording", field="effect", value=kinds[0].name)
     final = problem.fit([best[1]], uncertainty=True)
     return fitted_effect(best[1], final, 0), final.change
+
+
+def _starts(problem: Problem, effect: Effect, joint: int) -> Sequence[tuple[float, ...]]:
+    """Values of theta to start from, of a scanned effect those that the residual suggests."""
+    regression = problem.regression
+    if not effect.scanned:
+        return effect.starts(regression.signals, joint)
+    left = problem.fit([]).residual(regression, [])
+    return effect.starts_from_residual(regression.decimated_signals(), joint, left, regression.use)[0]
+
+
+def _alone(recording: Recording, robot: Robot, model: Model, effect: Effect, joint: int) -> FittedEffect:
+    """An effect of the torque without nonlinear parameters, beside a model whose parameters are held."""
+    made = torque_regression(recording, robot, model, payload=True)
+    columns = made.decimate(effect.columns(made.signals, joint, ()))
+    weight = np.where(made.use, 1.0 / np.maximum(made.noise_floor, 1e-12), 0.0)
+    rows = (weight[:, :, None] * columns).reshape(-1, columns.shape[2])
+    size = np.linalg.lstsq(rows, (weight * made.y).ravel(), rcond=1e-6)[0]
+    return FittedEffect(effect.name, joint, effect.channel(joint), tuple(float(value) for value in size))

@@ -8,7 +8,7 @@ import pytest
 
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.loop.loop_model import low_pass_taps
+from ideal_robot.loop.loop_model import bristles, low_pass_taps
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion, plant, rms
@@ -112,3 +112,15 @@ def test_taps_have_the_lag_and_gain_they_should(time, order, dead):
     assert taps.sum(axis=0) == pytest.approx(1.0)
     a = np.exp(-0.002 / time) if time > 0 else 0.0
     assert 0.002 * np.arange(len(taps)) @ taps[:, 0] == pytest.approx(order * 0.002 * a / (1 - a) + dead, rel=1e-3)
+
+
+def test_bristles_are_as_stiff_at_standstill_as_they_are_while_sliding():
+    """After a reversal friction rises along dF/dq = sigma (1 - F sign(v) / g), whatever surplus g has (Dahl)."""
+    dry, surplus, bend, v = 55.0, 75.0, 3e-4, 0.01
+    level, sigma, force, bent = dry + surplus, dry / bend, -(dry + surplus), -(dry + surplus) / dry
+    for _ in range(400):
+        force += sigma * (1.0 - force / level) * v * 1e-4
+        bent = bristles(bent, v, 1e-4, level, dry, bend)
+    assert dry * bent == pytest.approx(force, rel=0.02, abs=0.5)
+    # The way to 90 % of what is between the two directions grows with the surplus.
+    assert abs(dry * bent) < level

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
 from scenes import load_scene
-from scenes.path.close_loop import close_loop, undeclared_effects
+from scenes.path import close_loop as module
+from scenes.path.cell import PathCell
+from scenes.path.close_loop import close_loop
+from scenes.path.last_good import NAME, last_good
 from scenes.path.scene import PathScene
+from scenes.path.undeclared import undeclared_effects
+from scenes.scene_error import SceneError
 
 
 @pytest.mark.slow
@@ -30,6 +39,59 @@ def test_undeclared_effect_is_named_with_its_joint() -> None:
 def test_scene_without_an_undeclared_effect_is_refused() -> None:
     with pytest.raises(InputError, match="nothing that the model does not know"):
         close_loop(load_scene("iso9283_1"))
+
+
+@pytest.mark.parametrize(("world", "effects"), [
+    ({"payload_mass": 4.0, "payload_com": [0.0, 0.0, 0.1]}, (("payload", 0),)),
+    ({"extra_rotor_inertia": [0.0, 20.0, 0.0, 0.0, 0.0, 0.0]}, (("rotor_inertia", 2),)),
+    ({"torque_ripple": [0.004, 0.004, 0.012, 0.004, 0.004, 0.004]}, (("torque_ripple", 3),)),
+    ({"kinematic_error": 5e-4}, tuple(("kinematic_error", j + 1) for j in range(6))),
+    ({"individual": 3, "backlash": [0.0, 1e-4, 0.0, 0.0, 0.0, 0.0]}, (("backlash", 2),))])
+def test_worlds_with_load_ripple_and_geometry_can_be_closed(world: dict, effects: tuple) -> None:
+    scene = load_scene("close_stribeck").model_copy(update={"world": world})
+    assert undeclared_effects(scene, 6) == effects
+
+
+@pytest.mark.parametrize(("key", "value", "why"), [("start_temperature", 15.0, "warmth"),
+                                                   ("position_gain", 12.0, "identified, not diagnosed"),
+                                                   ("elasticity", False, "switches off"),
+                                                   ("damping", 3.0, "no effect of the library")])
+def test_a_world_that_cannot_be_closed_says_which_key_and_why(key: str, value: object, why: str) -> None:
+    scene = load_scene("close_stribeck").changed(world={key: value})
+    with pytest.raises(InputError, match=why) as refused:
+        close_loop(scene)
+    assert f"world.{key}" in str(refused.value)
+
+
+def test_an_interrupted_closing_leaves_the_last_good_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Interrupted while the second round diagnoses: the folder holds the first round's model, and that is said."""
+    calls = []
+
+    def diagnose(*args: object, **more: object) -> object:
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return None
+
+    def adopt(cell: PathCell, found: object, before: object, known: Model, *rest: object) -> tuple:
+        return known.with_effects((FittedEffect("current_offset", 2, "tau_2", (3.0,)),)), 1e-4, ()
+
+    monkeypatch.setattr(module, "diagnose", diagnose)
+    monkeypatch.setattr(module, "adopt_on_path", adopt)
+    with pytest.raises(SceneError, match=r"interrupted in round 2; .* is the model of round 1"):
+        close_loop(_small(), out=tmp_path / "closing")
+    assert Model.load(tmp_path / "closing" / NAME).effects[-1].name == "current_offset"
+
+
+def test_a_closing_interrupted_at_once_leaves_nothing(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with last_good(tmp_path / "closing") as keep:
+            keep.round = 1
+            raise KeyboardInterrupt
+
+    with pytest.raises(SceneError, match="the model is as it was"):
+        interrupted()
+    assert not (tmp_path / "closing").exists()
 
 
 def _small(**changes: object) -> PathScene:

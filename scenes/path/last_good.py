@@ -1,0 +1,59 @@
+"""The last good model of a closing that is interrupted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ideal_robot.model.model import Model
+from scenes.scene_error import SceneError
+
+NAME = "extended_model.json"
+"""Of the model in the folder of a closing."""
+
+
+@dataclass
+class LastGood:
+    """What is kept while rounds are done.
+
+    Attributes:
+        folder: where; None where nothing is written.
+        round: the one that is being done; 0 when all are.
+        kept: of which round the model in the folder is; 0 for none.
+    """
+
+    folder: Path | None
+    round: int = 0
+    kept: int = 0
+
+    def model(self, model: Model) -> None:
+        """Writes the model of the round that is done, whole or not at all."""
+        if self.folder is not None:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            model.save(self.folder / NAME)
+        self.kept = self.round
+
+
+@contextmanager
+def last_good(folder: Path | None) -> Iterator[LastGood]:
+    """Says of which round the model is that an interrupted closing leaves.
+
+    Args:
+        folder: of the closing's results; None where nothing is written.
+
+    Raises:
+        SceneError: in place of an interrupt or the end of the process while a round was being done.
+    """
+    keep = LastGood(folder)
+    try:
+        yield keep
+    except (KeyboardInterrupt, SystemExit) as ended:
+        if not keep.round:
+            raise
+        if keep.kept and folder is not None:
+            left = f"{folder / NAME} is the model of round {keep.kept}"
+        else:
+            left = "no round was done, the model is as it was"
+        raise SceneError(f"interrupted in round {keep.round}; {left}") from ended

@@ -1,0 +1,85 @@
+"""What a scene's world holds that its model does not know, and which worlds cannot be closed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.errors import InputError
+from scenes.path.scene import PathScene
+from sim.arm.world import World
+
+EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
+    "stribeck": ("stribeck",), "stribeck_velocity": ("stribeck",), "presliding": ("presliding_hysteresis",),
+    "stiffness": ("joint_elasticity",), "viscous": ("viscous",), "coulomb": ("coulomb",),
+    "friction_asymmetry": ("asymmetric_friction",), "friction_scale": ("coulomb", "viscous"),
+    "backlash": ("backlash",), "degressive": ("degressive",), "degressive_velocity": ("degressive",),
+    "load_friction": ("load_dependent_friction",), "extra_rotor_inertia": ("rotor_inertia",),
+    "torque_ripple": ("torque_ripple",), "transmission_error": ("transmission_error",),
+    "payload_mass": ("payload",), "kinematic_error": ("kinematic_error",), "zero_error": ("kinematic_error",),
+    "drive_gain_error": ("drive_gain",),
+}
+"""What a key of the scene's world is called in the effect library."""
+_OF_ALL_JOINTS = ("kinematic_error", "zero_error", "drive_gain_error")
+_PARTS = ("payload_com", "payload_inertia", "ripple_order", "transmission_order")
+"""Keys that say where or how often, and nothing by themselves."""
+_SETTINGS = ("individual", "correction_delay", "quantisation", "encoder_increments", "current_noise", "log_cycle",
+             "external_position_noise", "external_rotation_noise")
+"""Keys that say which arm it is and how it is measured; they hold nothing that a model could lack."""
+_WARMTH = "friction that changes with warmth does not act in the loop; play method adapted"
+_CONTROLLER = 'a controller is identified, not diagnosed; give the scene model = "own"'
+_SWITCH = "it switches off what the model holds; nothing is left to be found"
+_REASONS = {
+    **dict.fromkeys(("thermal", "start_temperature", "ambient_temperature", "thermal_resistance",
+                     "thermal_time_constant", "viscosity_temperature", "dry_temperature", "reference_temperature",
+                     "lubrication", "lubrication_time", "time_compression"), _WARMTH),
+    **dict.fromkeys(("low_pass", "t_ipo", "t_position", "t_velocity", "position_gain", "velocity_feedforward",
+                     "velocity_gain", "integral_time", "velocity_filter", "current_lag"), _CONTROLLER),
+    **dict.fromkeys(("ideal", "elasticity", "friction", "torque_limits"), _SWITCH),
+    "damping": "no effect of the library is a gear's damping",
+    "inertia_tolerance": 'all masses at once are no effect; give the scene an individual and model = "own"',
+}
+"""Why a world with this key cannot be closed."""
+
+
+def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
+    """Effects by which the scene's world differs from the default one, with the joints they sit in (0: all of them).
+
+    Args:
+        scene: its world is looked at.
+        n: number of joints.
+
+    Raises:
+        InputError: a world that cannot be closed, which key and why; or one that holds nothing undeclared.
+    """
+    default, file = World.default(scene.robot), f"scene {scene.name}"
+    for key, value in scene.world.items():
+        if key in _REASONS and _differs(default, key, value):
+            raise InputError(f"a world with this key cannot be closed: {_REASONS[key]}", file=file,
+                             field=f"world.{key}", value=value)
+    result: list[tuple[str, int]] = []
+    for key, effects in EFFECTS_OF_KEY.items():
+        if key not in scene.world or not _differs(default, key, scene.world[key]):
+            continue
+        if key == "payload_mass":
+            joints = [0]
+        elif key in _OF_ALL_JOINTS:
+            joints = list(range(1, n + 1))
+        else:
+            own = np.broadcast_to(np.asarray(scene.world[key], dtype=float), (n,))
+            joints = [int(j) + 1 for j in np.flatnonzero(own != default.per_joint(key, n))]
+        result += [(effect, joint) for effect in effects for joint in joints if (effect, joint) not in result]
+    if not result:
+        raise InputError("the scene's world holds nothing that the model does not know; set one of "
+                         f"{', '.join(EFFECTS_OF_KEY)}", file=file, field="world")
+    return tuple(result)
+
+
+def declared_world(scene: PathScene) -> dict[str, Any]:
+    """The part of the world that an own model of the arm is identified in: without what is undeclared."""
+    return {key: value for key, value in scene.world.items() if key in _SETTINGS}
+
+
+def _differs(default: World, key: str, value: Any) -> bool:
+    return bool(np.any(np.asarray(value) != np.asarray(getattr(default, key, False))))
