@@ -76,6 +76,10 @@ class ForceFollower(Follower, Protocol):
         """How far the approach has come [m]."""
         ...
 
+    def press_as(self, elasticity: float) -> None:
+        """Assumes this elasticity of tip and surface [N/m] from now on."""
+        ...
+
     def update_force(self, t: Array, contact: Array) -> Fused | None:
         """Takes contact forces ``contact (m, 3)`` [N] in the tool frame, measured at ``t (m,)`` [s]."""
         ...

@@ -32,6 +32,8 @@ VERBS = {
     "close-loop": "close_loop",
     "precorrect": "precorrect",
     "rsi": "rsi",
+    "follow": "follow",
+    "simulate": "simulate",
     "detect": "detect",
     "export": "export",
     "list": "list",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError
@@ -23,13 +24,23 @@ def load_scene(name_or_path: str | Path) -> Scene:
     Raises:
         InputError: no such scene, two scenes of the same name, broken TOML, an unknown key, a value out of range.
     """
-    path = _find(str(name_or_path))
-    values = read_toml(path, "a scene file")
-    values.setdefault("name", path.stem)
+    path, values = scene_values(name_or_path)
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError(f"expected one of {', '.join(KINDS.names())}", file=path, field="kind", value=kind)
     return scene_of(KINDS.get(kind).scene, values, path).beside(path.absolute().parent)
+
+
+def scene_values(name_or_path: str | Path) -> tuple[Path, dict[str, Any]]:
+    """Where a scene's file is, and its keys, not yet checked.
+
+    Raises:
+        InputError: no such scene, two scenes of the same name, broken TOML.
+    """
+    path = _find(str(name_or_path))
+    values = read_toml(path, "a scene file")
+    values.setdefault("name", path.stem)
+    return path, values
 
 
 def _find(wanted: str) -> Path:

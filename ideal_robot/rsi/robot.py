@@ -116,6 +116,11 @@ class RsiRobot:
         return self._link.address
 
     @property
+    def arrived(self) -> float:
+        """When the last packet was read, by ``time.perf_counter`` [s]."""
+        return self._link.arrived
+
+    @property
     def settled(self) -> bool:
         """Whether what is in force is what was wanted, nothing missed and not yet made good."""
         return not (self._missed or self._catch_up.active)

@@ -76,6 +76,7 @@ class RtdeRobot:
         answer_times: from reading each data package to its command [s].
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         version: the controller's version, once connected.
+        arrived: when the last data package was read, by ``time.perf_counter`` [s].
     """
 
     def __init__(self, robot: Robot, host: str = "127.0.0.1", *, port: int = 30004, register: int = 24,
@@ -90,6 +91,7 @@ class RtdeRobot:
         self.version: tuple[int, int, int, int] | None = None
         self.commanded = np.full(robot.n, np.nan)
         self.answer_times = array("d")
+        self.arrived = math.nan
         self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
         self._inputs = (*(f"input_double_register_{register + i}" for i in range(_AXES)),
                         f"input_int_register_{register}")
@@ -153,7 +155,7 @@ class RtdeRobot:
             q_c = np.clip(q_c + self._catch_up.next(), self.robot.q_min, self.robot.q_max)
         self._number = self._number % (2**31 - 1) + 1
         self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
-        self.answer_times.append(time.perf_counter() - self._arrived)
+        self.answer_times.append(time.perf_counter() - self.arrived)
         self.commanded = q_c
 
     def receive(self) -> RobotState:
@@ -198,7 +200,7 @@ class RtdeRobot:
         """The newest data package, if the arm is not stopped and all numbers are numbers."""
         if self._connection is None:
             raise RtdeError("connect to the controller before a command is handed over")
-        data, self._arrived = self._connection.newest(self._outputs)
+        data, self.arrived = self._connection.newest(self._outputs)
         bits = int(self._number_of(data, "safety_status_bits"))
         stopped = [name for bit, name in _SAFETY.items() if bits >> bit & 1]
         if stopped:

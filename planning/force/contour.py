@@ -9,7 +9,7 @@ give a local parabola; the tip moves along its tangent at the wanted speed and k
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -149,6 +149,10 @@ class ContourFollower:
     def observe(self, t: float, q_a: Array) -> None:
         """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]."""
         self.history.add(t, q_a)
+
+    def press_as(self, elasticity: float) -> None:
+        """Assumes this elasticity of tip and surface [N/m] from now on."""
+        self.settings = replace(self.settings, elasticity=elasticity)
 
     def update_force(self, t: Array, contact: Array) -> None:
         """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -114,6 +116,10 @@ class SurfaceFollower:
     def s_at(self, t: float) -> float:
         """Arc length of the travel at ``t`` [m]."""
         return float(self.profile.s(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
+
+    def press_as(self, elasticity: float) -> None:
+        """Assumes this elasticity of tip and surface [N/m] from now on."""
+        self.settings = replace(self.settings, elasticity=elasticity)
 
     def update_force(self, t: Array, contact: Array) -> Fused | None:
         """Fuses the contact forces that arrived since the last cycle.

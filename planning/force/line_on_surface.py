@@ -81,11 +81,15 @@ class LineOnSurface:
     ) -> None:
         self.follower, self.settings, self._camera, self._span = follower, settings, camera, line_span
         # The undeformed tip is F/E below the surface when the force is right.
-        self._sunk = follower.settings.force / follower.settings.elasticity
         self.seen = self.used = 0
         self._last_seen: tuple[float, float] | None = None
         self._front = -np.inf
         self._candidate: tuple[float, float, Array] | None = None
+
+    @property
+    def _sunk(self) -> float:
+        """By how much the tip is commanded below the surface [m]."""
+        return self.follower.settings.force / self.follower.settings.elasticity
 
     def predict(self, t: float) -> LineAhead:
         """Where the line should be in a field exposed at ``t`` [s]."""

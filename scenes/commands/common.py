@@ -5,40 +5,25 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import typer
 from rich.cells import cell_len
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
 
 from ideal_robot.errors import InputError
 from scenes import result
+from scenes.progress_bar import progress_bar
 from scenes.terminal import shown
+
+__all__ = ["closed", "numbers", "progress_bar", "show_table", "whole_numbers"]
 
 N = TypeVar("N", int, float)
 _MOST_NUMBERS = 100_000
 _NO_EDGE = 10_000
 """Columns of an output that is no terminal."""
-
-
-@contextmanager
-def progress_bar(title: str) -> Iterator[result.Progress]:
-    """A bar on standard error while the block runs; yields the function that moves it."""
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-               TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(shown(title), total=1.0)
-
-        def move(fraction: float, text: str) -> None:
-            bar.update(task, completed=min(max(fraction, 0.0), 1.0),
-                       description=shown(f"{title}: {text}" if text else title))
-
-        yield move
 
 
 def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:

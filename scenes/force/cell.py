@@ -12,6 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
+from scenes.camera_table import believed_camera
 from scenes.drawn_line import Geometry, geometry
 from scenes.force.known import START_HEIGHT, Known, force_reference
 from scenes.force.scene import ForceScene
@@ -61,7 +62,8 @@ def set_up(scene: ForceScene) -> Cell:
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)
     return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
-                reference=reference, profile=profile, world=world, surface=true_surface(scene.surface), geometry=where,
+                reference=reference, profile=profile, camera=believed_camera(scene.camera), world=world,
+                surface=true_surface(scene.surface), geometry=where,
                 sensor=ForceSensor(true_sensor(scene.sensor), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))
 

@@ -20,6 +20,7 @@ from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
 from planning.planning_error import OutOfReachError
 from scenes.force.scene import ForceScene
+from sensing.camera.camera_model import CameraModel
 
 N_D = 20
 """Desired positions handed to the ideal robot [cycles]."""
@@ -42,6 +43,7 @@ class Known:
         model: of the arm.
         reference: the reference path.
         profile: travel along it.
+        camera: of a ``glue`` scene, as it is believed to be.
     """
 
     scene: ForceScene
@@ -50,6 +52,7 @@ class Known:
     model: Model
     reference: ReferencePath
     profile: SpeedProfile
+    camera: CameraModel
 
     def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
@@ -69,6 +72,10 @@ class Known:
         settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
                                    length=float(scene.line.length or 0.5))
         return ContourFollower(self.robot, start, -out, up, side, q_start, N_D, settings)
+
+    def q_start(self) -> Array:
+        """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""
+        return self.contour_follower(1e4).q_start if self.scene.task == "contour" else self.follower(1e4).q_start
 
 
 def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[ReferencePath, SpeedProfile]:

@@ -11,11 +11,11 @@ from planning.force.force_follower import SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter
-from scenes.camera_table import believed_camera
 from scenes.force.known import N_D, Known
 from scenes.force.scene import ForceScene
+from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.field import Field, Window
-from sensing.camera.line_detection import DetectionSettings, LineField, detect_line, search_windows
+from sensing.camera.line_detection import DetectionSettings, LineField, search_windows
 
 KNOWN = 1e-6
 """Standard deviation of a relative error that is not estimated."""
@@ -47,13 +47,14 @@ class GlueCamera:
     def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
         scene: ForceScene = cell.scene
         self._rng, self.follower, self._trouble = rng, follower, scene.trouble
-        self.camera = believed_camera(scene.camera)
+        self.camera = cell.camera
         self.detection = DetectionSettings(line_width=1e-3 * scene.line.width_mm,
                                            dark=scene.line.gray < scene.line.background)
         reference = cell.reference
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)
         sight = SightSettings(latency=scene.camera.latency, distance_ratio=scene.assumed.distance_ratio)
         self.sight = LineOnSurface(follower, self.camera.T_tool_camera, sight, span)
+        self.detector: LineDetector = DETECTORS.get(scene.camera.detector)()
         self.fields: list[tuple[float, int, str]] = []
         self.first_used = float("nan")
 
@@ -68,7 +69,7 @@ class GlueCamera:
         """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
         for item in arrived:
             ahead = self.sight.predict(item.t_stamp).seen_from(self.follower.history.pose(item.t_stamp))
-            seen = detect_line(item, self.camera, ahead, self.detection)
+            seen = self.detector.detect(item, self.camera, ahead, self.detection)
             if self._during(self._trouble.garbage, item.t_stamp):
                 seen = self._garbage(seen)
             fused = self.sight.update(seen)

@@ -22,8 +22,8 @@ from matplotlib.figure import Figure
 
 from ideal_robot.whole_file import whole_file
 from scenes import load_scene
-from scenes.commands.common import progress_bar
 from scenes.force.play import play
+from scenes.progress_bar import progress_bar
 from scenes.report.page import Report, write_json
 from scenes.result import Progress, silent
 

@@ -75,6 +75,17 @@ class ForceTask:
         """Connects the devices: the force sensor, and the camera of a scene that has one."""
         self._sensor, self._camera = sensor, camera
 
+    def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity) -> None:
+        """Takes what a calibration has found meanwhile.
+
+        Args:
+            tool: bias and weight.
+            elasticity: of tip and surface.
+        """
+        self.tool, self.elasticity = tool, elasticity
+        self.assumed_stiffness = self.cell.scene.assumed.elasticity_ratio * elasticity.stiffness
+        self.follower.press_as(self.assumed_stiffness)
+
     @property
     def q_start(self) -> Array:
         """Where the arm rests at first ``(n,)`` [rad]."""

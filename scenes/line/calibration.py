@@ -14,23 +14,17 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.robots.robot import Robot
-from planning.path.kinematics import InverseKinematics
-from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from planning.planning_error import OutOfReachError
+from scenes.line.calibration_view import CalibrationView, calibration_postures
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import LineDetector
 from sensing.camera.field import Field
-from sensing.camera.hand_eye import HandEye, Observation, calibrate, calibration_poses
+from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_detection import DetectionSettings, PredictedLine, search_windows
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 
-SPREAD = np.linspace(-0.07, 0.07, 9)
-"""Places on the line looked for in each field, around the middle of the view [m]."""
-SIGMA, SIGMA_FOUND = 0.006, 0.002
-"""How far the line may be from its reference before and after it is first seen, standard deviations [m]."""
 SPARING = 4
 """One field in so many is looked at: neighbours tell the same."""
 REST = 0.16
@@ -39,8 +33,6 @@ SPEED, ACCELERATION = 0.35, 0.25
 """Shares of the joints' limits that the moves between the poses use."""
 HOPELESS = 20
 """Fields without the line after which to give up."""
-PER_SPEED = 1e-3
-"""Uncertainty of a moving tool's place: a millisecond's way, standard deviation [m per m/s]."""
 BEFORE = 10**7
 """Numbers the calibration's fields apart from those of the run: their noise must not be the same."""
 
@@ -67,9 +59,9 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
     Raises:
         SceneError: fewer than half of the poses can be reached, or fewer than half of the fields show the line.
     """
-    commands = _moves(robot, _postures(robot, reference, believed, at), arm.t_ipo)
+    commands = _moves(robot, calibration_postures(robot, reference, believed, at), arm.t_ipo)
     arm.reset(commands[0])
-    view = _View(robot, reference, believed, detection, detector, commands[0])
+    view = CalibrationView(robot, reference, believed, detection, detector, commands[0])
     # The camera's clock runs ahead of the arm's by a whole number of fields.
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
@@ -95,68 +87,6 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
                          "the line; check where the line is, or set calibration.by_moving = false")
     near = reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
     return calibrate(believed, view.observations, near, reference.frames(np.array([at])).up[0])
-
-
-class _View:
-    """What is known of arm and line while the camera moves, and what was seen."""
-
-    def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
-                 detector: LineDetector, q: Array) -> None:
-        self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
-        self.history = PoseHistory(robot)
-        self.history.add(0.0, q)
-        self.observations: list[Observation] = []
-        self._aside, self._sigma = 0.0, SIGMA
-        self._table = np.arange(0.0, reference.length, 0.005)
-        self._places = reference.position(self._table)
-
-    def predicted(self, t: float) -> PredictedLine:
-        """The line around the middle of the view at ``t`` [s], as far aside of the reference as it was first seen."""
-        pose = self.history.pose(t)
-        look = pose.act(_middle_of_view(self.believed))
-        s = self._table[np.argmin(np.sum((self._places - look) ** 2, axis=1))]
-        frames = self.reference.frames(s + SPREAD)
-        points = frames.position + self._aside * frames.normal
-        return PredictedLine.from_base(points, frames.tangent, frames.up.mean(axis=0), pose, self._sigma)
-
-    def look(self, field: Field, prediction: PredictedLine, ahead: float) -> None:
-        """Notes the line points of a field."""
-        found = self.detector.detect(field, self.believed, prediction, self.detection)
-        if not found.seen:
-            return
-        if self._sigma > SIGMA_FOUND:
-            self._aside, self._sigma = self._aside + float(np.mean(found.lateral[found.used])), SIGMA_FOUND
-        t = field.t_stamp - ahead
-        velocity, angular = self.history.velocity(t)
-        sigma = np.hypot(found.sigma[found.used], PER_SPEED * np.linalg.norm(velocity))
-        self.observations.append(
-            Observation(self.history.pose(t), found.pixels[found.used], sigma, velocity, angular))
-
-
-def _middle_of_view(camera: CameraModel) -> Array:
-    """Where the optical axis meets the plane through the TCP, in the tool frame ``(3,)`` [m]."""
-    T = camera.T_tool_camera
-    axis = T.rotation[:, 2]
-    return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
-
-
-def _postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float) -> list[Array]:
-    """Joint angles of the poses that the arm reaches, each near the one before."""
-    frames = reference.frames(np.array([at]))
-    kinematics = InverseKinematics(robot)
-    q = kinematics.search(reference.pose(at), robot.home)
-    wanted = calibration_poses(frames.position[0], frames.tangent[0], frames.up[0], float(_middle_of_view(camera)[0]))
-    postures: list[Array] = []
-    for pose in wanted:
-        try:
-            q = kinematics.search(pose, q)
-        except OutOfReachError:
-            continue
-        postures.append(q)
-    if len(postures) < len(wanted) // 2:
-        raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(wanted)} "
-                         "poses; move the surface nearer, or set calibration.by_moving = false")
-    return postures
 
 
 def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:

@@ -48,8 +48,8 @@ class Known:
     detector: LineDetector
 
 
-def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None
-                  ) -> tuple[ReferencePath, LineFollower]:
+def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None,
+                  latency: float = FollowerSettings.latency) -> tuple[ReferencePath, LineFollower]:
     """Reference path and follower of a scene.
 
     Args:
@@ -59,6 +59,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
         camera: as it is believed.
         surface: motion that takes the surface to where calibration saw it: the reference is laid on it. What it could
             not tell, or all of it where there was none, is left to the follower.
+        latency: usual age of a field when it arrives [s].
 
     Raises:
         InputError: line out of reach, unreachable speed.
@@ -75,7 +76,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
             eye=camera.T_tool_camera.translation,
             settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt,
-                                      max_blind=scene.max_gap, max_search=scene.max_gap + 0.05,
+                                      max_blind=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",

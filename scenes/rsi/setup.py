@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.feedforward.registry import method as described
 from ideal_robot.feedforward.registry import methods as known
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
@@ -29,10 +27,9 @@ from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
 from scenes.model_files import shipped_model
 from scenes.path.precorrect import desired_path, robot_of
+from scenes.rsi.arm_cycle import answers_within, at_cycle
 from scenes.rsi.server import RsiServer
 
-_ANSWER_MAX = 0.4
-"""Time after which a loop has answered a command [s]."""
 _TRIED = 20.0
 """How much of the path is tried on the identified loop [s]."""
 
@@ -99,21 +96,6 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
     identified = None if described(method).needs == Needs.NOTHING else Model.load(file)
     law = feedforward(method, identified, arm, delay=int(delay))
     return arm, law, None if identified is None else loop_model(identified, arm, delay=int(delay)), file
-
-
-def at_cycle(arm: Robot, cycle: float) -> Robot:
-    """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it."""
-    grid = 1e-6
-    position = math.gcd(round(cycle / grid), round(arm.t_position / grid))
-    velocity = math.gcd(position, round(arm.t_velocity / grid))
-    return replace(arm, t_ipo=cycle, t_position=grid * position, t_velocity=grid * velocity)
-
-
-def answers_within(loop: LoopModel, arm: Robot) -> float:
-    """Time in which the identified loop answers a command to 97 %, and half of it more [s]."""
-    response = LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo))
-    open_until = (np.abs(np.cumsum(response.g, axis=0) - 1.0) > 0.03).any(axis=1)
-    return float(1.5 * arm.t_ipo * (2 + np.flatnonzero(open_until)[-1]))
 
 
 def _require_better(law: Feedforward, loop: LoopModel, q_d: Array, file: Path) -> None:

@@ -32,6 +32,8 @@ STEP = 0.005
 """A difference so far below the line is not believed alone [s]."""
 LATEST = 1.0
 """A message so much later than usual is not believed alone [s]."""
+BEHIND = 4
+"""Pieces in a row whose least difference lies so far above the line: the clock stood still, or was set back."""
 CONFIRMED = 3
 """Differences in a row that agree with each other and not with the line: the clock was set, or the device restarted."""
 
@@ -162,6 +164,11 @@ class ClockRelation:
         points = np.array(self._points[:-1])
         if len(points) < 2:
             return
+        recent = points[-BEHIND:]
+        if len(points) > BEHIND and (recent[:, 1] - self._offset - self._drift * recent[:, 0] > STEP).all():
+            self.restarts += 1
+            self._points = self._points[-BEHIND - 1 :]
+            points = recent
         x, y = _usual(points).T
         x = x - x.mean()
         spread = float(x @ x)

@@ -88,11 +88,12 @@ class RsiController:
             begin = time.perf_counter()
             for k in range(cycles):
                 stamp = (self.ipoc + k * round(1e3 * self.arm.t_ipo)) % 2**32
-                packet = self._packet(state, start, late, stamp)
+                packet = self.packet(state, start, late, stamp)
                 sent = [packet] if self.disturbance is None else self.disturbance(k, packet)
                 for piece in sent:
                     link.sendto(piece, self.address)
-                correction = self._answer(link, stamp) if sent else None
+                end = time.perf_counter() + (self.arm.t_ipo if self.real_time else self.timeout)
+                correction = self.answer(link, stamp, end) if sent else None
                 if self._stopped.is_set():
                     ended = "stopped"
                     break
@@ -111,7 +112,15 @@ class RsiController:
                     time.sleep(max(begin + (k + 1) * self.arm.t_ipo - time.perf_counter(), 0.0))
         return ControllerRun(np.array(commands), np.array(answered), ended)
 
-    def _packet(self, state: RobotState, start: Array, late: int, stamp: int) -> bytes:
+    def packet(self, state: RobotState, start: Array, late: int, stamp: int) -> bytes:
+        """The packet of a cycle.
+
+        Args:
+            state: of the arm; motor angles and torques.
+            start: commanded axis angles when RSI began ``(n,)`` [deg].
+            late: answers that came too late so far.
+            stamp: IPOC.
+        """
         def axes(tag: str, values: Array) -> str:
             return f"<{tag} " + " ".join(f'A{i + 1}="{value:.6f}"' for i, value in enumerate(values)) + "/>"
 
@@ -120,9 +129,14 @@ class RsiController:
                 + axes("AIPos", self.sign * np.degrees(state.q)) + axes("ASPos", start) + current
                 + f'<Delay D="{late}"/><IPOC>{stamp}</IPOC></Rob>').encode("ascii")
 
-    def _answer(self, link: socket.socket, stamp: int) -> Array | None:
-        """The corrections of the answer to this cycle [deg], or None if none comes in time."""
-        end = time.perf_counter() + (self.arm.t_ipo if self.real_time else self.timeout)
+    def answer(self, link: socket.socket, stamp: int, end: float) -> Array | None:
+        """The corrections of the answer to a cycle [deg], or None if none comes in time.
+
+        Args:
+            link: socket that the packet went through.
+            stamp: IPOC of the cycle.
+            end: until when it is waited for, by ``time.perf_counter`` [s].
+        """
         while (left := end - time.perf_counter()) > 0 and not self._stopped.is_set():
             link.settimeout(min(left, 0.05))
             try:

@@ -54,6 +54,16 @@ def test_one_impossible_stamp_is_refused_and_changes_nothing(stamp: float) -> No
     assert relation.add(100.0, 103.0001)
 
 
+def test_a_clock_that_stood_still_is_noticed_within_two_seconds() -> None:
+    relation, rng = ClockRelation(), np.random.default_rng(4)
+    for k in range(1000):
+        relation.add(0.012 * k, 0.012 * k + rng.exponential(2e-4) + (0.04 if k > 700 else 0.0))
+        if k == 700 + round(2.0 / 0.012):
+            assert abs(relation.host(8.0) - 8.04) < 1e-3
+    assert relation.report().restarts == 1
+    assert abs(relation.report().drift_ppm) < 100.0
+
+
 def test_a_device_that_began_anew_is_believed_after_three_stamps() -> None:
     relation = ClockRelation()
     heard(relation, offset=3.0, drift=0.0, seconds=100.0, rate=10.0, delay=0.0)

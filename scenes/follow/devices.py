@@ -1,0 +1,87 @@
+"""Which devices a run uses, and how the arm among them is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from ideal_robot.rsi import RsiRobot
+from ideal_robot.rsi.format import RsiFormat
+from ideal_robot.rtde import RtdeRobot
+from scenes.follow.live_arm import Link
+from sensing.stream.address import host_and_port
+
+RSI_PORT, RTDE_PORT = 49152, 30004
+
+
+@dataclass(frozen=True)
+class Devices:
+    """Addresses and what has to be known of the devices.
+
+    Attributes:
+        arm: ``rsi://host:port``, where this computer listens for the controller, or ``rtde://host:port``, where the
+            controller listens.
+        camera: see ``sensing.camera.cameras.open_camera``; None without one.
+        force: see ``sensing.force.sensors.open_force``; None without one.
+        camera_delay: from mid-exposure to the picture's arrival, at least [s]; not needed for ``stream``.
+        force_delay: from the measurement to its arrival, at least [s].
+        relative: whether an RSI controller takes corrections as relative.
+        rsi_config: the controller's RSI ethernet XML; None for the usual names.
+        controller: address of the controller behind RSI; None for whoever sends first.
+        cycle: interpolation cycle [s]; the robot's if None.
+        delay: whether the standard planner's delay of one cycle is in force.
+        bridge: how long packets may be lost in a row [s].
+        patience: how long each device is waited for [s].
+        core: processor core to keep to; None for any.
+    """
+
+    arm: str
+    camera: str | None = None
+    force: str | None = None
+    camera_delay: float = 0.0
+    force_delay: float = 0.0
+    relative: bool = False
+    rsi_config: Path | None = None
+    controller: str | None = None
+    cycle: float | None = None
+    delay: bool = False
+    bridge: float = 0.1
+    patience: float = 60.0
+    core: int | None = None
+
+
+@contextmanager
+def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterator[Link]:
+    """The arm, connected; with RSI it is waited for.
+
+    Args:
+        devices: where it is.
+        robot: with the cycle of the controller.
+        answers_within: time in which its loop answers a command [s].
+
+    Raises:
+        InputError: an address that cannot be used.
+        RsiError, RtdeError: no controller there.
+    """
+    scheme, _, rest = devices.arm.partition(":")
+    if scheme == "rsi":
+        host, port = host_and_port(rest, "--arm", RSI_PORT)
+        form = RsiFormat(hold_on=True if devices.relative else None)
+        if devices.rsi_config is not None:
+            form = RsiFormat.read(devices.rsi_config, robot.n)
+        with RsiRobot(robot, host=host, port=port, relative=devices.relative, form=form, bridge=devices.bridge,
+                      controller=devices.controller, answers_within=answers_within) as rsi:
+            rsi.connect(devices.patience)
+            yield rsi
+    elif scheme == "rtde":
+        host, port = host_and_port(rest, "--arm", RTDE_PORT)
+        with RtdeRobot(robot, host, port=port, bridge=devices.bridge, answers_within=answers_within) as rtde:
+            rtde.connect()
+            yield rtde
+    else:
+        raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://192.168.1.30", field="--arm",
+                         value=devices.arm[:80])

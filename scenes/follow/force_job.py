@@ -1,0 +1,195 @@
+"""Following a surface by force on devices: the planning of ``scenes.force`` with sensors that are elsewhere."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from planning.force.contact import Phase
+from planning.force.stop_conditions import EmergencyStopError
+from planning.planning_error import PlanningError
+from scenes.cycle import Task
+from scenes.drawn_line import reference_points
+from scenes.follow.camera_file import CalibratedCamera
+from scenes.follow.force_calibration import elasticity_by_pressing, tool_by_turning
+from scenes.follow.live_arm import LiveArm
+from scenes.follow.live_camera import FoundBefore, LiveCamera
+from scenes.follow.live_force import LiveForce
+from scenes.follow.rehearsal import ImaginedCamera, ImaginedForce, rehearse
+from scenes.force.known import Known, force_reference
+from scenes.force.line_camera import GlueCamera
+from scenes.force.result import ForceLog
+from scenes.force.scene import CameraTrouble, ForceScene
+from scenes.force.task import ForceTask
+from scenes.methods import SceneMethod
+from scenes.scene_error import SceneError
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_search import DetectionSettings, PredictedLine
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
+
+BRAKING = 2.0
+"""Deceleration of a stop on the path [m/s²]."""
+LONGEST = 120.0
+"""A run that has not ended by then is stuck [s]."""
+SILENCE = 0.1
+"""Time without a sound reading of the force sensor after which the arm is stopped [s]."""
+_GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
+_NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
+
+
+class LiveForceTask(ForceTask):
+    """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped."""
+
+    arm: LiveArm | None = None
+    force: LiveForce | None = None
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """See ``scenes.cycle.Task``."""
+        if self.arm is not None:
+            self.arm.check(t)
+        q_d = super().plan(t, q_d)
+        if self.force is not None and self.force.silent(t) > SILENCE + (0.2 if t < 0.5 else 0.0):
+            raise EmergencyStopError("force", t, f"no sound reading of the force sensor for "
+                                     f"{1e3 * self.force.silent(t):.0f} ms: {self.force.why_silent()}")
+        return q_d
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """See ``scenes.cycle.Task``."""
+        if self.arm is not None:
+            self.arm.q_d = q_d[0]
+        return super().command(t, q_d)
+
+
+class ForceJob:
+    """A surface, a contour, or a line on a surface; a ``scenes.follow.job.Job``.
+
+    Args:
+        scene: what is followed; of its tables those of the world are not looked at.
+        robot: with the controller's cycle.
+        model: of the arm.
+        method: how what is sensed becomes commands.
+        delay: cycles of the controller's own delay.
+        answers_within: time in which the arm's loop answers a command [s].
+        calibration: of the camera of a ``glue`` scene.
+    """
+
+    braking, longest = BRAKING, LONGEST
+
+    def __init__(self, scene: ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
+                 answers_within: float, calibration: CalibratedCamera) -> None:
+        # What happens to the simulated camera is the world's.
+        self.scene = scene.model_copy(update={"trouble": CameraTrouble()})
+        self.robot, self.model, self.method, self.answers_within = robot, model, method, answers_within
+        self.calibration = calibration
+        reference, profile = force_reference(scene, robot, reference_points(scene))
+        self._known = Known(scene=self.scene, robot=robot, delay=delay, model=model, reference=reference,
+                            profile=profile, camera=calibration.camera)
+        self.expected = profile.duration + 4.0
+        self._task = self._new_task()
+        self.log: ForceLog = self._task.log
+        self.detection = (self._task.vision.detection if self._task.vision is not None else DetectionSettings())
+        self._force: LiveForce | None = None
+
+    @property
+    def camera(self) -> CameraModel | None:
+        """See ``Job``."""
+        return self.calibration.camera if self.scene.task == "glue" else None
+
+    @property
+    def q_start(self) -> Array:
+        """See ``Job``."""
+        return self._task.q_start
+
+    def needs(self) -> tuple[str, ...]:
+        """See ``Job``."""
+        return ("force", "camera") if self.scene.task == "glue" else ("force",)
+
+    def rehearse(self) -> None:
+        """See ``Job``: the touch-down and a piece of the travel, felt at once."""
+        task, camera, force = self._new_task(), ImaginedCamera(), ImaginedForce()
+        task.connect(force, camera if task.vision is not None else None)
+        vision = task.vision
+        if vision is not None:
+            camera.predict = lambda t: _predicted(vision, t)
+        T = self.robot.t_ipo
+        try:
+            rehearse(task, T, math.ceil(0.2 / T))
+            force.wrench = np.array([0.0, 0.0, -self.scene.force, 0.0, 0.0, 0.0])
+            rehearse(task, T, math.ceil(1.5 / T), first=math.ceil(0.2 / T))
+        except PlanningError:
+            # What is felt fits no surface: that is no matter here, the code is loaded.
+            return
+
+    def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
+        """See ``Job``: bias and weight of the tool by turning it, the elasticity by pressing.
+
+        Args:
+            arm: connected, at the start.
+            camera: on the arm.
+            force: on the arm.
+        """
+        if force is None:
+            raise SceneError("following a surface needs a force sensor")
+        tool = tool_by_turning(self._known, self.q_start, arm, force)
+        elasticity = elasticity_by_pressing(self._known, self.q_start, arm, force, tool)
+        task = self._task
+        task.calibrated(tool, elasticity)
+        task.connect(force, camera)
+        task.arm, task.force, self._force = arm, force, force
+        if camera is not None and task.vision is not None:
+            vision = task.vision
+            camera.use(self.calibration.camera, self.calibration.time_offset)
+            camera.predict = lambda t: _predicted(vision, t)
+        force.begin()
+        return task
+
+    def columns(self, t: Array) -> dict[str, Array]:
+        """See ``Job``: the wrench as sensed and the felt normal force."""
+        columns: dict[str, Array] = {}
+        if self.log.samples:
+            felt = np.array(self.log.samples)
+            order = np.argsort(felt[:, 0])
+            columns["f_normal"] = np.interp(t, felt[order, 0], felt[order, 1])
+        if self._force is not None and self._force.samples:
+            times = np.array([sample.t for sample in self._force.samples])
+            sensed = np.array([sample.wrench for sample in self._force.samples])
+            order = np.argsort(times)
+            for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
+                columns[name] = np.interp(t, times[order], sensed[order, i])
+        return columns
+
+    def planned(self) -> Array:
+        """See ``Job``."""
+        first = [float(np.atleast_1d(row)[0]) for row in self.log.planned]
+        count = min(len(self.log.t), len(first))
+        return np.column_stack([self.log.t[:count], first[:count]])
+
+    def figures(self) -> dict[str, Any]:
+        """See ``Job``."""
+        log, wanted = self.log, self.scene.force
+        moving = [t for t, phase in zip(log.t, log.phase, strict=False) if phase == Phase.TRAVEL.value]
+        felt = np.array([force for t, force, _ in log.samples if moving and moving[0] <= t <= moving[-1]])
+        figures: dict[str, Any] = {"force_N": {
+            "wanted": wanted, "rms_error": float(np.sqrt(np.mean((felt - wanted) ** 2))) if len(felt) else float("nan"),
+            "largest": float(max((force for _, force, _ in log.samples), default=float("nan")))},
+            "elasticity_N_m": self._task.elasticity.stiffness, "tool_mass_kg": self._task.tool.mass}
+        if self._task.vision is not None:
+            fields = self._task.vision.fields
+            figures["fields"] = {"seen": len(fields), "used": sum(1 for one in fields if one[1] > 0)}
+        return figures
+
+    def _new_task(self) -> LiveForceTask:
+        task = LiveForceTask(self._known, self.method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
+        if task.vision is not None:
+            task.vision.detector = FoundBefore()
+        return task
+
+
+def _predicted(vision: GlueCamera, t: float) -> PredictedLine:
+    """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
+    return vision.sight.predict(t).seen_from(vision.follower.history.pose(t))

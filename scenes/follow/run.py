@@ -1,0 +1,215 @@
+"""Follows on devices: opens them, calibrates, follows, stops on the path where it has to, writes down what was done."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.robots.robot import Robot
+from scenes.camera_table import believed_camera
+from scenes.cycle import CycleSettings, play_cycles
+from scenes.follow.camera_file import calibrated_camera
+from scenes.follow.camera_process import CameraProcess
+from scenes.follow.devices import Devices, opened_arm
+from scenes.follow.force_job import ForceJob
+from scenes.follow.job import Job
+from scenes.follow.journal import Journal, left_behind
+from scenes.follow.line_job import LineJob
+from scenes.follow.live_arm import LiveArm
+from scenes.follow.live_camera import LiveCamera
+from scenes.follow.live_force import LiveForce
+from scenes.follow.page import write_run
+from scenes.follow.result import FollowResult
+from scenes.force.scene import ForceScene
+from scenes.line.scene import LineScene
+from scenes.methods import following_methods, method_of
+from scenes.model_files import model_at
+from scenes.result import Progress, silent
+from scenes.rsi.arm_cycle import answers_within, at_cycle
+from scenes.rsi.undisturbed import undisturbed
+from scenes.scene import Scene
+from sensing.force.sensors import open_force
+
+REST = 0.3
+"""Rest behind a stop [s]."""
+_LONGEST = 900.0
+"""Length of the journal [s]."""
+
+
+def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibration: Path | None = None,
+           out: Path | None = None, progress: Progress = silent) -> FollowResult:
+    """Follows once.
+
+    Args:
+        scene: from ``load_cell``; of its tables those of the world are not looked at.
+        devices: which ones.
+        method: how what is sensed becomes commands; the scene's own if None.
+        calibration: file of the camera's calibration; where it is not there yet the camera is calibrated by moving.
+            None: the camera is taken as the scene has it.
+        out: folder of recording, page and figures; ``out/follow/NAME`` if None.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: anything of this cannot be used. Nothing has moved then.
+        IdealRobotError: the arm did not come, or does not stand at the start.
+    """
+    folder = out or Path("out") / "follow" / scene.name
+    job = _job(scene, devices, method, calibration)
+    _check_devices(job, devices)
+    found = left_behind(folder)
+    before = None
+    if found is not None:
+        before = folder / "recording_killed.parquet"
+        found.write(before)
+    if isinstance(job, LineJob) and job.calibration.wanted:
+        with _opened(scene, job, devices, folder, "calibration", progress) as (opened, _):
+            if opened.camera is not None:
+                opened.arm.approach(job.q_start)
+                job.calibrate(opened.arm, opened.camera)
+        # Planned on the surface that was found; the controller has to begin RSI anew.
+        job = _job(scene, devices, method, calibration)
+    progress(0.0, "rehearsing")
+    job.rehearse()
+    result = _followed(scene, job, devices, folder, method or str(getattr(scene, "method", "ideal")), progress)
+    return write_run(replace(result, left_behind=before), folder)
+
+
+def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path | None) -> Job:
+    """What is followed, set up as far as it goes without devices."""
+    robot = Robot.load(scene.robot)
+    if devices.cycle is not None:
+        robot = at_cycle(robot, devices.cycle)
+    model = model_at(scene.model, robot)
+    loop = loop_model(model, robot, delay=int(devices.delay))
+    within = answers_within(loop, robot)
+    if not isinstance(scene, LineScene | ForceScene):
+        raise InputError("only lines and surfaces are followed", field="kind", value=scene.kind)
+    chosen = method_of(method or scene.method, following_methods())
+    feedforward("ideal", model, robot, delay=int(devices.delay))
+    camera = calibrated_camera(believed_camera(scene.camera), calibration)
+    kind = LineJob if isinstance(scene, LineScene) else ForceJob
+    return kind(scene, robot, model, chosen, int(devices.delay), within, camera)  # type: ignore[arg-type]
+
+
+def _check_devices(job: Job, devices: Devices) -> None:
+    for name in job.needs():
+        if getattr(devices, name) is None:
+            raise InputError(f"this scene needs a {'force sensor' if name == 'force' else name}: give its address",
+                             field=f"--{name}")
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """Devices of a run."""
+
+    arm: LiveArm
+    journal: Journal
+    process: CameraProcess | None
+    camera: LiveCamera | None
+    force: LiveForce | None
+
+
+@contextmanager
+def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress
+            ) -> Iterator[tuple[_Opened, list[str]]]:
+    """The devices that the job needs, and what the system granted for even timing; signals stop the arm."""
+    with ExitStack() as stack:
+        process = None
+        if "camera" in job.needs() and job.camera is not None and devices.camera is not None:
+            progress(0.0, "opening the camera")
+            process = CameraProcess(devices.camera, devices.camera_delay, job.camera, scene.camera.detector,  # type: ignore[attr-defined]
+                                    devices.patience)
+            stack.callback(process.close)
+        source = None
+        if "force" in job.needs() and devices.force is not None:
+            source = open_force(devices.force, devices.force_delay)
+        journal = Journal(folder, round(_LONGEST / job.robot.t_ipo), job.robot, {"scene": scene.name, "method": method,
+                                                                                 "model": scene.model})
+        stack.callback(journal.close)
+        progress(0.0, "waiting for the arm")
+        granted = stack.enter_context(undisturbed(devices.core))
+        link = stack.enter_context(opened_arm(devices, job.robot, job.answers_within))
+        arm = LiveArm(link, journal)
+        force = None if source is None else LiveForce(source, arm)
+        if force is not None:
+            stack.callback(force.close)
+        camera = None if process is None else LiveCamera(process, arm, job.detection)
+        stack.enter_context(_stopping_on_signals(arm))
+        yield _Opened(arm, journal, process, camera, force), granted
+
+
+def _followed(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress) -> FollowResult:
+    with _opened(scene, job, devices, folder, method, progress) as (opened, granted):
+        arm = opened.arm
+        begun, used = time.perf_counter(), time.process_time()
+        try:
+            arm.approach(job.q_start)
+            task = job.ready(arm, opened.camera, opened.force)
+            arm.begin()
+            play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, REST, job.longest, job.expected,
+                                                                     method), progress)
+            failure = job.log.failure
+        except IdealRobotError as error:
+            if not arm.cycles:
+                raise
+            failure = str(error)
+        wall, used = time.perf_counter() - begun, time.process_time() - used
+        timing = {"answer_ms": _spread(np.array(arm.link.answer_times)),
+                  "computing_ms": _spread(np.array(job.log.cycles)), "processor_share": used / max(wall, 1e-9),
+                  "seconds": wall, "granted": granted}
+        recording = opened.journal.recording()
+        if job.log.t:
+            # The run's own time begins behind approach and calibration.
+            begin = recording.t[-1] - arm.t
+            recording = replace(recording, columns={**recording.columns, **job.columns(recording.t - begin)},
+                                meta={**recording.meta, "stopped_because": failure, "run_begins_at": float(begin)})
+        return FollowResult(scene, method, failure, recording, job.figures(), _told(opened, devices), timing,
+                            job.planned())
+
+
+def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
+    """What each device did."""
+    arm, process, camera, force = opened.arm, opened.process, opened.camera, opened.force
+    stamps = getattr(arm.link, "stamps", None)
+    told: dict[str, Any] = {"arm": {"address": devices.arm, "link": asdict(arm.link.counts),
+                                    "time_stamps": None if stamps is None else stamps.described(),
+                                    "clock": arm.clock.report().to_dict()}}
+    if process is not None and camera is not None:
+        ages = np.array(camera.ages or [np.nan])
+        told["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
+                          "age_when_used_ms": _spread(ages), "left_out": process.left_out, "too_old": camera.late,
+                          "from_the_future": camera.early, "ended": process.ended}
+    if force is not None:
+        told["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
+                         "clock": force.source.clock.report().to_dict(), "stuck": force.stuck,
+                         "impossible": force.impossible, "untimely": force.untimely}
+    return told
+
+
+def _spread(seconds: np.ndarray) -> dict[str, float]:
+    values = 1e3 * seconds if len(seconds) else np.array([np.nan])
+    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(np.max(values))}
+
+
+@contextmanager
+def _stopping_on_signals(arm: LiveArm) -> Iterator[None]:
+    """Within the block Ctrl-C and SIGTERM bring the arm to rest on its path."""
+    def interrupt(number: int, _: object) -> None:
+        arm.stop("stopped by the user" if number == signal.SIGINT else "stopped by the system (SIGTERM)")
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

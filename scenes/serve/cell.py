@@ -1,0 +1,199 @@
+"""From a scene to its simulated cell behind devices: controller, camera, force sensor, and what really happened."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.rsi.axes import Axes
+from scenes.camera_table import believed_camera, true_camera
+from scenes.camera_world import camera_settings
+from scenes.force.cell import Cell as ForceCell
+from scenes.force.cell import set_up as set_up_force
+from scenes.force.scene import ForceScene
+from scenes.force.world import true_tip
+from scenes.line.cell import Cell as LineCell
+from scenes.line.cell import set_up as set_up_line
+from scenes.line.scene import LineScene
+from scenes.scene import Scene
+from scenes.serve.carried import ServedCamera, ServedForce
+from sim.arm.arm import SimulatedArm
+from sim.camera.live_camera import LiveCamera
+from sim.camera.surface import DrawnLine
+from sim.contact.contact import TipContact
+from sim.devices.netft_server import NetFTServer
+from sim.devices.served_arm import Carried, ServedArm, Session
+from sim.devices.stream_server import StreamServer, camera_description
+from sim.devices.unkind import DeviceClock, Outbox, Unkindness, now
+
+SETTLING = 0.3
+"""Time on the line until the distance counts, as in one process [s]."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Where devices are.
+
+    Attributes:
+        arm: where the follower listens for RSI.
+        host: address of this computer on which camera and force sensor listen.
+        camera, force: ports; 0 for any free one.
+        relative: whether corrections add up.
+    """
+
+    arm: tuple[str, int] = ("127.0.0.1", 49152)
+    host: str = "127.0.0.1"
+    camera: int = 50001
+    force: int = 49151
+    relative: bool = False
+
+
+class ServedCell:
+    """A cell in real time.
+
+    Args:
+        cell: the scene set up.
+        arm: at its start.
+        line: what is drawn; None where nothing is.
+        contact: makes the contact of the tip anew; None where there is none.
+
+    Attributes:
+        camera, force: where they listen; None where the scene has none.
+    """
+
+    def __init__(self, cell: LineCell | ForceCell, arm: SimulatedArm, line: DrawnLine | None,
+                 contact: Callable[[], TipContact] | None) -> None:
+        self.cell, self.arm, self._line, self._new_contact = cell, arm, line, contact
+        self.contact = contact() if contact is not None else None
+        self.camera: tuple[str, int] | None = None
+        self.force: tuple[str, int] | None = None
+
+    def pose_at(self, t: float) -> pin.SE3:
+        """True pose of the tool at a time of the session [s]; the present one where the arm has not moved yet."""
+        return self.arm.tcp_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.tcp
+
+    def force_at(self, t: float) -> Array:
+        """True force on the tip in the base frame ``(3,)`` [N]."""
+        return np.zeros(3) if self.contact is None or self.arm.t == 0 else self.contact.force_at(t)
+
+    def truth(self, session: Session) -> dict[str, Any]:
+        """What really happened in a session, which no device tells; afterwards the next one may begin."""
+        commands = np.array(session.commands)
+        T, limits = self.arm.t_ipo, self.arm.robot.a_max
+        steps = np.diff(commands, axis=0, prepend=commands[:1])
+        sharp = np.abs(np.diff(steps, axis=0)).max(axis=0) / T**2 if len(steps) > 1 else np.zeros(len(limits))
+        figures: dict[str, Any] = {
+            "ended": session.ended, "cycles": len(commands), "answered": session.answered, "late": session.late,
+            "slipped": session.slipped, "largest_acceleration_share": float(np.max(sharp / limits)),
+            "at_rest": bool(np.abs(steps[-3:]).max() < 1e-9) if len(steps) > 3 else True}
+        history = self.arm.history()
+        if self._line is not None:
+            figures["control_error_mm"] = self._beside(history["t"], history["q_a"], self._line)
+        if self.contact is not None:
+            figures["force_N"] = self._pressed(self.contact)
+            self.contact = None if self._new_contact is None else self._new_contact()
+        return figures
+
+    def _beside(self, t: Array, q_a: Array, line: DrawnLine) -> dict[str, float]:
+        """Distance of the tool from the drawn line in the surface, while the tool is at it."""
+        tcp = np.array([self.arm.tcp_of(q).translation for q in q_a])
+        up = line.plane.rotation[:, 2]
+        nearest = line.nearest(tcp - np.outer((tcp - line.plane.translation) @ up, up))
+        inside = (nearest.s > 1e-6) & (nearest.s < line.length - 1e-6)
+        if not inside.any():
+            return {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
+        # A calibration before has visited the line, too; what counts is the last visit.
+        last = len(t) - int(np.argmax(inside[::-1]))
+        outside = np.flatnonzero(~inside[:last])
+        first = int(outside[-1]) + 1 if len(outside) else 0
+        visit = slice(first, last)
+        size = 1e3 * np.abs(nearest.lateral[visit][t[visit] >= t[first] + SETTLING])
+        if not len(size):
+            return {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
+        return {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)), "max": float(size.max())}
+
+    def _pressed(self, contact: TipContact) -> dict[str, float]:
+        """Normal force while the tip is on the surface and travels."""
+        history, wanted = contact.history(), float(self.cell.scene.force)  # type: ignore[union-attr]
+        force = history["normal"]
+        touched = np.flatnonzero(force > 0.5 * wanted)
+        if not len(touched):
+            return {"rms_error": float("nan"), "largest": float(force.max(initial=0.0))}
+        tip = history["tip"]
+        moving = np.linalg.norm(tip - tip[touched[0]], axis=1) > 0.005
+        counts = moving & (np.arange(len(force)) <= touched[-1] - 200)
+        error = force[counts] - wanted
+        return {"rms_error": float(np.sqrt(np.mean(error**2))) if counts.any() else float("nan"),
+                "largest": float(force.max())}
+
+
+@contextmanager
+def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tuple[ServedCell, ServedArm]]:
+    """The devices of a scene; they listen from now on, and the arm is led as soon as ``sessions`` is called.
+
+    Args:
+        scene: of kind ``line`` or ``force``.
+        places: where the devices are.
+        unkind: what clocks and network do.
+
+    Raises:
+        InputError: a scene of another kind, or an address that cannot be listened on.
+    """
+    if not isinstance(scene, LineScene | ForceScene):
+        raise InputError("only scenes of kind line and force have devices", field="scene", value=scene.kind)
+    cell: LineCell | ForceCell = set_up_line(scene) if isinstance(scene, LineScene) else set_up_force(scene)
+    streams = [np.random.default_rng(child) for child in np.random.SeedSequence([scene.seed, 1]).spawn(4)]
+    start = cell.follower.q_start if isinstance(cell, LineCell) else cell.q_start()
+    with ExitStack() as stack:
+        arm = stack.enter_context(SimulatedArm(cell.robot, cell.world, cell.noise, start))
+        outbox = Outbox(unkind, streams[0])
+        stack.callback(outbox.close)
+        line, drawn = _line_of(cell, scene)
+        contact = (lambda: TipContact(arm, cell.surface, true_tip(cell.scene.tip))
+                   ) if isinstance(cell, ForceCell) else None
+        served, carried = ServedCell(cell, arm, line, contact), []
+        try:
+            if drawn is not None:
+                clock = DeviceClock(100.0 + unkind.offset, unkind.drift)
+                server = StreamServer(places.host, places.camera, lambda: clock.shows(now()), 1,
+                                      camera_description(drawn.model.width, drawn.model.height, scene.camera.rate))
+                stack.callback(server.close)
+                camera = ServedCamera(drawn, camera_settings(scene.camera), served.pose_at, clock, server, outbox,
+                                      streams[1])
+                stack.callback(camera.close)
+                served.camera = server.address
+                carried.append(camera)
+            if isinstance(cell, ForceCell) and isinstance(scene, ForceScene):
+                netft = NetFTServer(places.host, places.force)
+                stack.callback(netft.close)
+                force = ServedForce(cell.sensor, scene.sensor.rate, -unkind.drift, served.pose_at, served.force_at,
+                                    netft, outbox)
+                served.force = netft.address
+                carried.append(force)  # type: ignore[arg-type]
+        except (OSError, OverflowError) as error:
+            raise InputError(f"cannot listen there ({error})", field="host:port", value=places.host) from error
+        devices: tuple[Carried, ...] = tuple(carried)
+        yield served, ServedArm(arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift,
+                                rng=streams[2], carried=devices, sign=Axes.of(cell.robot).sign)
+
+
+def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
+    """The drawn line of a scene and what the camera sees of it."""
+    table = scene.camera
+    if isinstance(cell, LineCell):
+        return cell.line, LiveCamera(cell.true_camera, cell.line, table.resolution, table.noise, cell.camera_noise)
+    if cell.scene.task != "glue":
+        return None, None
+    noise, calibration = cell.camera_streams
+    where = cell.geometry
+    line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
+                     background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
+    true = true_camera(believed_camera(table), scene.calibration, calibration)
+    return line, LiveCamera(true, line, table.resolution, table.noise, noise, cell.surface)

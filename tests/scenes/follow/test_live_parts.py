@@ -1,0 +1,210 @@
+"""What stands between devices and planning: times, sound readings, the journal, the calibration's file."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.rsi.rsi_error import RsiError
+from scenes.camera_table import CameraTable, believed_camera
+from scenes.follow.camera_file import CalibratedCamera, calibrated_camera
+from scenes.follow.camera_process import Header
+from scenes.follow.journal import Journal, left_behind
+from scenes.follow.live_arm import FollowStoppedError, LiveArm, moves
+from scenes.follow.live_camera import LiveCamera
+from scenes.follow.live_force import LiveForce
+from scenes.follow.scene_of_cell import load_cell
+from scenes.scene_error import SceneError
+from sensing.camera.line_search import DetectionSettings
+from sensing.clock.clock_relation import ClockRelation
+from sensing.force.wrench_source import Reading, ReadingCounts
+from tests.scenes.follow.parts import Tame
+
+
+@pytest.fixture(name="link")
+def _link() -> Tame:
+    return Tame()
+
+
+@pytest.fixture(name="arm")
+def _arm(link: Tame, tmp_path: Path) -> LiveArm:
+    return LiveArm(link, Journal(tmp_path, 1000, link.robot, {"scene": "x"}))
+
+
+def test_the_followers_process_knows_no_simulator() -> None:
+    program = ("import sys, scenes.commands.follow, scenes.follow.run, scenes.follow.scene_of_cell as s, "
+               "scenes.follow.camera_process, scenes.options, scenes.outputs;"
+               "s.load_cell('line'), s.load_cell('glue');"
+               "found = sorted(m for m in sys.modules if m.split('.')[0] in ('sim', 'pybullet'));"
+               "raise SystemExit(f'imported: {found}' if found else 0)")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_lost_cycle_is_none_of_the_paths_time(link: Tame, arm: LiveArm) -> None:
+    link.lost = (20, 40)
+    for _ in range(60):
+        arm.cycle(link.robot.home)
+    T = arm.t_ipo
+    assert arm.t == pytest.approx(60 * T)
+    # 62 cycles of the controller; its begin is that of this computer's clock here.
+    host = [link.arrived - k * T for k in (0, 10, 30, 50)]
+    np.testing.assert_allclose([arm.play_time(h) for h in host], [60 * T, 50 * T, 31 * T, 12 * T], atol=1e-6)
+    assert arm.play_time(link.arrived + 0.004) == pytest.approx(60 * T + 0.004, abs=1e-6)
+
+
+def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
+    arm.check(0.0)
+    link.fault = "joint 2 does not move"
+    with pytest.raises(FollowStoppedError, match="joint 2 does not move"):
+        arm.check(0.5)
+    link.raises = RsiError("no packet from the controller")
+    with pytest.raises(FollowStoppedError, match="no packet"):
+        arm.cycle(link.robot.home)
+
+
+def test_an_arm_that_stands_elsewhere_is_not_moved(link: Tame, arm: LiveArm) -> None:
+    with pytest.raises(SceneError, match="joint 3 stands at"):
+        arm.approach(link.robot.home + np.array([0, 0, 0.02, 0, 0, 0]))
+    assert not link.taken
+    arm.approach(link.robot.home + 0.004)
+    np.testing.assert_allclose(link.taken[-1], link.robot.home + 0.004)
+
+
+def test_moves_keep_their_share_of_the_limits(link: Tame) -> None:
+    robot = link.robot
+    way = moves(robot, [robot.home, robot.home + 0.5, robot.home - 0.2], 0.1)
+    speed = np.diff(way, axis=0) / robot.t_ipo
+    assert (np.abs(speed).max(axis=0) <= 0.36 * robot.v_max).all()
+    assert (np.abs(np.diff(speed, axis=0)).max(axis=0) / robot.t_ipo <= 0.27 * robot.a_max).all()
+
+
+def test_a_journal_survives_its_program(tmp_path: Path) -> None:
+    program = (f"import os, numpy as np; from pathlib import Path; from tests.scenes.follow.parts import Tame;"
+               f"from scenes.follow.journal import Journal; from scenes.follow.live_arm import LiveArm;"
+               f"link = Tame(); journal = Journal(Path({str(tmp_path)!r}), 500, link.robot, dict(scene='x'));"
+               "arm = LiveArm(link, journal);"
+               "[arm.cycle(link.robot.home + 0.001 * k) for k in range(50)];"
+               "os.kill(os.getpid(), 9)")
+    done = subprocess.run([sys.executable, "-c", program], check=False, cwd=Path(__file__).parents[3])
+    assert done.returncode == -9
+    found = left_behind(tmp_path)
+    assert found is not None
+    assert len(found.t) == 50
+    assert found.meta["scene"] == "x"
+    np.testing.assert_allclose(found.joints("q_c")[:, 0] - found.joints("q_c")[0, 0], 0.001 * np.arange(50), atol=1e-12)
+    assert left_behind(tmp_path) is None
+
+
+def test_a_broken_journal_is_taken_away_and_no_reason_to_fail(tmp_path: Path) -> None:
+    (tmp_path / "journal.npy").write_bytes(b"nothing")
+    (tmp_path / "journal.json").write_text("{")
+    assert left_behind(tmp_path) is None
+    assert not list(tmp_path.iterdir())
+
+
+class Handmade:
+    """A ``WrenchSource`` that gives what it is handed."""
+
+    def __init__(self) -> None:
+        self.clock, self.counts = ClockRelation(), ReadingCounts()
+        self.given: list[Reading] = []
+
+    def read(self, timeout: float) -> list[Reading]:
+        given, self.given = self.given, []
+        time.sleep(0.001)
+        return given
+
+    def close(self) -> None:
+        return
+
+
+@pytest.mark.parametrize(("wrench", "count"), [
+    (lambda k: np.full(6, np.nan), "impossible"), (lambda k: np.full(6, 1e9), "impossible"),
+    (lambda k: np.array([1.0, 2, 3, 4, 5, 6]), "stuck"), (lambda k: np.arange(6) + 0.01 * k, ""),
+])
+def test_readings_that_cannot_be_count_as_missing(link: Tame, arm: LiveArm, wrench: object, count: str) -> None:
+    source = Handmade()
+    force = LiveForce(source, arm)
+    for k in range(60):
+        arm.cycle(link.robot.home)
+        source.clock.add(link.arrived, link.arrived)
+        source.given = [Reading(link.arrived - 0.001, wrench(k))]  # type: ignore[operator]
+        while source.given:
+            time.sleep(0.001)
+        time.sleep(0.002)
+        force.arrived(arm.t)
+    force.close()
+    if count:
+        assert getattr(force, count) > 20
+        assert force.silent(arm.t) > 0.3
+        assert count in force.why_silent()
+    else:
+        assert force.silent(arm.t) < 0.05
+        assert len(force.samples) > 50
+
+
+class Eye:
+    """A ``CameraProcess`` without a process."""
+
+    def __init__(self) -> None:
+        self.ended: str | None = None
+        self.messages: list[object] = []
+        self.asked: list[float] = []
+
+    def poll(self) -> list[object]:
+        messages, self.messages = self.messages, []
+        return messages
+
+    def ask(self, number: int, t: float, prediction: object, detection: object) -> None:
+        self.asked.append(t)
+
+
+def test_pictures_with_impossible_stamps_are_counted_and_a_gone_camera_stops(link: Tame, arm: LiveArm) -> None:
+    eye = Eye()
+    camera = LiveCamera(eye, arm, DetectionSettings())  # type: ignore[arg-type]
+    camera.predict = lambda t: None  # type: ignore[assignment, return-value]
+    for k in range(50):
+        arm.cycle(link.robot.home)
+        off = {20: 0.1, 30: -0.6}.get(k, 0.0)
+        eye.messages = [Header(k, link.arrived - 0.04 + off, link.arrived)]
+    assert (camera.early, camera.late) == (1, 1 + 3)
+    np.testing.assert_allclose(np.diff(eye.asked)[:10], arm.t_ipo, atol=1e-6)
+    eye.ended = "the camera's process has ended"
+    arm.cycle(link.robot.home)
+    with pytest.raises(FollowStoppedError, match="camera's process"):
+        arm.check(1.0)
+
+
+def test_a_calibration_is_kept_and_wrong_files_are_refused(tmp_path: Path) -> None:
+    by_hand, file = believed_camera(CameraTable()), tmp_path / "camera.json"
+    assert calibrated_camera(by_hand, None).wanted is False
+    assert calibrated_camera(by_hand, file).wanted is True
+    kept = CalibratedCamera(by_hand.perturbed(roll=0.01, height=0.002), file, time_offset=0.002)
+    file.write_text(json.dumps(kept.json()))
+    read = calibrated_camera(by_hand, file)
+    assert (read.wanted, read.time_offset) == (False, 0.002)
+    np.testing.assert_allclose(read.camera.T_tool_camera.homogeneous, kept.camera.T_tool_camera.homogeneous)
+    for text in ("", "[]", json.dumps({**kept.json(), "rotation": [[1, 0], [0, 1]]}),
+                 json.dumps({**kept.json(), "time_offset_s": 9}), json.dumps({**kept.json(), "width": 64})):
+        file.write_text(text)
+        with pytest.raises(InputError):
+            calibrated_camera(by_hand, file)
+
+
+def test_a_real_cells_scene_holds_no_world(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text('kind = "line"\ntitle = "A real cell"\nrobot = "kr6"\nspeed = 0.2\n[surface]\n'
+                    'origin = [0.98, -0.6, 0.35]\nheading_deg = 90.0\n[line]\nformula = "0*x"\nlength = 0.5\n'
+                    '[camera]\nwidth = 640\nheight = 480\n')
+    assert load_cell(file).name == "cell"
+    file.write_text('kind = "path"\n')
+    with pytest.raises(InputError, match="line, force"):
+        load_cell(file)

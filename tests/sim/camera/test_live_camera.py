@@ -1,0 +1,44 @@
+"""The quick camera shows what the rendered one shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from sensing.camera.camera_model import CameraModel
+from sim.camera.camera import RenderedCamera
+from sim.camera.camera_settings import CameraSettings
+from sim.camera.live_camera import LiveCamera
+from sim.camera.relief_camera import ReliefCamera
+from sim.camera.surface import DrawnLine
+from sim.contact.contact import HeightSurface, Wave
+
+
+def cell(relief: bool) -> tuple[RenderedCamera, LiveCamera]:
+    plane = pin.SE3(pin.rpy.rpyToMatrix(0.02, -0.03, 0.4), np.array([0.9, 0.1, 0.3]))
+    x = np.linspace(-0.3, 0.3, 1201)
+    line = DrawnLine.from_plane_points(np.column_stack([x, 0.02 * np.sin(12 * x)]), plane)
+    model, settings, rng = CameraModel.default(), CameraSettings(noise=0.0), np.random.default_rng(1)
+    height = HeightSurface(plane, (Wave(0.003, 0.3),), 0.3, 0.1, 0.002, (0.01, 0.02)) if relief else None
+    rendered = (RenderedCamera(model, line, settings, rng) if height is None else
+                ReliefCamera(model, line, height, settings, rng))
+    return rendered, LiveCamera(model, line, settings.resolution, 0.0, rng, height)
+
+
+def middle(image: np.ndarray) -> np.ndarray:
+    """Column of the line's centre of darkness in every row [px]."""
+    dark = np.clip(200.0 - image.astype(float), 0.0, None)
+    return dark @ np.arange(image.shape[1]) / dark.sum(axis=1)
+
+
+@pytest.mark.parametrize("relief", [False, True])
+def test_both_cameras_see_the_line_in_the_same_place(relief: bool) -> None:
+    rendered, live = cell(relief)
+    with rendered:
+        for turn, x in ((0.0, -0.1), (0.05, 0.0), (-0.05, 0.1)):
+            pose = rendered.surface.plane * pin.SE3(pin.rpy.rpyToMatrix(np.pi, 0.03, turn), np.array([x, 0.0, 0.003]))
+            one, other = rendered.frame(pose), live.picture([pose])
+            rows = slice(20, -20)
+            assert np.abs(middle(one)[rows] - middle(other)[rows]).max() < 0.15
+            assert np.abs(one.astype(float) - other.astype(float))[rows].mean() < 1.0
