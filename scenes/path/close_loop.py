@@ -24,13 +24,14 @@ from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
 from scenes.path.adoption_on_path import Step, adopt_on_path, measured_error
+from scenes.path.asked_motion import AskedMotion, asked_motion
 from scenes.path.cell import PathCell, set_up, training_path
 from scenes.path.close_loop_page import write_circle
 from scenes.path.close_loop_result import CloseLoopResult
 from scenes.path.last_good import last_good
 from scenes.path.scene import JointPath, PathScene
 from scenes.path.undeclared import declared_world, undeclared_effects
-from scenes.result import Progress, silent
+from scenes.result import Progress, part_of, silent
 from scenes.scene import OWN
 
 ROUNDS = 3
@@ -59,11 +60,11 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = No
     # An own model is of the arm as it was before.
     own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
     cell = set_up(scene, delay=False, model=model_for(own, Robot.load(scene.robot), progress))
-    return closed(scene, cell, undeclared, measured=measured, out=out, progress=progress)
+    return closed(scene, cell, undeclared, measured=measured, ask=True, out=out, progress=progress)
 
 
 def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], ...], *, measured: str = "tcp",
-           oracle: Model | None = None, rounds_at_most: int = ROUNDS, out: Path | None = None,
+           oracle: Model | None = None, rounds_at_most: int = ROUNDS, ask: bool = False, out: Path | None = None,
            progress: Progress = silent) -> CloseLoopResult:
     """The same with a cell that is set up: its arm may be one that no scene file describes.
 
@@ -74,6 +75,7 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         measured: what the arm measures.
         oracle: what an oracle knows of the arm; None: name and joint, and the size from the first recording.
         rounds_at_most: of run and diagnosis.
+        ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
     """
@@ -85,6 +87,7 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
     steps: tuple[Step, ...] = ()
     present = before
     rounds: list[tuple[Diagnosis, Recording]] = []
+    plan: AskedMotion | None = None
     with last_good(out) as keep:
         for round_ in range(1, rounds_at_most + 1):
             share = 0.05 + 0.8 * (round_ - 1) / rounds_at_most
@@ -96,6 +99,12 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
             rounds.append((diagnosis, moved))
             model, error, tried = adopt_on_path(cell, diagnosis, present, known, seen_by, round_, error)
             steps += tried
+            if ask and model is cell.model and plan is None:
+                # Before it gives up: what could not be told apart may be told by another motion.
+                plan = asked_motion(cell, diagnosis, moved, seen_by, round_, part_of(progress, share + 0.15, 0.1))
+                if plan is not None and plan.diagnosis is not None:
+                    model, error, tried = adopt_on_path(cell, plan.diagnosis, present, known, seen_by, round_, error)
+                    steps += tried
             if model is cell.model:
                 break
             keep.model(model)
@@ -106,7 +115,7 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         found, recording = rounds[0]
         told = with_named_effects(recording, cell.robot, known, undeclared) if oracle is None else oracle
         result = CloseLoopResult(scene, undeclared, before.errors, present.errors, _played(cell, told), found,
-                                 recording, seen_by, first, steps)
+                                 recording, seen_by, first, steps, plan)
         return result if out is None else write_circle(result, cell.model, out)
 
 

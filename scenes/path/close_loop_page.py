@@ -42,6 +42,12 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
                result.table(), "[G] (14) and (21), of the true TCP.")
     page.figure(_deviations(result), "Deviation of the true TCP along the path, aligned: with the model as it was "
                 "(red), with what the diagnosis added (blue), with an oracle (grey).")
+    if result.plan is not None:
+        page.heading("The motion that the diagnosis asked for")
+        page.table(["cause", "or", "recorded σ", "planned σ", "told apart"], result.plan.table(),
+                   result.plan.reason or f"In round {result.plan.round} nothing was taken, and these were open. σ: "
+                   "expected distance of the two causes in standard deviations of the noise, by the motion that was "
+                   "recorded and by the one that was planned, played and diagnosed.")
     page.heading("The diagnosis between")
     add_diagnosis(page, result.diagnosis)
     with whole_folder(folder) as new:

@@ -11,6 +11,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.measured import Measured
 from scenes.metrics import PathErrors
 from scenes.path.adoption_on_path import Step
+from scenes.path.asked_motion import AskedMotion
 from scenes.path.scene import PathScene
 from scenes.shown import ShownTable
 
@@ -28,6 +29,7 @@ class CloseLoopResult(ShownTable):
         measured: what the arm measures.
         measured_before: path error with the model as it was, as the arm measures it [m].
         steps: every change that was tried, in order, with its measured error and the reason of a refusal.
+        plan: the motion that a diagnosis asked for, when nothing more was taken; None where it asked for none.
     """
 
     scene: PathScene
@@ -40,6 +42,7 @@ class CloseLoopResult(ShownTable):
     measured: Measured = "tcp"
     measured_before: float = float("nan")
     steps: tuple[Step, ...] = ()
+    plan: AskedMotion | None = None
     model_path: Path | None = None
     report: Path | None = None
 
@@ -54,6 +57,7 @@ class CloseLoopResult(ShownTable):
             "measured": self.measured, "measured_before_mm": 1e3 * self.measured_before,
             "steps": [{"round": one.round, "tried": one.tried, "taken": one.taken, "refused": one.refused or None,
                        "error": 1e3 * one.error} for one in self.steps],
+            "plan": None if self.plan is None else self.plan.json(),
             "after_over_oracle": after / oracle, "diagnosis": self.diagnosis.to_dict(), "model": self.model_path,
             "report": self.report,
         }

@@ -43,9 +43,9 @@ class Kind:
 KINDS = (Kind(1.0, 5, 6, 0.75, 0.8), Kind(2.0, 3, 5, 0.75, 0.8), Kind(6.0, 1, 5, 0.85, 0.8), Kind(12.0, 1, 5, 0.9, 0.8),
          Kind(8.0, 1, 4, 0.2, 0.5), Kind(8.0, 1, 3, 0.06, 0.5))
 """From fast, short strokes, which show gears and delays, to wide and to slow ones, which show springs and friction."""
-_DRAWN = 7
+_DRAWN = 6
 """Parts of each kind to choose from."""
-_REFINED = 40
+_REFINED = 30
 """Changes of the chosen parts that are tried."""
 _TRIES = 6
 """Draws of a part until one lies within limits and workspace."""
