@@ -90,6 +90,7 @@ KINDS: Registry[SceneKind] = Registry("kind of scene", "ideal_robot.scene_kinds"
     "path": "scenes.path.kind:PATH",
     "force": "scenes.force.kind:FORCE",
     "clamped": "scenes.clamped.kind:CLAMPED",
+    "close_clamped": "scenes.close_clamped.kind:CLOSE_CLAMPED",
 })
 
 

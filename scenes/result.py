@@ -81,8 +81,8 @@ class LoopResult(Protocol):
         ...
 
     @property
-    def diagnosis(self) -> Diagnosis:
-        """What was found."""
+    def diagnosis(self) -> Diagnosis | None:
+        """What was found; None where what is missing was known."""
         ...
 
     def json(self) -> dict[str, Any]:

@@ -42,5 +42,6 @@ def command(
     if rows := result.ladder():
         show_table("what was tried", ["round", "change of the model", "stays", "measured E_car mm", "why not"], rows)
     show_table("path error of the true TCP [mm]", list(result.columns), result.table())
-    typer.echo(summary(result.diagnosis))
+    if result.diagnosis is not None:
+        typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")

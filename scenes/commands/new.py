@@ -10,7 +10,7 @@ import typer
 
 def command(
     name: Annotated[str, typer.Argument(help="Name of the scene; the file is NAME.toml in this folder.")],
-    kind: Annotated[str, typer.Option(help="Kind of scene: line, path, force or clamped.")] = "line",
+    kind: Annotated[str, typer.Option(help="Kind of scene: line, path, force, clamped or close_clamped.")] = "line",
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
 ) -> None:
     """Writes a scene file that can be played at once and says in comments which keys there are besides.
@@ -29,7 +29,8 @@ def command(
     path = Path(f"{name}.toml")
     if path.exists() and not force:
         raise InputError("there is such a file already; take another name, or --force", file=path)
-    examples = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1"}
+    examples = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1",
+                "close_clamped": "close_clamped"}
     found = examples.get(kind)
     if found is None:
         raise InputError("no shipped scene is of that kind; see the documentation of the package that added it",

@@ -140,8 +140,11 @@ def thetas_of(candidate: Candidate, made: Regression) -> tuple[tuple[float, ...]
         return ((),)
     if effect.scanned:
         return (theta,)
-    near = [tuple(f * v for v in theta) for f in (1.0, 0.5, 0.7, 1.4, 2.0)]
-    return tuple(dict.fromkeys([*near, *effect.starts(made.signals, candidate.joint)]))[:_MOST_THETAS]
+    bounds = effect.bounds(made.signals, candidate.joint)
+    # Without bounds theta is a choice, such as that of a partner axis, and not a number.
+    near = [tuple(f * v for v in theta) for f in (0.5, 0.7, 1.4, 2.0)] if len(bounds) == len(theta) else []
+    inside = [one for one in near if all(low <= v <= high for v, (low, high) in zip(one, bounds, strict=True))]
+    return tuple(dict.fromkeys([theta, *inside, *effect.starts(made.signals, candidate.joint)]))[:_MOST_THETAS]
 
 
 def colour_of(model: PresentModel) -> float:

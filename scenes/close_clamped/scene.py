@@ -1,0 +1,12 @@
+"""The scene as a file: a path, and how the flange is clamped before it."""
+
+from __future__ import annotations
+
+from scenes.clamped.scene import ClampTable
+from scenes.path.scene import PathScene
+
+
+class CloseClampedScene(PathScene):
+    """A tool path of an arm whose gears are known from recordings with the flange clamped alone."""
+
+    clamp: ClampTable = ClampTable(most=3)
