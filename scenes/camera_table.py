@@ -31,6 +31,8 @@ class CameraTable(Table):
     latency: float = pydantic.Field(default=0.04, ge=0, le=2)
     jitter: float = pydantic.Field(default=0.001, ge=0, le=0.5)
     stamp_offset: float = pydantic.Field(default=0.0, ge=-1, le=1)
+    stamp_drift: float = pydantic.Field(default=0.0, ge=-0.05, le=0.05)
+    """By how much the clock of the time stamps runs fast [s/s]; needs calibration.by_moving = false."""
     stamp_noise: float = pydantic.Field(default=0.00005, ge=0, le=0.1)
     loss: float = pydantic.Field(default=0.0, ge=0, lt=1)
     detector: str = pydantic.Field(default="edge_pairs", max_length=80)

@@ -81,6 +81,11 @@ class LoopResult(Protocol):
         ...
 
     @property
+    def tried_by(self) -> str:
+        """Title of the ladder's error: by which figure, with unit, a change of the model is judged."""
+        ...
+
+    @property
     def diagnosis(self) -> Diagnosis | None:
         """What was found; None where what is missing was known."""
         ...

@@ -41,6 +41,7 @@ class CloseClampedResult(ShownTable):
     model_path: Path | None = None
     report: Path | None = None
 
+    tried_by: ClassVar[str] = "E_car mm"
     columns: ClassVar[tuple[str, ...]] = ("stiffness", "E_car timed", "aligned", "geometric", "E_max aligned")
     diagnosis: ClassVar[None] = None
     """Nothing is diagnosed: what is missing is known."""

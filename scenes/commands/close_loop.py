@@ -9,8 +9,9 @@ import typer
 
 
 def command(
-    scene: Annotated[str, typer.Argument(help="Scene of kind path or line that holds an effect that its model "
-                                              "lacks, e.g. close_elastic, close_stribeck, close_latency.")],
+    scene: Annotated[str, typer.Argument(help="Scene that holds an effect which its model lacks, e.g. "
+                                              "close_elastic, close_stribeck, close_latency, close_camera, "
+                                              "close_force, close_clamped.")],
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
     individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
                                                         "prepare).", min=0)] = None,
@@ -40,8 +41,8 @@ def command(
     if json is not None:
         write_json(json, result.json())
     if rows := result.ladder():
-        show_table("what was tried", ["round", "change of the model", "stays", "measured E_car mm", "why not"], rows)
-    show_table("path error of the true TCP [mm]", list(result.columns), result.table())
+        show_table("what was tried", ["round", "change of the model", "stays", result.tried_by, "why not"], rows)
+    show_table("before and after", list(result.columns), result.table())
     if result.diagnosis is not None:
         typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")

@@ -1,4 +1,4 @@
-"""What scenes of kind ``force`` offer: play with one method, compare several, curves for the viewer."""
+"""What scenes of kind ``force`` offer: play with one method, compare several, curves for the viewer, close the loop."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from scenes.force.cell import scene_curves
+from scenes.force.close_loop import close_loop
 from scenes.force.compare import ForceComparison, compare_forces
 from scenes.force.gains import best_gains
 from scenes.force.page import write_comparison, write_run
@@ -64,4 +65,4 @@ def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Pat
     return comparison if out is None else write_comparison(comparison, out)
 
 
-FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves, None, force_replay)
+FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves, close_loop, force_replay)

@@ -44,13 +44,14 @@ class Cell(Known):
     camera_noise: np.random.Generator
 
 
-def set_up(scene: LineScene, hand_eye: HandEye | None = None) -> Cell:
+def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraModel | None = None) -> Cell:
     """Builds world, camera, reference and follower of a scene.
 
     Args:
         scene: what to play.
         hand_eye: camera and surface as moving over the line has shown them, if it has: the reference is laid on that
             surface. What it could not tell is left to the follower.
+        camera: to be believed in place of the one that was mounted by hand.
 
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
@@ -66,7 +67,9 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None) -> Cell:
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera)
     true = true_camera(believed, scene.calibration, calibration)
-    if hand_eye is not None:
+    if camera is not None:
+        believed = camera
+    elif hand_eye is not None:
         believed = hand_eye.camera
     reference, follower = line_follower(scene, robot, where.reference, believed,
                                         None if hand_eye is None else hand_eye.surface)
@@ -95,6 +98,8 @@ class Prepared:
     detection: DetectionSettings
     """How the line looks, as its first pictures tell."""
     hand_eye: HandEye | None
+    believed: CameraModel | None = None
+    """A camera to be believed in place of the one that was mounted by hand."""
     warning: str = ""
     """Why there are no looks or no calibration although one was wanted; the run then goes on with the usual line, the
     camera as mounted by hand."""
@@ -125,4 +130,4 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
                                                    cell.detector)
                 except (SceneError, SensingError) as error:
                     reasons.append(str(error))
-        yield Prepared(camera, detection, hand_eye, "; ".join(reasons))
+        yield Prepared(camera, detection, hand_eye, warning="; ".join(reasons))

@@ -1,7 +1,8 @@
-"""The circle with a camera whose time stamps are wrong: follow the line, diagnose that run alone, follow it again.
+"""The circle with a camera that is wrong: follow the line, diagnose that run alone, follow it again.
 
-What the diagnosis finds of the camera's latency goes into the model file, from where the follower takes what it
-assumes. The oracle knows that it is the latency, and fits it to the same recording.
+What the diagnosis finds of time stamps, mounting and lens goes into the model file, from where the follower takes what
+it believes. It stays only if the points that the camera saw then lie closer to one smooth curve: all the cell itself
+can measure. The oracle knows which of them are wrong, and fits them to the same recording.
 """
 
 from __future__ import annotations
@@ -10,14 +11,21 @@ import dataclasses
 import tempfile
 from pathlib import Path
 
-from ideal_robot.diagnosis import diagnose
-from ideal_robot.diagnosis.validation.oracle import named_camera_effect
+import numpy as np
+
+from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.diagnosis.channels.line import line_regression
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.validation.oracle import named_camera_effects
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from scenes.line.cell import Prepared, prepared, set_up
 from scenes.line.close_loop_page import write_line_circle
-from scenes.line.close_loop_result import EFFECT, CloseLineResult
+from scenes.line.close_loop_result import CloseLineResult
 from scenes.line.play import play
 from scenes.line.result import LineResult
 from scenes.line.scene import LineScene
@@ -26,11 +34,15 @@ from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
+from scenes.sensor_loop import LEAST, Trial, with_effects, words
+
+ROUNDS = 2
+"""Of run and diagnosis, at most: an error of some percent is found with some percent of itself."""
 
 
 def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,
                progress: Progress = silent) -> CloseLineResult:
-    """Follows a line, finds what is wrong with the camera's time, and follows it again.
+    """Follows a line, finds what is wrong with the camera, and follows it again.
 
     Args:
         scene: what to play.
@@ -39,47 +51,106 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
         progress: called with the fraction done.
 
     Raises:
-        InputError: a scene whose time stamps are right.
+        InputError: a scene whose camera is right.
     """
-    if scene.camera.stamp_offset == 0.0:
-        raise InputError("the camera's time stamps are right; nothing is there to be found",
-                         file=f"scene {scene.name}", field="camera.stamp_offset", value=0.0)
+    undeclared = undeclared_effects(scene)
     seen_by = checked_measured(measured)
-    robot = set_up(scene).robot
-    model = model_for(scene, robot)
+    cell = set_up(scene)
+    robot, model = cell.robot, model_for(scene, cell.robot)
     with prepared(scene, progress) as shared, tempfile.TemporaryDirectory() as folder:
+        def again(known: Model, own: Prepared = shared) -> LineResult:
+            file = known.save(Path(folder) / "model.json")
+            return play(scene.model_copy(update={"model": str(file)}), IDEAL, shared=own)
+
         progress(0.1, "before")
-        before = play(scene, IDEAL, shared=shared)
-        progress(0.3, "diagnose")
+        before = present = play(scene, IDEAL, shared=shared)
         run = visible(before.recording, seen_by)
-        found = diagnose(run, robot, model=model,
-                         progress=lambda share, word: progress(0.3 + 0.2 * share, word))
-        added = [f.fitted for f in found.effects if f.fitted.channel == "line"]
-        extended = with_effects(model, added)
-        fitted = named_camera_effect(run, robot, model, EFFECT)
-        runs = {"after": extended, "oracle": with_effects(model, [fitted]),
-                "true": with_effects(model, [_of_size(-scene.camera.stamp_offset)])}
-        again: dict[str, LineResult] = {}
-        for i, (name, known) in enumerate(runs.items()):
-            progress(0.5 + 0.15 * i, name)
-            again[name] = _played(scene, known, shared, Path(folder))
-    latency = {"before": assumed_latency(model), **{name: assumed_latency(known) for name, known in runs.items()}}
-    result = CloseLineResult(scene, before.control_error, again["after"].control_error, again["oracle"].control_error,
-                             again["true"].control_error, latency, found, before.recording)
+        first = error = spread(run, robot, model)
+        extended, steps, found = model, list[Trial](), list[Diagnosis]()
+        for round_ in range(1, ROUNDS + 1):
+            share = 0.2 + 0.25 * (round_ - 1)
+            progress(share, f"round {round_}: diagnosis")
+            now = diagnose(visible(present.recording, seen_by), robot, model=extended)
+            found.append(now)
+            added = [f.fitted for f in now.effects if f.fitted.channel == "line"]
+            if not added:
+                break
+            progress(share + 0.1, f"round {round_}: {words(added)}")
+            candidate = with_effects(extended, added)
+            tried = again(candidate)
+            reached = spread(visible(tried.recording, seen_by), robot, model)
+            taken = reached < LEAST * error
+            refused = "" if taken else "the points that were seen lie no closer to one curve"
+            steps.append(Trial(round_, words(added), taken, refused, reached))
+            if not taken:
+                break
+            extended, present, error = candidate, tried, reached
+        progress(0.75, "oracle")
+        told = with_effects(model, named_camera_effects(run, robot, model, undeclared))
+        oracle = again(told)
+        progress(0.9, "true")
+        known = with_effects(model, _true_stamps(scene))
+        right = dataclasses.replace(shared, believed=cell.true_camera) if not scene.calibration.by_moving else shared
+        true = again(known, right)
+    latency = {"before": assumed_latency(model), "after": assumed_latency(extended), "oracle": assumed_latency(told),
+               "true": assumed_latency(known)}
+    result = CloseLineResult(scene, undeclared, before.control_error, present.control_error, oracle.control_error,
+                             true.control_error, latency, found[0], before.recording, first, tuple(steps))
     if out is None:
         return result
     return write_line_circle(result, extended, out)
 
 
-def with_effects(model: Model, effects: list[FittedEffect]) -> Model:
-    """The model with effects added."""
-    return dataclasses.replace(model, effects=model.effects + tuple(effects))
+def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
+    """Effects by which the camera of a scene differs from what its follower knows.
+
+    Raises:
+        InputError: none, or one that cannot be seen along a line; names the keys.
+    """
+    camera, wrong = scene.camera, scene.calibration
+    found = []
+    if not wrong.by_moving:
+        for key in ("lateral_mm", "roll_deg", "principal_px"):
+            if getattr(wrong, key):
+                raise InputError("along a line nobody can see it: a camera that is shifted across the line, or rolled, "
+                                 "sees another line; set it to 0, or let the camera be calibrated (by_moving = true)",
+                                 file=f"scene {scene.name}", field=f"calibration.{key}", value=getattr(wrong, key))
+    if camera.stamp_offset != 0.0 and not scene.stamp_estimate:
+        found.append("camera_latency")
+    if camera.stamp_drift != 0.0 and not scene.stamp_estimate:
+        found.append("clock_drift")
+    if not wrong.by_moving:
+        if wrong.focal_percent or wrong.height_mm:
+            found.append("camera_scale")
+        if wrong.yaw_deg or wrong.pitch_deg:
+            found.append("camera_offset")
+        if wrong.k1:
+            found.append("lens_distortion")
+    if not found:
+        raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
+                         "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
+                         "[calibration] with by_moving = false", file=f"scene {scene.name}", field="camera")
+    return tuple(found)
 
 
-def _of_size(latency: float) -> FittedEffect:
-    return FittedEffect(EFFECT, 0, "line", (latency,))
+def spread(recording: Recording, robot: Robot, model: Model) -> float:
+    """How far the seen points lie from one smooth curve, root mean square [m]: what the cell itself measures.
+
+    Args:
+        recording: of a run along a line.
+        robot: the arm.
+        model: of the arm, for its gears.
+    """
+    (recording,), _ = checked([recording], robot)
+    made = line_regression(recording, robot, torque_regression(recording, robot, model), model.stiffness)
+    if made is None:
+        return float("inf")
+    return float(np.sqrt(np.mean((made.y - made.y.mean(axis=0)) ** 2)))
 
 
-def _played(scene: LineScene, model: Model, shared: Prepared, folder: Path) -> LineResult:
-    file = model.save(folder / "model.json")
-    return play(scene.model_copy(update={"model": str(file)}), IDEAL, shared=shared)
+def _true_stamps(scene: LineScene) -> list[FittedEffect]:
+    camera = scene.camera
+    if scene.stamp_estimate:
+        return []
+    return [FittedEffect("camera_latency", 0, "line", (-camera.stamp_offset,)),
+            FittedEffect("clock_drift", 0, "line", (-camera.stamp_drift / (1.0 + camera.stamp_drift),))]

@@ -24,13 +24,17 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     """
     page = Report(f"{result.scene.title or result.scene.name}: the loop closed", summary(result.diagnosis))
     before, after, oracle = (1e3 * e.mean for e in (result.before, result.after, result.oracle))
-    page.summary = (f"The camera's time stamps were wrong by {1e3 * result.scene.camera.stamp_offset:.3g} ms, which "
-                    f"the line follower did not know. With the model as it was the tool is {before:.3g} mm beside the "
-                    f"line in the mean, with what the diagnosis of that run added {after:.3g} mm, with an oracle that "
-                    f"knows that it is the latency {oracle:.3g} mm. " + page.summary)
+    hidden = " and ".join(name.replace("_", " ") for name in result.undeclared)
+    page.summary = (f"The camera was wrong ({hidden}), which the line follower did not know. With the model as it was "
+                    f"the tool is {before:.3g} mm beside the line in the mean, with what the diagnosis of that run "
+                    f"added {after:.3g} mm, with an oracle that knows what is wrong {oracle:.3g} mm. " + page.summary)
+    page.heading("What was tried, and what stays")
+    page.table(["round", "change of the model", "stays", "spread of the seen points mm", "why not"], result.ladder(),
+               "How far the line's points, as the camera saw them from many poses, lie from one smooth curve: all that "
+               "the cell itself measures of its camera.")
     page.heading("Distance from the line before and after")
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),
-               "Of the true TCP, in the surface; the last row knows the true latency.")
+               "Of the true TCP, in the surface; the last row knows the true camera and its time stamps.")
     page.figure(_distances(result), "Distance of the true TCP from the line, over its arc length.")
     page.heading("The diagnosis between")
     add_diagnosis(page, result.diagnosis)

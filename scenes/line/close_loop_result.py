@@ -1,4 +1,4 @@
-"""One turn of run, diagnose, extend, run again along a line whose camera's time stamps are wrong."""
+"""One turn of run, diagnose, extend, run again along a line whose camera is wrong."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.signals.recording import Recording
 from scenes.line.result import ControlError
 from scenes.line.scene import LineScene
+from scenes.sensor_loop import Trial
 from scenes.shown import ShownTable
-
-EFFECT = "camera_latency"
 
 
 @dataclass(frozen=True, repr=False)
@@ -21,14 +20,18 @@ class CloseLineResult(ShownTable):
 
     Attributes:
         scene: what was played.
+        undeclared: effects by which the camera differs from what its follower knew.
         before, after, oracle, true: distance of the tool from the line with the model as it was, as extended, with the
-            oracle's latency, and with the true one.
-        latency: assumed in each of them [s].
-        diagnosis: what was found.
+            oracle's numbers, and with the true camera and stamps.
+        latency: of the stamps, assumed in each of them [s].
+        diagnosis: what was found at first.
         recording: what it was found from.
+        spread: of the seen points about one smooth curve with the model as it was [m].
+        steps: every change that was tried, with the spread it left and the reason of a refusal.
     """
 
     scene: LineScene
+    undeclared: tuple[str, ...]
     before: ControlError
     after: ControlError
     oracle: ControlError
@@ -36,6 +39,8 @@ class CloseLineResult(ShownTable):
     latency: dict[str, float]
     diagnosis: Diagnosis = field(repr=False)
     recording: Recording = field(repr=False)
+    spread: float = float("nan")
+    steps: tuple[Trial, ...] = ()
     model_path: Path | None = None
     report: Path | None = None
 
@@ -47,23 +52,26 @@ class CloseLineResult(ShownTable):
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         return {
-            "scene": self.scene.name, "undeclared": [{"effect": EFFECT, "joint": 0}],
+            "scene": self.scene.name, "undeclared": [{"effect": name, "joint": 0} for name in self.undeclared],
             "path_error_mm": {name: {"mean": 1e3 * e.mean, "p95": 1e3 * e.p95, "max": 1e3 * e.max}
                               for name, e in self.errors.items()},
             "latency_ms": {name: 1e3 * value for name, value in self.latency.items()},
+            "steps": [one.json(1e3) for one in self.steps], "plan": None,
             "after_over_oracle": self.after.mean / self.oracle.mean, "diagnosis": self.diagnosis.to_dict(),
             "model": self.model_path, "report": self.report,
         }
 
-    columns: ClassVar[tuple[str, ...]] = ("model", "latency ms", "mean", "95 %", "max")
+    tried_by: ClassVar[str] = "spread of seen points mm"
+    columns: ClassVar[tuple[str, ...]] = ("model", "latency ms", "mean mm", "95 % mm", "max mm")
 
     def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
         """The table, for prompt and notebook."""
         return self.columns, self.table()
 
     def ladder(self) -> list[list[Any]]:
-        """Nothing is tried one by one: the camera's time stamps are all that a line scene closes."""
-        return []
+        """One row a change that was tried: round, what, stays, spread of the seen points in mm, why not."""
+        return [[0, "the camera as it was believed", True, 1e3 * self.spread, ""],
+                *[[one.round, one.tried, one.taken, 1e3 * one.error, one.refused] for one in self.steps]]
 
     def table(self) -> list[list[Any]]:
         """One row a model: latency in ms and errors in mm."""

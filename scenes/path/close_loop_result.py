@@ -62,6 +62,7 @@ class CloseLoopResult(ShownTable):
             "report": self.report,
         }
 
+    tried_by: ClassVar[str] = "measured E_car mm"
     columns: ClassVar[tuple[str, ...]] = ("model", "E_car timed", "aligned", "geometric", "E_max aligned")
 
     def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:

@@ -96,7 +96,8 @@ class RenderedCamera:
     def stamp(self, t_exposure: float) -> float:
         """Controller time that the camera says of the field exposed at ``t_exposure`` [s], one of ``due``."""
         k = round((t_exposure - self.settings.phase) * self.settings.rate)
-        return float(t_exposure + self.settings.stamp_offset + self.settings.stamp_noise * self._stamp_noise(k))
+        wrong = self.settings.stamp_offset + self.settings.stamp_drift * t_exposure
+        return float(t_exposure + wrong + self.settings.stamp_noise * self._stamp_noise(k))
 
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window]) -> Field:
         """One field, cut to windows.

@@ -22,6 +22,7 @@ class CameraSettings:
         latency: from mid-exposure to the data's arrival [s].
         jitter: standard deviation of the latency [s].
         stamp_offset: constant error of the time stamp [s].
+        stamp_drift: by how much the clock of the time stamps runs fast [s/s].
         stamp_noise: standard deviation of the time stamp [s].
         loss: probability that a field is lost.
         resolution: texel of the drawn surface [m].
@@ -36,6 +37,7 @@ class CameraSettings:
     latency: float = 0.040
     jitter: float = 0.001
     stamp_offset: float = 0.0
+    stamp_drift: float = 0.0
     stamp_noise: float = 0.00005
     loss: float = 0.0
     resolution: float = 0.00025
@@ -45,7 +47,7 @@ class CameraSettings:
             value = getattr(self, f.name)
             if not math.isfinite(value):
                 raise InputError("must be finite", field=f"camera.{f.name}", value=value)
-            if f.name not in ("phase", "stamp_offset") and value < 0:
+            if f.name not in ("phase", "stamp_offset", "stamp_drift") and value < 0:
                 raise InputError("must not be negative", field=f"camera.{f.name}", value=value)
         for name in ("rate", "sub_exposures", "supersampling", "resolution"):
             if getattr(self, name) <= 0:

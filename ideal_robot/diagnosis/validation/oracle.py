@@ -9,8 +9,9 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
 from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
-from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.diagnosis.statistics.candidate import Candidate
@@ -93,13 +94,51 @@ def named_camera_effect(recording: Recording, robot: Robot, model: Model, name: 
     Raises:
         InputError: no such effect, or no line in the recording.
     """
+    return named_camera_effects(recording, robot, model, (name,))[0]
+
+
+def named_camera_effects(recording: Recording, robot: Robot, model: Model,
+                         names: Sequence[str]) -> tuple[FittedEffect, ...]:
+    """Effects of the camera by their names, fitted together to all of a line-following recording.
+
+    Args:
+        recording: as for ``diagnose``.
+        robot: likewise.
+        model: likewise.
+        names: of the effects.
+
+    Raises:
+        InputError: no such effect, or no line in the recording.
+    """
     made = line_regression(recording, robot, torque_regression(recording, robot, model), model.stiffness)
-    kinds = [effect for effect in _named(name, SENSOR) if effect.acts_on(SENSOR.prefix)]
-    if made is None or not kinds:
-        raise InputError("no such effect of a camera, or no line in the recording", field="effect", value=name)
-    candidate = Candidate(kinds[0], 0)
-    found = Problem(made, line_blocks(made, False)).fit([candidate], uncertainty=True)
-    return fitted_effect(candidate, found, 0)
+    kinds = [effect for name in names for effect in _named(name, SENSOR) if effect.acts_on(SENSOR.prefix)]
+    if made is None or len(kinds) < len(names):
+        raise InputError("no such effect of a camera, or no line in the recording", field="effect",
+                         value=", ".join(names))
+    candidates = [Candidate(kind, 0) for kind in kinds]
+    found = Problem(made, line_blocks(made, False)).fit(candidates, uncertainty=True)
+    return tuple(fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates))
+
+
+def named_force_effects(recording: Recording, robot: Robot, model: Model,
+                        names: Sequence[str]) -> tuple[FittedEffect, ...]:
+    """Effects of force sensor and contact by their names, fitted to a recording; those it cannot show are left out.
+
+    Args:
+        recording: as for ``diagnose``.
+        robot: likewise.
+        model: likewise.
+        names: of the effects.
+    """
+    (recording,), _ = checked([recording], robot)
+    torque = in_position_band(torque_regression(recording, robot, model), recording)
+    result: list[FittedEffect] = []
+    for made, _ in force_regressions(recording, None, robot, torque, None, model.stiffness):
+        kinds = [effect for name in names for effect in _named(name, SENSOR) if effect.usable(made.signals, 0)]
+        candidates = [Candidate(kind, 0) for kind in kinds]
+        found = Problem(made, blocks_of(made, False)).fit(candidates, uncertainty=True)
+        result += [fitted_effect(candidate, found, k) for k, candidate in enumerate(candidates)]
+    return tuple(result)
 
 
 def _named(name: str, domain: Domain) -> list[Effect]:

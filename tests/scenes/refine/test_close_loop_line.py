@@ -9,9 +9,10 @@ from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
-from scenes.line.close_loop import close_loop, with_effects
+from scenes.line.close_loop import close_loop, undeclared_effects
 from scenes.line.scene import LineScene
 from scenes.line.task import assumed_latency
+from scenes.sensor_loop import with_effects
 
 
 @pytest.mark.slow
@@ -35,3 +36,26 @@ def test_right_time_stamps_are_refused() -> None:
     assert isinstance(scene, LineScene)
     with pytest.raises(InputError, match="nothing is there"):
         close_loop(scene)
+
+
+def test_what_is_wrong_with_a_camera_is_named() -> None:
+    scene = load_scene("close_camera")
+    assert isinstance(scene, LineScene)
+    assert undeclared_effects(scene) == ("clock_drift", "camera_scale", "camera_offset", "lens_distortion")
+
+
+def test_what_cannot_be_seen_along_a_line_is_refused_with_its_key() -> None:
+    scene = load_scene("close_camera").changed(calibration={"lateral_mm": 1.0})
+    assert isinstance(scene, LineScene)
+    with pytest.raises(InputError, match="another line") as caught:
+        close_loop(scene)
+    assert caught.value.field == "calibration.lateral_mm"
+
+
+@pytest.mark.slow
+def test_camera_that_nobody_calibrated_is_set_right() -> None:
+    scene = load_scene("close_camera")
+    assert isinstance(scene, LineScene)
+    result = close_loop(scene)
+    assert result.after.mean < 0.7 * result.before.mean
+    assert result.after.mean <= 1.5 * result.oracle.mean
