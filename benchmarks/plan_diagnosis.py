@@ -96,11 +96,15 @@ def table(lines: list[dict[str, Any]], longest: float) -> str:
     """Markdown of the rates and of the pairs."""
     pairs = [line for line in lines if "rival" in line]
     seeds = f"Seeds {lines[0]['seed']} to {lines[-1]['seed']}: {len(pairs)} pairs in {len(lines)} recordings."
-    rows = [seeds, "", "| motion | told apart | pairs | asked for |", "| --- | --- | --- | --- |"]
+    rows = [seeds, "", "| motion | told apart | asked for | rival reaches in the mean | of it less than a quarter |",
+            "| --- | --- | --- | --- | --- |"]
     for key, wanted in (("planned", "≥ 90 %"), ("random", "")):
         right = sum(bool(line[key] and line[key]["told_apart"]) for line in pairs)
+        reached = [1.0 if line[key]["ahead"] <= 0 else line[key]["reached"] for line in pairs if line[key]]
+        mean, few = 100.0 * float(np.mean(reached)), sum(share < 0.25 for share in reached)
         label = f"planned, ≤ {longest:.0f} s" if key == "planned" else "random, of the same length"
-        rows.append(f"| {label} | {100.0 * right / max(len(pairs), 1):.0f} % ({right}) | {len(pairs)} | {wanted} |")
+        rows.append(f"| {label} | {100.0 * right / max(len(pairs), 1):.0f} % ({right} of {len(pairs)}) | "
+                    f"{wanted} | {mean:.0f} % | {few} of {len(reached)} |")
     rows += ["", "| seed | true | rival | length s | expected σ before | planned | random motion | planned motion |",
              "| --- | --- | --- | --- | --- | --- | --- | --- |"]
     for line in pairs:

@@ -36,7 +36,7 @@ from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
 
-ROUNDS = 2
+ROUNDS = 4
 """Of run and diagnosis, at most: an error of some percent is found with some percent of itself."""
 
 
@@ -67,15 +67,19 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
         run = visible(before.recording, seen_by)
         first = error = spread(run, robot, model)
         extended, steps, found = model, list[Trial](), list[Diagnosis]()
+        names: tuple[str, ...] = ()
         for round_ in range(1, ROUNDS + 1):
-            share = 0.2 + 0.25 * (round_ - 1)
+            share = 0.2 + 0.5 * (round_ - 1) / ROUNDS
             progress(share, f"round {round_}: diagnosis")
             now = diagnose(visible(present.recording, seen_by), robot, model=extended)
             found.append(now)
-            added = [f.fitted for f in now.effects if f.fitted.channel == "line"]
-            if not added:
+            new = [f.fitted.name for f in now.effects if f.fitted.channel == "line"]
+            if not new:
                 break
-            progress(share + 0.1, f"round {round_}: {words(added)}")
+            # What was taken before is fitted anew with it: the numbers of one camera hang together.
+            names = tuple(dict.fromkeys([*names, *new]))
+            added = named_camera_effects(visible(present.recording, seen_by), robot, extended, names)
+            progress(share + 0.06, f"round {round_}: {words(added)}")
             candidate = with_effects(extended, added)
             tried = again(candidate)
             reached = spread(visible(tried.recording, seen_by), robot, model)
