@@ -38,7 +38,7 @@ ROUNDS = 3
 """Of run and diagnosis, at most."""
 
 
-def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = None,
+def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out: Path | None = None,
                progress: Progress = silent) -> CloseLoopResult:
     """Plays a path, finds what its model misses from a diagnostic motion, extends the model and plays it again.
 
@@ -48,6 +48,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = No
     Args:
         scene: what to play.
         measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.measured``).
+        ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
 
@@ -60,7 +61,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", out: Path | None = No
     # An own model is of the arm as it was before.
     own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
     cell = set_up(scene, delay=False, model=model_for(own, Robot.load(scene.robot), progress))
-    return closed(scene, cell, undeclared, measured=measured, ask=True, out=out, progress=progress)
+    return closed(scene, cell, undeclared, measured=measured, ask=ask, out=out, progress=progress)
 
 
 def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], ...], *, measured: str = "tcp",

@@ -103,7 +103,7 @@ def _small(**changes: object) -> PathScene:
 
 def test_with_motor_angles_alone_the_path_never_becomes_worse() -> None:
     """The torque's idea of a soft gear once bent the path from 0.735 to 2.210 mm; what is refused has a reason."""
-    result = close_loop(_small(), measured="motor")
+    result = close_loop(_small(), measured="motor", ask=False)
     before, after = (e.aligned.E_car for e in (result.before, result.after))
     assert after <= max(1.05 * before, before + 3e-6)
     assert result.steps
@@ -126,3 +126,15 @@ def test_with_arm_angles_the_loop_closes(measured: str) -> None:
 def test_another_word_for_what_is_measured_is_refused() -> None:
     with pytest.raises(InputError, match="motor, arm or tcp"):
         close_loop(_small(), measured="everything")
+
+
+@pytest.mark.slow
+def test_motion_that_the_diagnosis_asks_for_is_played_and_tells() -> None:
+    """When nothing more is taken and causes are left that could not be told apart."""
+    result = close_loop(_small(), measured="motor")
+    plan = result.json()["plan"]
+    assert plan["played"]
+    assert 0.0 < plan["duration_s"] <= 30.0
+    assert any(pair["told_apart"] for pair in plan["pairs"])
+    before, after = (e.aligned.E_car for e in (result.before, result.after))
+    assert after <= max(1.05 * before, before + 3e-6)
