@@ -15,6 +15,7 @@ import numpy as np
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.validation.oracle import with_named_effects
+from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -65,7 +66,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
 
 
 def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], ...], *, measured: str = "tcp",
-           oracle: Model | None = None, rounds_at_most: int = ROUNDS, ask: bool = False, out: Path | None = None,
+           oracle: Feedforward | None = None, rounds_at_most: int = ROUNDS, ask: bool = False, out: Path | None = None,
            progress: Progress = silent) -> CloseLoopResult:
     """The same with a cell that is set up: its arm may be one that no scene file describes.
 
@@ -74,7 +75,7 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         cell: path, arm and the model as it was.
         undeclared: effects that the arm has and the model does not know: name, joint.
         measured: what the arm measures.
-        oracle: what an oracle knows of the arm; None: name and joint, and the size from the first recording.
+        oracle: plays what an oracle knows of the arm; None: name and joint, and the size from the first recording.
         rounds_at_most: of run and diagnosis.
         ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
@@ -114,9 +115,12 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         keep.round = 0
         progress(0.9, "oracle")
         found, recording = rounds[0]
-        told = with_named_effects(recording, cell.robot, known, undeclared) if oracle is None else oracle
-        result = CloseLoopResult(scene, undeclared, before.errors, present.errors, _played(cell, told), found,
-                                 recording, seen_by, first, steps, plan)
+        if oracle is None:
+            told = _played(cell, with_named_effects(recording, cell.robot, known, undeclared))
+        else:
+            told = cell.play(oracle).errors
+        result = CloseLoopResult(scene, undeclared, before.errors, present.errors, told, found, recording, seen_by,
+                                 first, steps, plan)
         return result if out is None else write_circle(result, cell.model, out)
 
 
