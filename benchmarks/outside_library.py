@@ -1,6 +1,6 @@
 """Causes outside the effect library: closed by learned curves, against an oracle that is told the true formula.
 
-``python benchmarks/outside_library.py`` closes three arms (KR 15, a circle) and prints path errors before, after and
+``python -m benchmarks.outside_library`` closes three arms (KR 15, a circle) and prints path errors before, after and
 with the oracle, as Markdown:
 
 - drag in joint 2 that grows with the angle of joint 3,

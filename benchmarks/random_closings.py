@@ -1,6 +1,6 @@
 """Closings of arms drawn at random: never worse than before, and how close to an oracle.
 
-``python benchmarks/random_closings.py --count 100 --file closings.jsonl`` plays and appends one line a closing; what
+``python -m benchmarks.random_closings --count 100 --file closings.jsonl`` plays and appends one line a closing; what
 the file holds already is not played again. ``--table`` prints what a file says, as Markdown.
 
 Drawn, by the seed: robot, individual, circle (place, size, speed), what the arm measures (half: motor angles and
@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from outside_library import close_outside, crossed_drag, place_friction, slack_at_first
 
+from benchmarks.outside_library import close_outside, crossed_drag, place_friction, slack_at_first
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
