@@ -1,4 +1,4 @@
-"""Speed, seed, arm and horizon given from outside in place of a scene's own."""
+"""Speed, seed, arm, horizon and world given from outside in place of a scene's own."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scenes.scene import OWN, SHIPPED, Scene
 
 
 def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
-           n_d: int | None = None) -> Scene:
+           n_d: int | None = None, world: str | None = None) -> Scene:
     """The scene with options in place of its own values.
 
     Args:
@@ -20,6 +20,7 @@ def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None,
         individual: which arm of the type plays, with the model its own identification motions give unless the scene
             names a model file; the scene's own arm and model if None.
         n_d: desired positions that the feedforward is given ([L] 2.2); the scene's own if None.
+        world: where the scene plays, ``workshop`` or ``bench``; where its file says if None.
 
     Raises:
         InputError: a speed that is not positive, or a kind of scene that has none; the same of a horizon.
@@ -33,8 +34,10 @@ def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None,
         changes["speed"] = speed
     if seed is not None:
         changes["seed"] = seed
+    if world is not None:
+        changes["world"] = {"base": world}
     if individual is not None:
-        changes["world"] = {"individual": individual}
+        changes["world"] = {**changes.get("world", {}), "individual": individual}
         if scene.model == SHIPPED:
             changes["model"] = OWN
     if n_d is not None:

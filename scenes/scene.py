@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from copy import deepcopy
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import pydantic
 
 from ideal_robot.bounded_values import checked
 from ideal_robot.errors import InputError
+from scenes.worlds import BENCH, WORLDS, in_its_world
 
 S = TypeVar("S", bound="Scene")
 
@@ -44,7 +46,28 @@ class Scene(pydantic.BaseModel):
     default world, ``make models``), ``own`` (identified on recordings of the very arm of the scene, ``ideal-robot
     prepare``) or the path of a model file."""
     world: dict[str, Any] = pydantic.Field(default_factory=dict)
+    workshop: ClassVar[dict[str, dict[str, Any]]] = {}
+    """What the world ``workshop`` of this kind of scene has, by table; a kind without one plays on the bench."""
     _folder: Path | None = pydantic.PrivateAttr(default=None)
+    _given: dict[str, Any] | None = pydantic.PrivateAttr(default=None)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _in_its_world(cls, values: Any) -> Any:
+        return in_its_world(values, cls.workshop) if isinstance(values, dict) else values
+
+    @pydantic.field_validator("world")
+    @classmethod
+    def _is_a_world(cls, world: dict[str, Any]) -> dict[str, Any]:
+        allowed = WORLDS if cls.workshop else (BENCH,)
+        if world.get("base") not in allowed:
+            raise ValueError(f"expected {' or '.join(map(repr, allowed))}, or a table with one of them as base")
+        return world
+
+    @property
+    def arm_world(self) -> dict[str, Any]:
+        """The table ``world`` as ``World.from_table`` takes it: what the arm is like."""
+        return {key: value for key, value in self.world.items() if key != "base"}
 
     @property
     def folder(self) -> Path | None:
@@ -75,13 +98,20 @@ class Scene(pydantic.BaseModel):
 
     def played(self) -> dict[str, Any]:
         """What every ``--json`` says of what was played: the scene, its seed, world and arm, and whose model it was."""
-        return {"scene": self.name, "seed": self.seed, "individual": self.world.get("individual", 1),
-                "model": self.model}
+        return {"scene": self.name, "seed": self.seed, "world": self.world["base"],
+                "individual": self.world.get("individual", 1), "model": self.model}
 
     def changed(self, **changes: Any) -> Self:
-        """A checked copy with some keys changed; nested tables are given as dictionaries and merged."""
-        values = self.model_dump()
+        """A checked copy with some keys changed; nested tables are given as dictionaries and merged.
+
+        What was not given follows the world: ``changed(world="bench")`` takes all of the workshop away.
+        """
+        values = self.model_dump() if self._given is None else deepcopy(self._given)
         for key, value in changes.items():
+            if key == "world":
+                before = values.get("world", {})
+                values[key] = {"base": before} if isinstance(before, str) else before
+                value = {"base": value} if isinstance(value, str) else value
             both = isinstance(value, dict) and isinstance(values.get(key), dict)
             values[key] = {**values[key], **value} if both else value
         return scene_of(type(self), values, Path(f"scene {self.name}")).beside(self.folder)
@@ -100,7 +130,9 @@ def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
     """
     checked(values, path)
     try:
-        return model(**values)
+        scene = model(**values)
+        scene._given = deepcopy(values)
+        return scene
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -20,6 +20,7 @@ from typing import Any, get_args
 import pydantic
 
 from scenes.kind import KINDS
+from scenes.worlds import WORLDS
 from sim.arm.world import World
 
 
@@ -52,7 +53,11 @@ def scene_keys(kind: str) -> tuple[Key, ...]:
     Args:
         kind: one of ``scenes.kind.KINDS``.
     """
-    keys = tuple(_keys(KINDS.get(kind).scene, "", False))
+    scene = KINDS.get(kind).scene
+    # What a workshop has is what holds where a file says nothing.
+    usual = {(table, name): _toml(value) for table, keys in scene.workshop.items() for name, value in keys.items()}
+    keys = tuple(dataclasses.replace(key, default=usual.get((key.table, key.name), key.default))
+                 for key in _keys(scene, "", False))
     return tuple(sorted(keys, key=lambda key: bool(key.table)))
 
 
@@ -67,8 +72,11 @@ def world_keys() -> tuple[Key, ...]:
         # A number that belongs to another is explained there.
         explained = next((text for text in meanings.values() if f"``{field.name}``" in text), "")
         meanings.setdefault(field.name, explained)
-    return tuple(Key("world", field.name, None, False, _plain_type(str(field.type)), meanings[field.name])
-                 for field in fields)
+    base = Key("world", "base", None, False, " or ".join(WORLDS), "Where the scene plays; `world = \"bench\"` is short "
+               "for a table with that alone. In the workshop, the default of line and force scenes, the defaults of "
+               "their tables above hold; on the bench nothing is displaced in height, worn or lost.")
+    return base, *(Key("world", field.name, None, False, _plain_type(str(field.type)), meanings[field.name])
+                   for field in fields)
 
 
 def json_schema(kind: str) -> dict[str, Any]:

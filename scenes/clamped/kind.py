@@ -37,7 +37,7 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
     """
     chosen = method_of(method or "both", METHODS).key
     robot = Robot.load(scene.robot)
-    world = world_of(robot, scene.world)
+    world = world_of(robot, scene.arm_world)
     rng = np.random.default_rng(scene.seed)
     progress(0.05, "choosing configurations")
     postures = configurations(scene, robot, rng)

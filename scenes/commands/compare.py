@@ -14,6 +14,8 @@ def command(
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
     individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
                                                         "prepare).", min=0)] = None,
+    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or "
+                                                   "bench.")] = None,
     n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
                                                           "up.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
@@ -30,7 +32,8 @@ def command(
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d)
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
+                    world=world)
     folder = out or Path("out") / f"compare_{loaded.name}"
     check_outputs({"--out": folder}, json=json)
     with progress_bar(f"{loaded.name}") as progress:

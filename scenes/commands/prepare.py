@@ -34,7 +34,7 @@ def command(
 
     loaded = chosen(load_scene(scene), individual=individual)
     check_outputs(json=json, out=out)
-    world = World.from_table(loaded.robot, loaded.world)
+    world = World.from_table(loaded.robot, loaded.arm_world)
     with progress_bar(f"{loaded.robot} {world.individual}") as progress:
         prepared = prepared_model(Robot.load(loaded.robot), world, progress)
     model = Model.load(prepared.path)

@@ -14,6 +14,8 @@ def command(
     seed: Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)] = None,
     individual: Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see "
                                                         "prepare).", min=0)] = None,
+    world: Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or "
+                                                   "bench.")] = None,
     n_d: Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 "
                                                           "up.")] = None,
     method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none or ideal.")] = None,
@@ -35,7 +37,8 @@ def command(
     from scenes.result import part_of
     from scenes.scene_file import load_scene
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d)
+    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
+                    world=world)
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json, video=video)
     kind = kind_of(loaded)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pydantic
@@ -12,6 +12,7 @@ from scenes.camera_table import Calibration, CameraTable
 from scenes.drawn_line import Displacement, Line, Reference, Surface
 from scenes.scene import Scene, Table
 from scenes.shape import Shape
+from scenes.worlds import ARM
 
 
 class WaveTable(Table):
@@ -94,6 +95,7 @@ class CameraTrouble(Table):
 class ForceScene(Scene):
     """An arm presses its tip on a surface and moves along it."""
 
+    workshop: ClassVar[dict[str, dict[str, Any]]] = {"world": ARM}
     kind: Literal["force"]
     task: Literal["surface", "contour", "glue"] = "surface"
     speed: float = pydantic.Field(default=0.2, gt=0, le=2)

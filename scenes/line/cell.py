@@ -17,6 +17,7 @@ from scenes.line.appearance import look_at_line
 from scenes.line.calibration import calibrate_by_moving
 from scenes.line.known import Known, line_follower, span_of
 from scenes.line.scene import LineScene
+from scenes.line.worn_line import drawn_line
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_error import SceneError
@@ -29,7 +30,6 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.camera.camera import RenderedCamera
 from sim.camera.surface import DrawnLine
-from sim.camera.surface import Feature as DrawnFeature
 
 
 @dataclass(kw_only=True)
@@ -56,14 +56,13 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
     """
-    world = World.from_table(scene.robot, scene.world)
+    world = World.from_table(scene.robot, scene.arm_world)
     # A controller's cycle times are no secret: they stand in its manual.
     robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
                     t_velocity=world.t_velocity)
-    place, noise, camera_noise, calibration, _ = streams(scene)
+    place, noise, camera_noise, calibration, _, wear = streams(scene)
     where = geometry(scene, place)
-    line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
-                     background=scene.line.background, edge=1e-3 * scene.line.edge_mm, features=_features(scene))
+    line = drawn_line(scene, where, wear)
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera)
     true = true_camera(believed, scene.calibration, calibration)
@@ -80,14 +79,8 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
 
 def streams(scene: LineScene) -> list[np.random.Generator]:
     """Independent random streams, so that changing one effect does not change the draws of another."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(5)]
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(6)]
 
-
-def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
-    return tuple(
-        DrawnFeature(kind=f.kind, at=1e-3 * f.at_mm, length=1e-3 * f.length_mm, offset=1e-3 * f.offset_mm,
-                     angle=float(np.radians(f.angle_deg)), width=1e-3 * f.width_mm, gray=f.gray)
-        for f in scene.feature)
 
 
 @dataclass(frozen=True)

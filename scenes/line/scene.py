@@ -2,24 +2,50 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import pydantic
 
 from scenes.camera_table import Calibration, CameraTable
 from scenes.drawn_line import Displacement, Feature, Line, Reference, Surface
-from scenes.scene import Scene
+from scenes.scene import Scene, Table
+from scenes.worlds import ARM
+
+
+class Wear(Table):
+    """What use has done to the drawn line and its light: sizes and counts; the seed draws the rest."""
+
+    width_percent: float = pydantic.Field(default=0.0, ge=0, le=50)
+    """By how much the line's width varies on its way, more or less."""
+    fade_percent: float = pydantic.Field(default=0.0, ge=0, le=90)
+    """How much of its contrast the ink has lost where it is palest."""
+    gaps: int = pydantic.Field(default=0, ge=0, le=50)
+    """Where the line is broken off."""
+    gap_mm: float = pydantic.Field(default=35.0, gt=0, le=500)
+    """Longest gap; each is half to whole of it."""
+    scratches: int = pydantic.Field(default=0, ge=0, le=50)
+    crossings: int = pydantic.Field(default=0, ge=0, le=50)
+    glares: int = pydantic.Field(default=0, ge=0, le=50)
+    shades: int = pydantic.Field(default=0, ge=0, le=50)
 
 
 class LineScene(Scene):
     """An arm with a camera follows a drawn line."""
 
+    workshop: ClassVar[dict[str, dict[str, Any]]] = {
+        "world": ARM,
+        "displacement": {"height_mm": 3.0, "tilt_deg": 1.0},
+        "camera": {"jitter": 0.004, "loss": 0.05},
+        "wear": {"width_percent": 20.0, "fade_percent": 30.0, "gaps": 2, "scratches": 1, "crossings": 1, "glares": 1,
+                 "shades": 1},
+    }
     kind: Literal["line"]
     speed: float = pydantic.Field(default=0.7, gt=0, le=10)
     method: str = "ideal"
     surface: Surface
     line: Line
     feature: tuple[Feature, ...] = ()
+    wear: Wear = Wear()
     displacement: Displacement = Displacement()
     reference: Reference = Reference()
     camera: CameraTable = CameraTable()

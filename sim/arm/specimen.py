@@ -49,8 +49,9 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
     gain = 1.0 + world.drive_gain_error * rng.uniform(-1.0, 1.0, n)
     phase = rng.uniform(0.0, 2.0 * np.pi, n)
     offsets, turns = rng.uniform(-1.0, 1.0, (n, 3)), rng.uniform(-1.0, 1.0, n)
-    if world.kinematic_error > 0.0 or world.zero_error > 0.0:
-        _displace(model, world.kinematic_error * offsets, world.zero_error * turns)
+    twists = rng.uniform(-1.0, 1.0, (n, 3))
+    if world.kinematic_error > 0.0 or world.zero_error > 0.0 or world.twist_error > 0.0:
+        _displace(model, world.kinematic_error * offsets, world.zero_error * turns, world.twist_error * twists)
     if world.payload_mass > 0.0:
         frame = model.frames[robot.tool_id]
         load = pin.Inertia(world.payload_mass, np.array(world.payload_com), np.eye(3) * world.payload_inertia)
@@ -63,15 +64,23 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
     return Specimen(model, rotor, gain, phase)
 
 
-def _displace(model: pin.Model, offsets: Array, turns: Array) -> None:
-    """Moves the joints by ``offsets (n, 3)`` [m] in their parents' frames and their zeros by ``turns (n,)`` [rad]."""
+def _displace(model: pin.Model, offsets: Array, turns: Array, twists: Array) -> None:
+    """Moves joints, zeros and axes.
+
+    Args:
+        model: is changed.
+        offsets: of the joints in their parents' frames ``(n, 3)`` [m].
+        turns: of their zeros ``(n,)`` [rad].
+        twists: rotation vectors of their axes in their parents' frames ``(n, 3)`` [rad].
+    """
     data = model.createData()
     for joint in range(1, model.njoints):
         q = np.zeros(model.nq)
         q[model.joints[joint].idx_q] = turns[joint - 1]
         pin.forwardKinematics(model, data, q)
         turned = data.liMi[joint]
-        model.jointPlacements[joint] = pin.SE3(turned.rotation, turned.translation + offsets[joint - 1])
+        model.jointPlacements[joint] = pin.SE3(pin.exp3(twists[joint - 1]) @ turned.rotation,
+                                               turned.translation + offsets[joint - 1])
 
 
 def _scaled(inertia: pin.Inertia, mass_factor: float, extension: Array) -> pin.Inertia:

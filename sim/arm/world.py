@@ -76,6 +76,8 @@ class World:
         extra_rotor_inertia: of each drive beyond the data sheet's, on the joint side [kg m²].
         kinematic_error: largest difference of the joints' places from the URDF, in each direction [m].
         zero_error: largest difference of the joints' zero positions [rad].
+        twist_error: largest turn of a joint's axes against the one before, about each of them; of the first, against
+            the vertical [rad].
         transmission_error: amplitude by which a gear turns the arm unevenly [rad], ``transmission_order`` periods per
             joint turn.
         payload_mass, payload_com, payload_inertia: additional rigid load in the tool frame [kg, m, kg m² about its
@@ -135,6 +137,7 @@ class World:
     extra_rotor_inertia: PerJoint = 0.0
     kinematic_error: float = 0.0
     zero_error: float = 0.0
+    twist_error: float = 0.0
     transmission_error: PerJoint = 0.0
     transmission_order: PerJoint = 40.0
     payload_mass: float = 0.0

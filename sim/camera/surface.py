@@ -67,7 +67,7 @@ class Feature:
 
 @dataclass(frozen=True)
 class DrawnLine:
-    """A line of constant width on a plane, given by a dense polyline that *is* the analytic line.
+    """A line on a plane, given by a dense polyline that *is* the analytic line.
 
     With points ``ds`` apart on a curve of radius R the polyline leaves the curve by ds²/(8R): 0.8 µm for 0.5 mm on
     40 mm.
@@ -79,6 +79,7 @@ class DrawnLine:
         gray, background: gray values of line and surface, 0 to 255.
         edge: width of the soft edge, over which the gray value changes linearly [m].
         features: what makes it hard to see.
+        widths, grays: at each point ``(N,)`` where they are not the same everywhere [m], gray values.
     """
 
     points: Array
@@ -88,6 +89,8 @@ class DrawnLine:
     background: float = 200.0
     edge: float = 0.001
     features: tuple[Feature, ...] = ()
+    widths: Array | None = None
+    grays: Array | None = None
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=float)

@@ -38,8 +38,17 @@ class Texture:
 
 
 @njit(cache=True)
-def _stroke_distance(distance: NDArray[np.float32], xy: Array, drawn: NDArray[np.bool_], reach: float) -> None:
-    """Lowers ``distance`` [texels] of every texel within ``reach`` of a segment; ``xy`` is in texels."""
+def _stroke_distance(distance: NDArray[np.float32], nearest: NDArray[np.int32], xy: Array, drawn: NDArray[np.bool_],
+                     reach: float) -> None:
+    """Lowers ``distance`` [texels] of every texel within ``reach`` of a segment, and notes which one is nearest.
+
+    Args:
+        distance: of each texel [texels].
+        nearest: number of the nearest segment.
+        xy: the stroke's points ``(N, 2)`` [texels].
+        drawn: which segments are there ``(N - 1,)``.
+        reach: how far the stroke reaches [texels].
+    """
     rows, columns = distance.shape
     for i in range(xy.shape[0] - 1):
         if not drawn[i]:
@@ -58,6 +67,7 @@ def _stroke_distance(distance: NDArray[np.float32], xy: Array, drawn: NDArray[np
                 d = np.sqrt(ex * ex + ey * ey)
                 if d < distance[row, column]:
                     distance[row, column] = d
+                    nearest[row, column] = i
 
 
 class _Canvas:
@@ -69,18 +79,30 @@ class _Canvas:
         self.x_min, self.y_max, self.resolution = x_min, y_max, resolution
         self.gray = np.full((rows, columns), background, dtype=np.float32)
 
-    def stroke(self, xy: Array, width: float, edge: float, gray: float, drawn: NDArray[np.bool_] | None = None) -> None:
+    def stroke(self, xy: Array, width: float | Array, edge: float, gray: float | Array,
+               drawn: NDArray[np.bool_] | None = None) -> None:
+        """Paints a stroke.
+
+        Args:
+            xy: its points in the plane ``(N, 2)`` [m].
+            width: one for all, or one a point ``(N,)`` [m].
+            edge: over which its gray value changes [m].
+            gray: one for all, or one a point ``(N,)``.
+            drawn: which segments are there ``(N - 1,)``; all if None.
+        """
         texels = self._texels(xy)
-        reach = (width + edge) / 2 / self.resolution + 1.0
+        reach = (np.max(width) + edge) / 2 / self.resolution + 1.0
         first = np.maximum(np.floor(texels.min(axis=0) - reach).astype(int), 0)
         last = np.maximum(np.ceil(texels.max(axis=0) + reach).astype(int), first)
         part = self.gray[first[1] : last[1], first[0] : last[0]]
         distance = np.full(part.shape, np.inf, dtype=np.float32)
         drawn = np.ones(len(xy) - 1, dtype=bool) if drawn is None else drawn
-        _stroke_distance(distance, texels - first, drawn, reach)
+        nearest = np.zeros(part.shape, dtype=np.int32)
+        _stroke_distance(distance, nearest, texels - first, drawn, reach)
         touched = np.isfinite(distance)
-        cover = np.clip(0.5 + (width / 2 - distance[touched] * self.resolution) / edge, 0.0, 1.0)
-        part[touched] += cover * (gray - part[touched])
+        wide, ink = (np.broadcast_to(one, len(xy))[nearest[touched]] for one in (width, gray))
+        cover = np.clip(0.5 + (wide / 2 - distance[touched] * self.resolution) / edge, 0.0, 1.0)
+        part[touched] += cover * (ink - part[touched])
 
     def patch(self, centre: Array, radius: float, add: float, factor: float) -> None:
         """Adds and multiplies with a smooth bump (1 - d²/r²)²."""
@@ -126,7 +148,8 @@ def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> 
             drawn &= np.abs(middle - feature.at) > feature.length / 2
         elif feature.kind in ("crossing", "parallel", "scratch"):
             _paint_stroke(canvas, line, feature)
-    canvas.stroke(xy, line.width, line.edge, line.gray, drawn)
+    canvas.stroke(xy, line.width if line.widths is None else line.widths, line.edge,
+                  line.gray if line.grays is None else line.grays, drawn)
     for feature in line.features:
         if feature.kind in ("glare", "shade"):
             gray = feature.gray if feature.gray is not None else (120.0 if feature.kind == "glare" else 50.0)

@@ -113,8 +113,6 @@ class TipContact:
     def __init__(self, arm: SimulatedArm, surface: HeightSurface, tip: Tip,
                  extra: Callable[[float], Array] | None = None) -> None:
         self._arm, self.surface, self.tip, self._extra = arm, surface, tip, extra
-        self._model, self._data = arm.robot.pinocchio, arm.robot.pinocchio.createData()
-        self._last_joint, self._tool = arm.tool_link + 1, arm.tool_offset.translation
         self._law = np.array([tip.stiffness, tip.damping, tip.friction, tip.slip, surface.offset, *surface.tilt,
                               surface.curvature, surface.crest])
         self._waves = np.array([[w.amplitude, 2 * np.pi / w.wavelength, np.cos(w.heading), np.sin(w.heading), w.phase]
@@ -127,8 +125,7 @@ class TipContact:
 
     def _push(self, t: float) -> None:
         arm = self._arm
-        pin.forwardKinematics(self._model, self._data, arm.q_a)
-        tip = self._data.oMi[self._last_joint].act(self._tool)
+        tip = arm.tcp_of(arm.q_a).translation
         if self._rows == len(self._log):
             self._log = np.concatenate([self._log, np.zeros_like(self._log)])
         row = self._log[self._rows]

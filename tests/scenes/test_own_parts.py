@@ -51,7 +51,8 @@ def own_key() -> Iterator[str]:
 
 
 def short() -> Scene:
-    return load_scene("straight").changed(line={"points": [(0.4, 0.0), (0.8, 0.0)]}, calibration=CALIBRATED)
+    return load_scene("straight").changed(world="bench", line={"points": [(0.4, 0.0), (0.8, 0.0)]},
+                                          calibration=CALIBRATED)
 
 
 def test_feedforward_objects_and_factories_are_rows_of_the_table() -> None:

@@ -67,7 +67,7 @@ def test_glue_follows_line_and_force_at_once() -> None:
     pytest.param({"trouble": {"loss": (1.0, 1.1)}}, marks=pytest.mark.slow),
 ], ids=["10 Hz", "garbage", "loss"])
 def test_glue_survives_a_bad_camera(trouble: dict[str, object]) -> None:
-    result = play(load_scene("glue").changed(**trouble), "ideal")
+    result = play(load_scene("glue").changed(world="bench", **trouble), "ideal")
     assert result.failure is None
     assert result.lateral["control_error_mm"]["mean"] <= 0.6
     assert result.figures.lost == 0.0

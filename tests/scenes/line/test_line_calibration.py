@@ -22,7 +22,7 @@ from sim.camera.camera import CameraSettings, RenderedCamera
 
 
 def cell_of(**changes: object) -> Cell:
-    scene = load_scene("line").changed(**changes)
+    scene = load_scene("line").changed(world="bench").changed(**changes)
     assert isinstance(scene, LineScene)
     return set_up(scene)
 

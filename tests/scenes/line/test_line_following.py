@@ -21,7 +21,7 @@ from scenes.line.scene import LineScene
 
 @pytest.fixture(scope="module")
 def ideal() -> LineResult:
-    return run(load_scene("line"), method="ideal")
+    return run(load_scene("line").changed(world="bench"), method="ideal")
 
 
 CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg": 0.02, "height_mm": 0.2,
@@ -32,7 +32,8 @@ CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg"
 def short(**changes: Any) -> LineScene:
     """A straight line of 0.4 m, which takes a second to run."""
     line = {"points": [(0.4, 0.0), (0.8, 0.0)], **changes.pop("line", {})}
-    return load_scene("straight").changed(line=line, calibration=CALIBRATED, **changes)
+    world = {"base": "bench", **changes.pop("world", {})}
+    return load_scene("straight").changed(world=world, line=line, calibration=CALIBRATED, **changes)
 
 
 def test_the_default_world_is_not_kind(ideal: LineResult) -> None:
@@ -74,7 +75,7 @@ def test_figures_count_the_distance_of_the_true_tool_from_the_drawn_line(ideal: 
 
 
 def test_methods_rank_as_the_papers_say(ideal: LineResult) -> None:
-    scene = load_scene("line")
+    scene = load_scene("line").changed(world="bench")
     with prepared(scene) as cell:
         none = run(scene, method="none", shared=cell).control_error.mean
         # Its best gain on this scene, as ``compare`` finds it; without overshoot it can take 0.03, and is far worse.
@@ -87,15 +88,15 @@ def test_methods_rank_as_the_papers_say(ideal: LineResult) -> None:
 @pytest.mark.parametrize("name", ["straight", "corner", "svg", "gap", "cluttered"])
 def test_every_scene_is_followed(name: str) -> None:
     # Twice the mean error of the default scene: gaps are bridged by the fusion, corners ask more of the wrist.
-    result = run(load_scene(name).changed(calibration=CALIBRATED), method="ideal")
+    result = run(load_scene(name).changed(world="bench", calibration=CALIBRATED), method="ideal")
     assert result.failure is None
     assert result.control_error.mean < 2.0e-4
     assert result.control_error.max < 1.0e-3
 
 
 def test_a_known_latency_does_not_matter() -> None:
-    means = [run(load_scene("line").changed(camera={"latency": latency}, calibration=CALIBRATED)).control_error.mean
-             for latency in (0.02, 0.08)]
+    scene = load_scene("line").changed(world="bench", calibration=CALIBRATED)
+    means = [run(scene.changed(camera={"latency": latency})).control_error.mean for latency in (0.02, 0.08)]
     assert abs(means[1] - means[0]) < 1e-4
 
 
@@ -118,7 +119,7 @@ def test_the_seed_decides_where_the_line_is() -> None:
 
 def test_a_line_lost_midway_ends_the_run_on_the_path_and_keeps_what_was_done(tmp_path: Path) -> None:
     gap = {"kind": "gap", "at_mm": 700.0, "length_mm": 500.0}
-    scene = load_scene("straight").changed(calibration=CALIBRATED, feature=(gap,))
+    scene = load_scene("straight").changed(world="bench", calibration=CALIBRATED, feature=(gap,))
     result = run(scene, out=tmp_path)
     assert result.failure is not None
     assert "line lost" in result.failure

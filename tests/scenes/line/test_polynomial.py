@@ -15,7 +15,7 @@ from tests.scenes.line.test_line_following import CALIBRATED, short
 
 
 def test_polynomials_lead_as_well_as_all_their_points() -> None:
-    scene = load_scene("gap")
+    scene = load_scene("gap").changed(world="bench")
     assert scene.measurement == "polynomial"
     with prepared(scene) as cell:
         polynomial = run(scene, method="ideal", shared=cell)
@@ -37,7 +37,7 @@ def test_the_line_is_followed_with_a_detector_of_opencv_alone() -> None:
 
 
 def test_the_error_falls_with_the_horizon_until_it_covers_the_arm_s_lag() -> None:
-    scene = load_scene("line").changed(calibration=CALIBRATED)
+    scene = load_scene("line").changed(world="bench", calibration=CALIBRATED)
     with prepared(scene) as cell:
         one, four, all_planned = (run(scene.changed(n_d=n_d), shared=cell).control_error.mean
                                   for n_d in (1, 4, None))

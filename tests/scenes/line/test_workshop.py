@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from ideal_robot.errors import InputError
 from scenes import load_scene
 from scenes.line.cell import set_up
 from scenes.line.kind import run
+from sim.camera.texture import paint
 from tests.scenes.line.test_line_following import CALIBRATED, short
 
 
@@ -28,7 +31,7 @@ def test_a_displaced_surface_moves_the_line_and_not_the_reference() -> None:
 def test_kinematic_errors_and_a_displaced_surface_hardly_matter() -> None:
     """What is sensed relative to the tool does not ask where arm and surface think they are ([L] 3.1)."""
     scene = load_scene("line").changed(calibration=CALIBRATED, displacement={"height_mm": 3.0},
-                                       world={"kinematic_error": 3e-4, "zero_error": 3.5e-4})
+                                       world={"base": "bench", "kinematic_error": 3e-4, "zero_error": 3.5e-4})
     result = run(scene)
     assert result.failure is None
     assert result.control_error.mean < 1.0e-4
@@ -36,13 +39,55 @@ def test_kinematic_errors_and_a_displaced_surface_hardly_matter() -> None:
 
 def test_the_height_of_a_tilted_surface_shows_while_following() -> None:
     """With the height taken from the reference this line is missed by 0.7 mm: ten millimetres at its ends ([L] 4.2)."""
-    result = run(load_scene("line").changed(seed=2, calibration=CALIBRATED, displacement={"tilt_deg": 1.0}))
+    result = run(load_scene("line").changed(world="bench", seed=2, calibration=CALIBRATED,
+                                            displacement={"tilt_deg": 1.0}))
     assert result.failure is None
     assert result.control_error.mean < 1.2e-4
 
 
 def test_the_whole_workshop_is_followed_with_calibration_by_moving() -> None:
-    result = run(load_scene("workshop"))
+    result = run(load_scene("line"))
     assert result.failure is None
+    assert result.json()["world"] == "workshop"
     assert result.control_error.mean < 1.0e-4
     assert result.control_error.p95 < 3.5e-4
+
+
+def test_the_workshop_holds_where_a_scene_says_nothing() -> None:
+    workshop, bench = load_scene("line"), load_scene("line").changed(world="bench")
+    assert workshop.world["kinematic_error"] == pytest.approx(3e-4)
+    assert (workshop.displacement.tilt_deg, workshop.wear.gaps, workshop.camera.loss) == (1.0, 2, 0.05)
+    assert bench.arm_world == {}
+    assert (bench.displacement.tilt_deg, bench.wear.gaps, bench.camera.loss) == (0.0, 0, 0.0)
+    # What is given stays, and nothing is lost on the way there and back.
+    own = workshop.changed(displacement={"tilt_deg": 0.2}, world={"individual": 4})
+    assert own.displacement.tilt_deg == 0.2
+    assert own.displacement.height_mm == workshop.displacement.height_mm
+    assert own.changed(world="bench").arm_world == {"individual": 4}
+    assert own.changed(world="bench").changed(world="workshop").model_dump() == own.model_dump()
+    assert type(own).model_validate_json(own.model_dump_json()).model_dump() == own.model_dump()
+    with pytest.raises(InputError, match="workshop"):
+        workshop.changed(world="garage")
+    with pytest.raises(InputError, match="bench"):
+        load_scene("iso9283_1").changed(world="workshop")
+
+
+def test_wear_is_drawn_by_the_seed_and_changes_what_is_painted() -> None:
+    scene = short(wear={"width_percent": 20.0, "fade_percent": 30.0, "gaps": 2})
+    line, again, other = (set_up(one).line for one in (scene, scene, scene.changed(seed=2)))
+    assert line.widths is not None
+    assert line.grays is not None
+    np.testing.assert_array_equal(line.widths, again.widths)
+    assert not np.array_equal(line.widths, other.widths)
+    assert np.ptp(line.widths) > 0.15 * line.width
+    assert line.grays.min() >= line.gray
+    assert [one.kind for one in line.features] == ["gap", "gap"]
+    # Dark texels across the line are as many as its width there says.
+    texture = paint(line)
+    wide, narrow = np.argmax(line.widths[100:-100]) + 100, np.argmin(line.widths[100:-100]) + 100
+    widths = []
+    for i in (wide, narrow):
+        column = int((line.plane_points[i, 0] - texture.x_min) / texture.resolution)
+        cover = (line.background - texture.image[:, column]) / (line.background - line.grays[i])
+        widths.append(float(cover.sum() * texture.resolution))
+    np.testing.assert_allclose(widths, line.widths[[wide, narrow]], rtol=0.05)
