@@ -1,4 +1,4 @@
-"""What stands between the kind world of the scene `line` and a workshop: each cause alone, then all (scene `workshop`).
+"""What stands between the kind bench and the workshop, on the scene `line`: each cause alone, then all.
 
     python benchmarks/bench_workshop.py [--seeds 3] [--individual 1]
 
@@ -22,19 +22,18 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--individual", type=int)
     options = parser.parse_args()
-    workshop, line = load_scene("workshop"), load_scene("line")
-    tables = workshop.model_dump()
-    kinds = {"worn: gaps": ("gap",), "scratch and crossing": ("scratch", "crossing"),
-             "glare and shade": ("glare", "shade")}
+    workshop = load_scene("line")
+    line, wear = workshop.changed(world="bench"), workshop.workshop["wear"]
     causes: dict[str, dict[str, Any]] = {
-        "none (`line`)": {},
-        "kinematic errors, 0.3 mm and 0.02°": {"world": tables["world"]},
+        "none (`bench`)": {},
+        "kinematic errors, 0.3 mm and 0.02°": {"world": workshop.arm_world},
         "surface off by 3 mm": {"displacement": {"height_mm": 3.0}},
         "surface tilted by 1°": {"displacement": {"tilt_deg": 1.0}},
-        "wider, paler line": {"line": {"width_mm": workshop.line.width_mm, "gray": workshop.line.gray}},
-        **{name: {"feature": [one for one in tables["feature"] if one["kind"] in which]}
-           for name, which in kinds.items()},
-        "fields jittered and lost": {"camera": {"jitter": workshop.camera.jitter, "loss": workshop.camera.loss}},
+        "width and ink of the line": {"wear": {key: wear[key] for key in ("width_percent", "fade_percent")}},
+        "gaps": {"wear": {"gaps": wear["gaps"]}},
+        "scratch and crossing": {"wear": {key: wear[key] for key in ("scratches", "crossings")}},
+        "glare and shade": {"wear": {key: wear[key] for key in ("glares", "shades")}},
+        "fields jittered and lost": {"camera": workshop.workshop["camera"]},
     }
     print(f"| cause | mean mm, seeds 1 to {options.seeds} | largest mm | fields used, least |")
     print("| --- | --- | --- | --- |")

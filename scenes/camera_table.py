@@ -35,6 +35,10 @@ class CameraTable(Table):
     """By how much the clock of the time stamps runs fast [s/s]; needs calibration.by_moving = false."""
     stamp_noise: float = pydantic.Field(default=0.00005, ge=0, le=0.1)
     loss: float = pydantic.Field(default=0.0, ge=0, lt=1)
+    knock_deg: float = pydantic.Field(default=0.0, ge=-5, le=5)
+    """By how much somebody's knock turns the camera about its optical axis on the way."""
+    knock_s: float = pydantic.Field(default=1.4, ge=0)
+    """When that happens, after the begin of the play [s]."""
     detector: str = pydantic.Field(default="edge_pairs", max_length=80)
     """What finds the line's points in a field: ``edge_pairs``, ``opencv`` or one of another package."""
     resolution: float = pydantic.Field(default=0.00025, gt=0, le=0.01)

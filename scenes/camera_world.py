@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 from scenes.camera_table import CameraTable
 from sim.camera.camera_settings import CameraSettings
+from sim.equipment.equipped_arm import Knock
 
 
 def camera_settings(table: CameraTable) -> CameraSettings:
     """What the camera does to picture and time."""
     return CameraSettings(**{key: getattr(table, key) for key in CameraSettings.__dataclass_fields__ if key != "phase"})
+
+
+def knock_of(table: CameraTable) -> Knock | None:
+    """What happens to the camera's mounting on the way; None for nothing."""
+    return Knock(table.knock_s, math.radians(table.knock_deg)) if table.knock_deg else None

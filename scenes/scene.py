@@ -64,6 +64,11 @@ class Scene(pydantic.BaseModel):
             raise ValueError(f"expected {' or '.join(map(repr, allowed))}, or a table with one of them as base")
         return world
 
+    def __eq__(self, other: object) -> bool:
+        """The same kind of scene with the same values, whichever of them were given."""
+        return type(other) is type(self) and isinstance(other, Scene) and self.folder == other.folder \
+            and self.model_dump() == other.model_dump()
+
     @property
     def arm_world(self) -> dict[str, Any]:
         """The table ``world`` as ``World.from_table`` takes it: what the arm is like."""

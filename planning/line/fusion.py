@@ -13,6 +13,13 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import DeviationModel
 
+DOUBT = 1e-3
+"""Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""
+LEAD = 6.0
+"""Difference of the logarithms of likelihood at which one hypothesis is dropped for the other."""
+WEIGHED = 15
+"""Measurements after which two hypotheses that are still equally likely are one."""
+
 
 @dataclass(frozen=True)
 class Measurement:
@@ -62,10 +69,12 @@ class Fused:
 
 @dataclass
 class _Track:
-    """One hypothesis: a filter, and how often it agreed with the sensor in a row."""
+    """One hypothesis: a filter, how often it agreed with the sensor, and how much likelier it is than the map's."""
 
     kf: KalmanFilter
     agreed: int = 0
+    weighed: int = 0
+    lead: float = 0.0
 
 
 @dataclass
@@ -91,7 +100,9 @@ class DeviationFilter:
     A value is left out if its innovation is beyond ``gate`` standard deviations, a whole measurement if most of its
     values are, or if its normalised innovation squared is beyond the ``significance`` bound. Measurements left out feed
     a rival hypothesis that starts from the prior; after ``confirm`` of them in a row that agree with one another it
-    takes over: then the map was wrong, not the sensor.
+    takes over: then the map was wrong, not the sensor. A measurement that is only doubtful begins a hypothesis of its
+    own that keeps the map and takes the sensor to have been moved: its errors begin anew, with the standard deviations
+    ``moved``. It takes over once it has become clearly likelier, with ``confirm_moved`` measurements that agree.
 
     Args:
         model: what the deviation looks like.
@@ -100,6 +111,8 @@ class DeviationFilter:
         significance: probability with which a good measurement is left out.
         confirm: measurements until a rival hypothesis takes over; 0 for never.
         memory: how late a measurement may be with a model that drifts in time [s].
+        moved: for each sensor that may be knocked, the standard deviations of its errors after that.
+        confirm_moved: measurements until the hypothesis of a moved sensor takes over.
     """
 
     def __init__(
@@ -111,6 +124,8 @@ class DeviationFilter:
         significance: float = 1e-4,
         confirm: int = 10,
         memory: float = 0.5,
+        moved: Mapping[str, tuple[float, ...]] | None = None,
+        confirm_moved: int = 3,
     ) -> None:
         self.model, self._gate, self._confirm, self._memory_length = model, gate, confirm, memory
         self._bias_at: dict[str, slice] = {}
@@ -123,6 +138,8 @@ class DeviationFilter:
         self._bounds = np.concatenate([[0.0], chi2.ppf(1.0 - significance, np.arange(1, 65))])
         self._track = self._fresh()
         self._rival: _Track | None = None
+        self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
+        self._shaken: _Track | None = None
         self._memory: list[_Memory] = []
         self.t = -np.inf
         """Instant up to which the state has drifted [s]."""
@@ -141,7 +158,7 @@ class DeviationFilter:
         while (step := self.model.travel(s)) is not None:
             F, Q = np.eye(self._size), np.zeros((self._size, self._size))
             F[: self.model.size, : self.model.size], Q[: self.model.size, : self.model.size] = step
-            for track in (self._track, self._rival):
+            for track in (self._track, self._rival, self._shaken):
                 if track is not None:
                     track.kf.predict(F=F, Q=Q)
 
@@ -219,7 +236,12 @@ class DeviationFilter:
 
     def _fuse(self, measurement: Measurement) -> Fused:
         H = self._rows(measurement)
+        moved = self._weighed(measurement, H)
         fused = self._try(self._track, measurement, H)
+        if moved:
+            self._track, self._rival, self._shaken = moved, None, None
+            count = len(measurement.value)
+            return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "sensor moved")
         if fused.dof or not self._confirm:
             self._rival = None if fused.dof else self._rival
             return fused
@@ -228,10 +250,49 @@ class DeviationFilter:
         if not self._try(self._rival, measurement, H).dof:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
-            self._track, self._rival = self._rival, None
+            self._track, self._rival, self._shaken = self._rival, None, None
             count = len(measurement.value)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
         return fused
+
+    def _weighed(self, measurement: Measurement, H: Array) -> _Track | None:
+        """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.
+
+        It begins with the first measurement that the map makes doubtful, and from then on both take all of them.
+        """
+        sigmas = self._moved.get(measurement.sensor)
+        if sigmas is None:
+            return None
+        nis, likelihood = self._likelihood(self._track, measurement, H)
+        if self._shaken is None:
+            if nis <= chi2.ppf(1.0 - DOUBT, len(measurement.value)):
+                return None
+            self._shaken = self._begun_anew(measurement.sensor, sigmas)
+        shaken = self._shaken
+        shaken.lead += self._likelihood(shaken, measurement, H)[1] - likelihood
+        shaken.weighed += 1
+        self._try(shaken, measurement, H)
+        if shaken.lead > LEAD and shaken.agreed >= self._confirm_moved:
+            return shaken
+        if shaken.lead < -LEAD or shaken.weighed >= WEIGHED:
+            self._shaken = None
+        return None
+
+    def _likelihood(self, track: _Track, measurement: Measurement, H: Array) -> tuple[float, float]:
+        """Normalised innovation squared, and the logarithm of the likelihood, in which an outlier counts as one."""
+        S = H @ track.kf.P @ H.T + measurement.covariance
+        innovation = measurement.value - H @ track.kf.x
+        nis = float(innovation @ np.linalg.solve(S, innovation))
+        bound = float(self._bounds[min(len(innovation), 64)])
+        return nis, -0.5 * (min(nis, bound) + float(np.linalg.slogdet(S)[1]))
+
+    def _begun_anew(self, sensor: str, sigmas: tuple[float, ...]) -> _Track:
+        """The map as it is, with errors of the sensor that have nothing to do with those before."""
+        at, kf = self._bias_at[sensor], KalmanFilter(dim_x=self._size, dim_z=1)
+        kf.x, kf.P = self._track.kf.x.copy(), self._track.kf.P.copy()
+        kf.P[at, :] = kf.P[:, at] = 0.0
+        kf.P[at, at] = np.diag(np.square(sigmas))
+        return _Track(kf)
 
     def _rows(self, measurement: Measurement) -> Array:
         basis = self.model.basis(measurement.s)

@@ -22,6 +22,8 @@ from planning.path.vectors import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 MEASUREMENTS = ("polynomial", "points")
+KNOCK = 0.01
+"""How far a camera may be turned when somebody knocks it, standard deviation [rad]."""
 BEND = 0.4
 """Distance over which a surface's bend becomes another [m]."""
 SILENCE = 0.25
@@ -140,6 +142,7 @@ class LineFollower:
             PathDeviation(reference, directions=directions, ahead=ahead, height=settings.height, tilt=settings.tilt,
                           bow=settings.bow, bow_length=BEND),
             biases={"camera": (settings.yaw, settings.stamp)},
+            moved={"camera": (KNOCK, settings.stamp)},
         )
         self.path = DesiredPath(
             robot,
@@ -271,8 +274,10 @@ class LineFollower:
         s, value, height = self.reference.project(points, self.profile.at(t - self.t_start)[0] + 0.06)
         frames = self.reference.frames(s)
         covariance = np.diag(sigma**2 + self.settings.noise**2) + self.settings.common**2
-        # A turned camera moves a point by up × lever, a wrong time stamp by the velocity it has on the tool.
-        turned = dot(frames.normal, cross(frames.up, lever))
+        # A camera turned about itself moves a point by up × (point - camera), a wrong time stamp by the velocity the
+        # point has on the tool.
+        ray = lever if self._eye is None else lever - pose.rotation @ self._eye
+        turned = dot(frames.normal, cross(frames.up, ray))
         try:
             velocity, rate = self.history.velocity(t)
         except PlanningError:
@@ -284,7 +289,6 @@ class LineFollower:
             direction = np.zeros((len(s), self.fusion.model.directions))
             direction[:, 0] = 1.0
             if self._eye is not None:
-                ray = lever - pose.rotation @ self._eye
                 direction[:, 1] = -dot(ray, frames.normal) / dot(ray, frames.up)
                 value = value + direction[:, 1] * height
         return Measurement(t, s, value, covariance, direction, bias=np.column_stack([turned, moved]))

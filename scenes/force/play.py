@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from planning.force.contact import Phase
+from scenes.camera_world import knock_of
 from scenes.cycle import CycleSettings, play_cycles
 from scenes.force.cell import Cell, calibrations, set_up
 from scenes.force.glue_world import GlueWorld
@@ -60,7 +61,7 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
-        camera = None if glue is None else CarriedCamera(glue.rendered, arm)
+        camera = None if glue is None else CarriedCamera(glue.rendered, arm, knock_of(scene.camera))
         task.connect(sensor, camera)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [sensor] if camera is None else [camera, sensor]), cell.robot, task, task.log,

@@ -12,6 +12,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.registry import method as registered
 from planning.line.deviation_sensor import DeviationSensor
+from scenes.camera_world import knock_of
 from scenes.cycle import CycleSettings, play_cycles
 from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.recording import line_recording
@@ -66,7 +67,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
     scene, follower = cell.scene, cell.follower
     log = LineLog()
     with SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm:
-        camera = CarriedCamera(shared.camera, arm)
+        camera = CarriedCamera(shared.camera, arm, knock_of(scene.camera))
         mounted(sensors, LineWorld(arm, cell.line))
         model = model_for(scene, cell.robot) if method.knows_model else None
         task = LineTask(cell, method, camera, model, gains, log, sensors, shared.detection)

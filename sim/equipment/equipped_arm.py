@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
+
+import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
@@ -25,11 +28,30 @@ class Carried(Protocol):
         ...
 
 
-class CarriedCamera:
-    """The simulated camera on the arm, as a ``sensing.camera.camera_device.Camera``."""
+@dataclass(frozen=True)
+class Knock:
+    """Somebody knocks the camera.
 
-    def __init__(self, camera: RenderedCamera, arm: SimulatedArm) -> None:
-        self._camera, self._arm = camera, arm
+    Attributes:
+        t: when [s].
+        yaw: by how much it is turned about the tool's approach axis through its own centre [rad].
+    """
+
+    t: float
+    yaw: float
+
+
+class CarriedCamera:
+    """The simulated camera on the arm, as a ``sensing.camera.camera_device.Camera``.
+
+    Args:
+        camera: renders what it sees.
+        arm: that carries it.
+        knock: what happens to its mounting on the way; None for nothing.
+    """
+
+    def __init__(self, camera: RenderedCamera, arm: SimulatedArm, knock: Knock | None = None) -> None:
+        self._camera, self._arm, self._knock = camera, arm, knock
         self._wanted: list[tuple[float, Sequence[Window]]] = []
         self._late: Arrivals[Field] = Arrivals()
 
@@ -45,8 +67,16 @@ class CarriedCamera:
 
     def carry(self, t0: float, t1: float) -> None:
         """Exposes what was asked for."""
-        self._late.send([self._camera.windows(t, self._arm.tcp_at, windows) for t, windows in self._wanted])
+        self._late.send([self._camera.windows(t, self._tool_at, windows) for t, windows in self._wanted])
         self._wanted = []
+
+    def _tool_at(self, t: float) -> pin.SE3:
+        """Where the tool would be that carries the camera where it is, had the camera not been knocked."""
+        tool = self._arm.tcp_at(t)
+        if self._knock is None or t < self._knock.t:
+            return tool
+        model = self._camera.model
+        return tool * model.perturbed(yaw=self._knock.yaw).T_tool_camera * model.T_tool_camera.inverse()
 
 
 class CarriedForceSensor:

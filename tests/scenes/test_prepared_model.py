@@ -51,7 +51,8 @@ def test_the_model_is_identified_once_and_kept_by_what_it_depends_on(tmp_path: P
     assert (first.fresh, again.fresh, other.fresh) == (True, False, True)
     assert first.path == again.path != other.path
     assert [one.individual for one in worlds] == [2, 3]
-    assert model_for(load_scene("line").changed(world={"base": "bench", "individual": 3}, model="own"), ROBOT) is not None
+    scene = load_scene("line").changed(world={"base": "bench", "individual": 3}, model="own")
+    assert model_for(scene, ROBOT) is not None
     assert len(worlds) == 2
 
 

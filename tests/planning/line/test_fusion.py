@@ -292,3 +292,27 @@ def test_measurements_that_do_not_fit_are_refused(change: dict[str, Array], fiel
     with pytest.raises(InputError) as refused:
         DeviationFilter(path_model()).update(Measurement(t=0.0, **values))
     assert refused.value.field == field
+
+
+def test_a_sensor_that_is_moved_changes_its_own_error_and_not_the_map() -> None:
+    rng = np.random.default_rng(11)
+    truth = Truth(rng)
+    fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
+    knocked, reasons = 0.009, []
+    for k in range(60):
+        s = 0.014 * k
+        truth.travel(s)
+        fusion.travel(s)
+        at = s + AHEAD
+        turned = 0.001 if k < 30 else 0.001 + knocked
+        value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5) + turned * AHEAD
+        reasons.append(fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None])).reason)
+        if k == 29:
+            assert fusion.bias("camera")[0][0] == pytest.approx(0.001, abs=4 * fusion.bias("camera")[1][0])
+    assert "sensor moved" in reasons[30:34]
+    assert "sensor moved" not in reasons[:30] + reasons[34:]
+    yaw, sigma = fusion.bias("camera")
+    assert yaw[0] == pytest.approx(0.001 + knocked, abs=4 * sigma[0])
+    seen = 0.014 * 59 + AHEAD
+    mean, variance = fusion.deviation(seen)
+    assert np.all(np.abs(mean[:, 0] - truth.at(seen)[:, 0]) < 5 * np.sqrt(variance[:, 0]))
