@@ -103,7 +103,7 @@ class Scene(pydantic.BaseModel):
 
     def played(self) -> dict[str, Any]:
         """What every ``--json`` says of what was played: the scene, its seed, world and arm, and whose model it was."""
-        return {"scene": self.name, "seed": self.seed, "world": self.world["base"],
+        return {"scene": self.name, "seed": self.seed, "world": self.world.get("base", BENCH),
                 "individual": self.world.get("individual", 1), "model": self.model}
 
     def changed(self, **changes: Any) -> Self:

@@ -54,20 +54,20 @@ def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
         InputError: a world that cannot be closed, which key and why; or one that holds nothing undeclared.
     """
     default, file = World.default(scene.robot), f"scene {scene.name}"
-    for key, value in scene.world.items():
+    for key, value in scene.arm_world.items():
         if key in _REASONS and _differs(default, key, value):
             raise InputError(f"a world with this key cannot be closed: {_REASONS[key]}", file=file,
                              field=f"world.{key}", value=value)
     result: list[tuple[str, int]] = []
     for key, effects in EFFECTS_OF_KEY.items():
-        if key not in scene.world or not _differs(default, key, scene.world[key]):
+        if key not in scene.arm_world or not _differs(default, key, scene.arm_world[key]):
             continue
         if key == "payload_mass":
             joints = [0]
         elif key in _OF_ALL_JOINTS:
             joints = list(range(1, n + 1))
         else:
-            own = np.broadcast_to(np.asarray(scene.world[key], dtype=float), (n,))
+            own = np.broadcast_to(np.asarray(scene.arm_world[key], dtype=float), (n,))
             joints = [int(j) + 1 for j in np.flatnonzero(own != default.per_joint(key, n))]
         result += [(effect, joint) for effect in effects for joint in joints if (effect, joint) not in result]
     if not result:
@@ -78,7 +78,7 @@ def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
 
 def declared_world(scene: PathScene) -> dict[str, Any]:
     """The part of the world that an own model of the arm is identified in: without what is undeclared."""
-    return {key: value for key, value in scene.world.items() if key in _SETTINGS}
+    return {key: value for key, value in scene.arm_world.items() if key in _SETTINGS}
 
 
 def _differs(default: World, key: str, value: Any) -> bool:
