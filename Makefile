@@ -6,7 +6,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all docs bench models check clean
+.PHONY: demo test test-all docs docs-figures bench models check clean
 
 demo: .venv/installed
 	$(BIN)/ideal-robot run line --out out/line
@@ -21,6 +21,9 @@ test-all: .venv/installed check
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open out/site/index.html in a browser"
+
+docs-figures: .venv/installed
+	$(BIN)/python docs/published_numbers.py
 
 bench: .venv/installed
 	for b in benchmarks/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done

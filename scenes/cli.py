@@ -36,6 +36,7 @@ VERBS = {
     "simulate": "simulate",
     "detect": "detect",
     "export": "export",
+    "fetch": "fetch",
     "list": "list",
     "new": "new",
     "view": "view",

@@ -25,11 +25,12 @@ def command(
 
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.diagnosis.page import summary
     from scenes.options import chosen
     from scenes.outputs import check_outputs
     from scenes.play import close_scene
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
 

@@ -1,4 +1,4 @@
-"""What the verbs share: applying options to a scene, the progress bar, tables, and how a run is closed."""
+"""What the verbs share: applying options to a scene, tables, and how a run is closed."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from rich.text import Text
 
 from ideal_robot.errors import InputError
 from scenes import result
-from scenes.progress_bar import progress_bar
 from scenes.terminal import shown
-
-__all__ = ["closed", "numbers", "progress_bar", "show_table", "whole_numbers"]
 
 N = TypeVar("N", int, float)
 _MOST_NUMBERS = 100_000

@@ -25,10 +25,11 @@ def command(
 
     Example: `ideal-robot compare line --speed 0.7`
     """
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.kind import kind_of
     from scenes.options import chosen
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
 

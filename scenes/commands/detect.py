@@ -24,10 +24,11 @@ def command(
 
     Example: `ideal-robot detect pictures/ --json line.json`
     """
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.detection.page import detection_page, figures, table
     from scenes.detection.sources import pictures
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from sensing.camera.detector import DETECTORS
     from sensing.camera.field import Gray

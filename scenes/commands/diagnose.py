@@ -35,9 +35,10 @@ def command(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.diagnosis.page import diagnosis_page, summary, unexplained, unused
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json, model_out=model_out)

@@ -23,8 +23,8 @@ def command(
     from ideal_robot.errors import InputError
     from ideal_robot.signals.recording import Recording
     from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
-    from scenes.commands.common import progress_bar
     from scenes.export.rerun_file import write_rerun
+    from scenes.progress_bar import progress_bar
 
     writers = {"--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2), "--rerun": (rerun, write_rerun),
                "--csv": (csv, Recording.write), "--parquet": (parquet, Recording.write)}

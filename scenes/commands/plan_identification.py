@@ -36,9 +36,10 @@ def command(
 
     from ideal_robot.identification.workspace import Workspace
     from ideal_robot.robots.robot import Robot
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.identification.plan import plan, play_plan
     from scenes.outputs import check_outputs, whole_folder
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from scenes.method_option import completed, method_help
+
 
 def command(
     path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, "
@@ -15,7 +17,8 @@ def command(
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
     robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
                                               "URDF; default: the one the model names.")] = None,
-    method: Annotated[str, typer.Option(help="ideal, model_learned or precorrected.")] = "ideal",
+    method: Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
+        "precorrect", incomplete))] = "ideal",
     delay: Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")] = False,
     rest: Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")] = 0.6,
     play: Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
@@ -35,9 +38,10 @@ def command(
 
     from ideal_robot.model.model import Model
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
 
     folder = out or Path("out") / "precorrect"

@@ -24,10 +24,11 @@ def command(
     """
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.options import chosen
     from scenes.outputs import check_outputs
     from scenes.prepared_model import prepared_model
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from sim.arm.world import World

@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from scenes.method_option import completed, method_help
+
 
 def command(
     path: Annotated[Path | None, typer.Argument(
@@ -15,7 +17,8 @@ def command(
     robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
                                               "URDF; default: the one the model names.")] = None,
     model: Annotated[Path | None, typer.Option(help="Identified model (JSON); default: the shipped one.")] = None,
-    method: Annotated[str, typer.Option(help="ideal, precorrected or none.")] = "ideal",
+    method: Annotated[str, typer.Option(help=method_help("rsi"), autocompletion=lambda incomplete: completed(
+        "rsi", incomplete))] = "ideal",
     host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = "127.0.0.1",
     port: Annotated[int | None, typer.Option(help="UDP port to listen on; 0 for any free one. Default: that of "
                                              "--rsi-config, else 49152.", min=0, max=65535)] = None,
@@ -49,8 +52,9 @@ def command(
     from ideal_robot.errors import InputError
     from ideal_robot.robots.robot import Robot
     from ideal_robot.rsi.format import RsiFormat
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.rsi.interrupts import stopping_on_signals
     from scenes.rsi.setup import rsi_server
@@ -86,7 +90,8 @@ def command(
 
 
 def _self_test(robot: str | None, model: Path | None, method: str, core: int | None, json: Path | None) -> None:
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.rsi.self_test import held_cycles
 

@@ -28,10 +28,11 @@ def command(
     Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json --video line.gif`
     """
     from ideal_robot.errors import InputError
-    from scenes.commands.common import closed, progress_bar
+    from scenes.commands.common import closed
     from scenes.kind import kind_of
     from scenes.options import chosen
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.report.video import check_video, write_video
     from scenes.result import part_of

@@ -30,8 +30,9 @@ def command(
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.clamped.page import stiffness_page
-    from scenes.commands.common import progress_bar, show_table
+    from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)

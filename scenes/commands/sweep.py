@@ -34,8 +34,9 @@ def command(
 
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import write_text
-    from scenes.commands.common import numbers, progress_bar, show_table, whole_numbers
+    from scenes.commands.common import numbers, show_table, whole_numbers
     from scenes.outputs import check_outputs
+    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.sweep import jobs, sweep
     from scenes.sweep_file import SweepFile

@@ -22,8 +22,8 @@ def command(
     Example: `ideal-robot view out/line/recording.parquet`
     """
     from ideal_robot.robots.robot import SHIPPED, Robot
-    from scenes.commands.common import progress_bar
     from scenes.kind import kind_of
+    from scenes.progress_bar import progress_bar
     from scenes.scene_file import load_scene
     from scenes.view.player import Player
     from scenes.view.recorded import open_recording, recorded_replay

@@ -101,10 +101,11 @@ function drawScene() {
   }
   const p = see(DATA.tool[k]); g.beginPath(); g.arc(p[0], p[1], 4, 0, 7); g.fillStyle = C.accent; g.fill();
   if (DATA.force && Math.hypot(...DATA.force[k]) * perNewton > 0.01) {
-    const q = see(DATA.tool[k].map((x, a) => x + perNewton * DATA.force[k][a])), l = Math.hypot(q[0] - p[0], q[1] - p[1]) || 1;
-    const u = [(q[0] - p[0]) / l, (q[1] - p[1]) / l], back = Math.min(10, l);
-    polyline(g, [p, q], C.blue, 2.5);
-    polyline(g, [-1, 0, 1].map(s => s ? [q[0] - back * u[0] - 0.5 * s * back * u[1], q[1] - back * u[1] + 0.5 * s * back * u[0]] : q), C.blue, 2.5);
+    // The arrow ends at the tool.
+    const q = see(DATA.tool[k].map((x, a) => x - perNewton * DATA.force[k][a])), l = Math.hypot(p[0] - q[0], p[1] - q[1]) || 1;
+    const u = [(p[0] - q[0]) / l, (p[1] - q[1]) / l], back = Math.min(10, l);
+    polyline(g, [q, p], C.blue, 2.5);
+    polyline(g, [-1, 0, 1].map(s => s ? [p[0] - back * u[0] - 0.5 * s * back * u[1], p[1] - back * u[1] + 0.5 * s * back * u[0]] : p), C.blue, 2.5);
   }
 }
 // The two directions in which the path spreads most, so that any path is seen flat.

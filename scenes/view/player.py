@@ -18,9 +18,12 @@ PERIOD = 0.04
 SPEEDS = ("0.1 ×", "0.25 ×", "0.5 ×", "1 ×", "2 ×", "5 ×")
 _ARROW = 0.4
 """Length of a large force's arrow [m]."""
+_ABOVE = 0.004
+"""How far above where it was the tool's path is drawn [m]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
 _COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))
+_NAMES = ("black", "blue", "violet", "green")
 
 
 class Player:
@@ -42,6 +45,9 @@ class Player:
         self.running = gui.add_checkbox("play", initial_value=True)
         self.speed = gui.add_dropdown("speed", SPEEDS, initial_value="0.5 ×")
         self.said = gui.add_markdown("")
+        shown = [f"{name} {colour}" for name, colour in zip(replay.curves, _NAMES, strict=False)]
+        gui.add_markdown(", ".join([*shown, "tool green to red by its error"])
+                         + (", force on the tool a blue arrow" if replay.force is not None else ""))
         # The plot takes no gaps: only where the error counts.
         counts = np.flatnonzero(np.isfinite(replay.error))
         self._rows = counts[np.unique(np.linspace(0, len(counts) - 1, _PLOTTED).astype(int))] if len(counts) else counts
@@ -55,12 +61,16 @@ class Player:
 
     def _set_up_scene(self) -> None:
         viewer, replay = self.viewer, self.replay
+        middle = 0.5 * (replay.tool.mean(axis=0) + np.array([0.0, 0.0, 0.6]))
+        viewer.look_at(middle, 1.7 + float(np.ptp(replay.tool, axis=0).max()))
         if replay.surface is not None:
             viewer.surface(replay.surface)
-        for (name, points), colour in zip(replay.curves.items(), _COLOURS, strict=False):
-            viewer.draw(name.replace(" ", "_"), points, colour)
+        for i, ((name, points), colour) in enumerate(zip(replay.curves.items(), _COLOURS, strict=False)):
+            # The tool's path lies on the line it follows: that is drawn wider, and the path a little above it.
+            viewer.draw(name.replace(" ", "_"), points, colour, thickness=9.0 if i == 0 else 2.5)
         step = max(1, len(self._t) // 1500)
-        viewer.draw("tool", replay.tool[::step], error_colours(replay.error[::step])[1:], thickness=5.0)
+        above = replay.tool[::step] + np.array([0.0, 0.0, _ABOVE])
+        viewer.draw("tool", above, error_colours(replay.error[::step])[1:], thickness=4.0)
         # The 99th percentile, so that a shock does not make all else invisible.
         self._per_newton = 0.0 if replay.force is None else _ARROW / max(
             float(np.nanquantile(np.linalg.norm(replay.force, axis=1), 0.99)), 1e-9)
@@ -74,7 +84,9 @@ class Player:
             self.viewer.show(replay.ghost[k], GHOST)
         self.tool.position = tuple(float(v) for v in replay.tool[k])
         if replay.force is not None and np.isfinite(replay.force[k]).all():
-            self.viewer.arrow("force", replay.tool[k], self._per_newton * replay.force[k], (0, 110, 190))
+            # It ends at the tool: on the other side it would be hidden in the wrist.
+            push = self._per_newton * replay.force[k]
+            self.viewer.arrow("force", replay.tool[k] - push, push, (0, 110, 190))
         error = replay.error[k]
         self.said.content = f"**{self._t[k]:.2f} s**" + (
             f", {replay.error_name} {abs(error):.3g} {replay.unit}" if np.isfinite(error) else "") + (

@@ -104,6 +104,19 @@ class Viewer:
             self._arrows[name] = self.server.scene.add_arrows(f"/arrows/{name}", points=points, colors=colour,
                                                               shaft_radius=0.008, head_radius=0.02, head_length=0.05)
 
+    def look_at(self, place: Array, distance: float) -> None:
+        """Where a page that is opened looks.
+
+        Args:
+            place: ``(3,)`` [m].
+            distance: from it [m].
+        """
+        camera = self.server.initial_camera
+        # A little to the right of it: there the controls lie above the picture.
+        aim = np.asarray(place) + 0.12 * distance * np.array([0.66, 0.75, 0.0])
+        camera.position = tuple(aim + distance * np.array([0.68, -0.6, 0.42]))
+        camera.look_at = tuple(aim)
+
     def surface(self, corners: Array) -> None:
         """Draws a flat surface with ``corners (4, 3)`` [m]."""
         # A little lower than it is, so that what is drawn on it can be seen.

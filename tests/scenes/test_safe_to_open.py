@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from ideal_robot.errors import InputError
 from scenes import load_scene
 from scenes.cli import main
-from scenes.commands.common import progress_bar, show_table
+from scenes.commands.common import show_table
 from scenes.formula import FUNCTIONS, evaluated
+from scenes.progress_bar import progress_bar
 from scenes.shape import Shape
 
 SCENE = """

@@ -126,8 +126,8 @@ class NotTransferred:
     @property
     def reason(self) -> str:
         """Why it was not added."""
-        return self.why or (f"with it the error on data that had no part in finding it is {self.rms_with:.4g} instead "
-                            f"of {self.rms_without:.4g}")
+        return self.why or (f"with it the error on data that had no part in finding it is {self.rms_with:.3g} instead "
+                            f"of {self.rms_without:.3g}")
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON."""

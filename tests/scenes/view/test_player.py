@@ -64,7 +64,7 @@ def test_the_slider_moves_arm_tool_ghost_and_picture(player) -> None:  # type: i
     np.testing.assert_allclose(arm[-1].position, data.oMi[-1].translation, atol=1e-9)
     assert player.picture.image.mean() > before[1] + 100
     start, end = player.viewer._arrows["force"].points[0]
-    np.testing.assert_allclose(start, player.replay.tool[k], atol=1e-6)
+    np.testing.assert_allclose(end, player.replay.tool[k], atol=1e-6)
     assert end[2] > start[2] + 0.2
     assert "3.5" in player.said.content
     t, error, past = player.plot.data

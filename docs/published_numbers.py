@@ -1,0 +1,208 @@
+"""Makes the numbers that README and pages publish anew, and says which differ: ``make docs-figures``.
+
+``docs/numbers.toml`` says for each table or sentence which command makes it and where in the command's JSON its numbers
+stand. Every command runs once, however many numbers it makes.
+
+    python docs/published_numbers.py --list            # what there is, how long it takes, nothing is run
+    python docs/published_numbers.py --quick           # what takes less than a minute
+    python docs/published_numbers.py --only iso9283_1  # commands or pages with this word
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+_NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?:[eE][−-]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Published:
+    """One published number.
+
+    Attributes:
+        page: where it stands.
+        what: which one it is, for people.
+        text: as printed there.
+        command: words behind ``ideal-robot`` that make it.
+        value: where it stands in the command's JSON, see ``value_of``.
+        factor: of the JSON's unit to the page's.
+        tolerance: by which it may differ, relative, beside the rounding of what is printed.
+        quick: whether the command takes less than a minute.
+    """
+
+    page: str
+    what: str
+    text: str
+    command: str
+    value: str
+    factor: float
+    tolerance: float
+    quick: bool
+
+    def holds(self, found: float) -> bool:
+        """Whether a number made anew is the published one."""
+        if not math.isfinite(found):
+            return False
+        decimals = len(self.text.partition(".")[2])
+        return abs(found - self.number) <= self.tolerance * abs(self.number) + 0.5001 * 10.0**-decimals
+
+    @property
+    def number(self) -> float:
+        """The printed number."""
+        return float(self.text.replace("−", "-"))
+
+
+def published(table: Path = ROOT / "docs" / "numbers.toml", root: Path = ROOT) -> list[Published]:
+    """All numbers of the table, read from their pages.
+
+    Raises:
+        ValueError: a page does not have what the table says, with the entry.
+    """
+    entries = tomllib.loads(table.read_text(encoding="utf-8"))
+    return [one for entry in entries["entry"] for one in _numbers(entry, root)]
+
+
+def _numbers(entry: dict[str, Any], root: Path) -> Iterator[Published]:
+    page = (root / entry["page"]).read_text(encoding="utf-8")
+    shared = {"page": entry["page"], "command": entry["command"], "tolerance": entry.get("tolerance", 0.02),
+              "quick": entry.get("quick", False)}
+    factors = entry.get("factors", [1.0] * len(entry["values"]))
+    for label, key, text in _places(entry, page):
+        found = _NUMBER.findall(text)
+        if len(found) < len(entry["values"]):
+            raise ValueError(f"{entry['page']}: {label!r} has {len(found)} numbers of {len(entry['values'])}")
+        for i, (value, factor) in enumerate(zip(entry["values"], factors, strict=True)):
+            yield Published(what=f"{label} ({i + 1})" if len(entry["values"]) > 1 else label, text=found[i],
+                            value=value.replace("{row}", key), factor=factor, **shared)
+
+
+def _places(entry: dict[str, Any], page: str) -> Iterator[tuple[str, str, str]]:
+    """Label, key of the row and the text with the numbers: cells of a table, or a sentence's groups."""
+    if "sentence" in entry:
+        found = re.search(entry["sentence"], page)
+        if found is None:
+            raise ValueError(f"{entry['page']}: there is no {entry['sentence']!r}")
+        yield entry["sentence"][:40], "", " ".join(found.groups())
+        return
+    lines = page.splitlines()
+    first = next((i for i, line in enumerate(lines) if line.startswith(entry["header"])), None)
+    if first is None:
+        raise ValueError(f"{entry['page']}: there is no table {entry['header']!r}")
+    rows = {}
+    for line in lines[first + 2:]:
+        if not line.startswith("|"):
+            break
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        rows[cells[0]] = cells
+    for begin, key in entry["rows"].items():
+        label = next((label for label in rows if label.startswith(begin)), None)
+        if label is None:
+            raise ValueError(f"{entry['page']}: the table {entry['header']!r} has no row {begin!r}")
+        columns = entry.get("columns", [entry.get("column", 1)])
+        yield f"{label[:30]}", key, " ".join(rows[label][i] for i in columns)
+
+
+def value_of(content: Any, path: str) -> float:
+    """A number out of a command's JSON.
+
+    ``a.b.0.c`` goes down by keys and places in lists, ``runs[speed=0.7].x`` to all entries of a list with this value,
+    ``*`` to all; ``max(…)``, ``min(…)`` and ``mean(…)`` make one number of several.
+    """
+    reduced = re.fullmatch(r"(max|min|mean)\((.*)\)", path)
+    values = [content]
+    for part in re.findall(r"[^.\[\]]+(?:\[[^\]]*\])?", reduced[2] if reduced else path):
+        name, _, chosen = part.partition("[")
+        values = [deeper for value in values for deeper in _deeper(value, name)]
+        if chosen:
+            key, _, wanted = chosen.rstrip("]").partition("=")
+            values = [one for value in values for one in value if str(one.get(key)) == wanted]
+    numbers = [float("nan") if value is None else float(value) for value in values]
+    if reduced and numbers:
+        return {"max": max, "min": min, "mean": lambda x: sum(x) / len(x)}[reduced[1]](numbers)
+    if len(numbers) != 1:
+        raise ValueError(f"{path} is {len(numbers)} numbers")
+    return numbers[0]
+
+
+def _deeper(value: Any, name: str) -> list[Any]:
+    if name == "*":
+        return list(value.values()) if isinstance(value, dict) else list(value)
+    return [value[int(name)] if isinstance(value, list) else value[name]]
+
+
+def made(command: str, folder: Path) -> dict[str, Any] | None:
+    """The JSON of a command; None where it needs measured data that are not here."""
+    if "{data}" in command and not DATA.is_dir():
+        return None
+    words = shlex.split(command.replace("{data}", str(DATA)))
+    answer = folder / "answer.json"
+    done = subprocess.run([sys.executable, "-m", "scenes.cli", *words, "--json", str(answer)], cwd=folder,
+                          capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    if done.returncode != 0 or not answer.is_file():
+        raise RuntimeError(f"ideal-robot {command}: {done.stderr.strip()[-500:]}")
+    content: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
+    return content
+
+
+
+
+def compare(numbers: Sequence[Published]) -> list[tuple[Published, float | None, str]]:
+    """Each number with the one made anew (None where it could not be made) and a word: same, differs, not made."""
+    answers: list[tuple[Published, float | None, str]] = []
+    for command in dict.fromkeys(one.command for one in numbers):
+        print(f"ideal-robot {command} …", file=sys.stderr, flush=True)
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                content = made(command, Path(folder))
+            except RuntimeError as error:
+                print(error, file=sys.stderr)
+                answers += [(one, None, "failed") for one in numbers if one.command == command]
+                continue
+        for one in (one for one in numbers if one.command == command):
+            if content is None:
+                answers.append((one, None, "not made: measured data are missing"))
+                continue
+            found = one.factor * value_of(content, one.value)
+            answers.append((one, found, "same" if one.holds(found) else "DIFFERS"))
+    return answers
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Prints every number beside the published one; 1 if any differs."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--list", action="store_true", help="say which numbers there are, run nothing")
+    parser.add_argument("--quick", action="store_true", help="only commands that take less than a minute")
+    parser.add_argument("--only", default="", help="only commands and pages with this word")
+    asked = parser.parse_args(words)
+    numbers = [one for one in published() if (one.quick or not asked.quick)
+               and (asked.only in one.command or asked.only in one.page)]
+    if asked.list:
+        for one in numbers:
+            print(f"{one.page}: {one.what}: {one.text}  (ideal-robot {one.command})")
+        return 0
+    answers = compare(numbers)
+    for one, found, word in answers:
+        print(f"{word:8} {one.page}: {one.what}: published {one.text}, now "
+              + ("–" if found is None else f"{found:.4g}") + f"  (ideal-robot {one.command})")
+    wrong = sum(word in ("DIFFERS", "failed") for *_, word in answers)
+    print(f"{len(answers)} numbers, {wrong} differ")
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

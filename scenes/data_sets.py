@@ -1,0 +1,165 @@
+"""Public recordings by others: fetched, compared with a checksum, and written as recordings of ours."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import tomllib
+import urllib.error
+import urllib.request
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pandas as pd
+from scipy.io import loadmat
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import whole_files
+
+_LARGEST = 200_000_000
+"""No data set has more bytes."""
+_PATIENCE = 30.0
+"""How long a server may be silent [s]."""
+
+
+@dataclass(frozen=True)
+class DataSet:
+    """One public recording.
+
+    Attributes:
+        name: by which it is fetched.
+        title: what it is.
+        page: where people find it.
+        cite: its authors' publication.
+        licence: what may be done with it.
+        columns: names of the file's columns, in its order.
+        checked: columns that ``values_sha256`` is of.
+        format: ``csv`` without titles, or ``mat``.
+        url: where the file is; empty where it has to be downloaded by hand.
+        doi: of the publication or the data.
+        signals: names in a ``mat`` file, in the order of ``columns``.
+        torque_of: columns that torques are in proportion to, with the factor [N m or N per unit].
+        digits: decimals with which values enter ``values_sha256``.
+        sha256: of the file's bytes; empty where it is checked by its values.
+        values_sha256: of the values of ``checked``.
+    """
+
+    name: str
+    title: str
+    page: str
+    cite: str
+    licence: str
+    columns: tuple[str, ...]
+    checked: tuple[str, ...]
+    format: str = "csv"
+    url: str = ""
+    doi: str = ""
+    signals: tuple[str, ...] = ()
+    torque_of: dict[str, float] = field(default_factory=dict)
+    digits: int = 6
+    sha256: str = ""
+    values_sha256: str = ""
+
+
+def data_sets(registry: Path | None = None) -> dict[str, DataSet]:
+    """All data sets by name.
+
+    Args:
+        registry: a TOML of the form of ``scenes/data_sets.toml``, which is taken if None.
+    """
+    text = (resources.files("scenes").joinpath("data_sets.toml") if registry is None else registry).read_text("utf-8")
+    return {name: DataSet(name, **{key: tuple(value) if isinstance(value, list) else value
+                                   for key, value in table.items()})
+            for name, table in tomllib.loads(text).items()}
+
+
+def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | None = None) -> Path:
+    """Gets a data set and writes it as ``NAME.parquet``, with its origin and licence in ``NAME.txt`` beside it.
+
+    Args:
+        name: of the set.
+        out: folder; made if missing.
+        file: the original file where it was downloaded by hand.
+        registry: see ``data_sets``.
+
+    Raises:
+        InputError: no such set, a set that needs ``file``, a file that cannot be read.
+        IdealRobotError: no connection, or not the file that it should be.
+    """
+    known = data_sets(registry)
+    if name not in known:
+        raise InputError(f"expected one of {', '.join(known)}", field="name", value=name)
+    one = known[name]
+    if file is not None:
+        if not file.is_file():
+            raise InputError("no such file", file=file)
+        content = file.read_bytes()
+    elif one.url:
+        content = _downloaded(one)
+    else:
+        raise InputError(f"no program can download it; get it from {one.page} and give it with --file",
+                         field="name", value=name)
+    if one.sha256 and hashlib.sha256(content).hexdigest() != one.sha256:
+        raise IdealRobotError(f"{file or one.url} is not the file that {name} was published as (SHA-256 differs); "
+                              "nothing was written")
+    columns = _columns(one, content, str(file or one.url))
+    if one.values_sha256 and values_hash(columns, one) != one.values_sha256:
+        raise IdealRobotError(f"{file or one.url} does not hold the values of {name} (checksum of "
+                              f"{', '.join(one.checked)} differs); nothing was written")
+    meta = {"source": one.page, "licence": one.licence, "cite": one.cite, "doi": one.doi, "data_set": name}
+    path = out / f"{name}.parquet"
+    with whole_files(path, out / f"{name}.txt") as (table, words):
+        Recording(columns, meta, one.page).write(table)
+        words.write_text("\n".join(f"{key}: {value}" for key, value in {"title": one.title, **meta}.items()) + "\n",
+                         encoding="utf-8")
+    return path
+
+
+def values_hash(columns: dict[str, Array], one: DataSet) -> str:
+    """SHA-256 of the checked columns: each name, then its values line by line with ``digits`` decimals."""
+    digest = hashlib.sha256()
+    for name in one.checked:
+        digest.update(name.encode())
+        digest.update(b"".join(b"%.*f\n" % (one.digits, value) for value in columns[name] + 0.0))
+    return digest.hexdigest()
+
+
+def _downloaded(one: DataSet) -> bytes:
+    """The file's bytes, or an error that says what to do instead."""
+    if urlsplit(one.url).scheme not in ("http", "https"):
+        raise InputError("expected an address that begins with http:// or https://", field="url", value=one.url)
+    try:
+        with urllib.request.urlopen(one.url, timeout=_PATIENCE) as answer:
+            content: bytes = answer.read(_LARGEST + 1)
+    except (urllib.error.URLError, TimeoutError, OSError) as error:
+        reason = error if isinstance(error, urllib.error.HTTPError) else getattr(error, "reason", error)
+        raise IdealRobotError(f"{urlsplit(one.url).netloc} cannot be reached or does not have it ({reason}); where "
+                              f"there is internet, download {one.url} and give it with --file") from error
+    if len(content) > _LARGEST:
+        raise IdealRobotError(f"{one.url} is larger than {_LARGEST // 1_000_000} MB, no data set is")
+    return content
+
+
+def _columns(one: DataSet, content: bytes, source: str) -> dict[str, Array]:
+    """The file's columns with our names, time from 0, and the torques."""
+    try:
+        if one.format == "mat":
+            values: dict[str, Any] = loadmat(io.BytesIO(content))
+            columns = {ours: np.asarray(values[theirs], dtype=float).ravel()
+                       for ours, theirs in zip(one.columns, one.signals, strict=True)}
+        else:
+            table = pd.read_csv(io.BytesIO(content), header=None, usecols=range(len(one.columns)))
+            columns = {ours: table.iloc[:, i].to_numpy(float) for i, ours in enumerate(one.columns)}
+    except (ValueError, KeyError, TypeError, NotImplementedError) as error:
+        raise InputError(f"not readable as {one.format} with {len(one.columns)} columns ({type(error).__name__}: "
+                         f"{error})", file=source) from error
+    columns["t"] = columns["t"] - columns["t"][0]
+    for name, factor in one.torque_of.items():
+        columns[f"tau_{name.rpartition('_')[2]}"] = factor * columns[name]
+    return columns

@@ -1,0 +1,81 @@
+"""Published numbers: each names its command, stands on its page as the table says, and a changed one is found."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("published_numbers", ROOT / "docs" / "published_numbers.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+NUMBERS = script()
+
+
+def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
+    from scenes.cli import VERBS
+
+    found = NUMBERS.published()
+    assert len(found) > 150
+    assert {one.command.split()[0] for one in found} <= set(VERBS)
+    assert {one.page for one in found} >= {"README.md", "docs/ideal_robot.md", "docs/line_following.md",
+                                           "docs/contact.md"}
+    assert any(one.quick for one in found)
+
+
+def test_numbers_are_read_out_of_json_by_path() -> None:
+    content = {"runs": [{"speed": 0.7, "e": {"mean": 2.0}}, {"speed": 0.7, "e": {"mean": 3.0}},
+                        {"speed": 1.0, "e": {"mean": None}}], "a": {"b": [4.0, 5.0]}}
+    assert NUMBERS.value_of(content, "a.b.1") == 5.0
+    assert NUMBERS.value_of(content, "max(runs[speed=0.7].e.mean)") == 3.0
+    assert NUMBERS.value_of(content, "mean(runs[speed=0.7].e.mean)") == 2.5
+    with pytest.raises(ValueError, match="2 numbers"):
+        NUMBERS.value_of(content, "runs[speed=0.7].e.mean")
+
+
+def test_a_number_that_changed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                       capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "page.md").write_text("| what | mm |\n| --- | --- |\n| `a` | 0.50 / 7 |\n| `b` | 2.0 / 9 |\n")
+    (tmp_path / "numbers.toml").write_text("""[[entry]]
+page = "page.md"
+header = "| what | mm |"
+rows = { "`a`" = "a", "`b`" = "b" }
+command = "run it"
+values = ["{row}.first", "{row}.second"]
+""")
+    numbers = NUMBERS.published(tmp_path / "numbers.toml", tmp_path)
+    assert [one.text for one in numbers] == ["0.50", "7", "2.0", "9"]
+    made = {"a": {"first": 0.504, "second": 7.2}, "b": {"first": 2.3, "second": None}}
+    monkeypatch.setattr(NUMBERS, "made", lambda command, folder: made)
+    assert [word for *_, word in NUMBERS.compare(numbers)] == ["same", "same", "DIFFERS", "DIFFERS"]
+    monkeypatch.setattr(NUMBERS, "published", lambda: numbers)
+    assert NUMBERS.main([]) == 1
+    assert "4 numbers, 2 differ" in capsys.readouterr().out
+
+
+def test_a_table_without_the_row_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("| what | mm |\n| --- | --- |\n| `a` | 0.50 |\n")
+    entry = {"page": "page.md", "header": "| what | mm |", "rows": {"`c`": "c"}, "command": "run it", "values": ["x"]}
+    with pytest.raises(ValueError, match="no row '`c`'"):
+        list(NUMBERS._numbers(entry, tmp_path))
+
+
+def test_a_quick_number_is_made_anew() -> None:
+    """One command from the table, run as `make docs-figures` runs it."""
+    numbers = [one for one in NUMBERS.published() if one.command == "run contour"]
+    answers = NUMBERS.compare(numbers)
+    assert [word for *_, word in answers] == ["same"] * 3, json.dumps([found for _, found, _ in answers])
