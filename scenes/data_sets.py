@@ -74,9 +74,12 @@ def data_sets(registry: Path | None = None) -> dict[str, DataSet]:
         registry: a TOML of the form of ``scenes/data_sets.toml``, which is taken if None.
     """
     text = (resources.files("scenes").joinpath("data_sets.toml") if registry is None else registry).read_text("utf-8")
-    return {name: DataSet(name, **{key: tuple(value) if isinstance(value, list) else value
-                                   for key, value in table.items()})
-            for name, table in tomllib.loads(text).items()}
+    found = {}
+    for name, table in tomllib.loads(text).items():
+        values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value
+                                  for key, value in table.items()}
+        found[name] = DataSet(name, **values)
+    return found
 
 
 def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | None = None) -> Path:

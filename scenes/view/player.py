@@ -18,7 +18,7 @@ PERIOD = 0.04
 SPEEDS = ("0.1 ×", "0.25 ×", "0.5 ×", "1 ×", "2 ×", "5 ×")
 _ARROW = 0.4
 """Length of a large force's arrow [m]."""
-_ABOVE = 0.004
+_ABOVE = 0.012
 """How far above where it was the tool's path is drawn [m]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
