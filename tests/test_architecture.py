@@ -21,7 +21,7 @@ IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "
 STARTS_FAST = "scenes.commands."
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
-                    "mkdocstrings[python]", "setuptools", "ipykernel"}
+                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets"}
 """Tools of development that are started as programs."""
 
 

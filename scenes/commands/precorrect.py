@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from scenes.method_option import completed, method_help
+from scenes.commands.method_option import completed, method_help
 
 
 def command(

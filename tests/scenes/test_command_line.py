@@ -108,7 +108,7 @@ def test_help_has_an_example(tmp_path: Path, verb: str) -> None:
 
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(verb: str, tmp_path: Path) -> None:
-    from scenes.method_option import completed, methods_of
+    from scenes.commands.method_option import completed, methods_of
 
     done = ideal_robot(verb, "--help", cwd=tmp_path)
     told = " ".join(done.stdout.replace("│", " ").split())
