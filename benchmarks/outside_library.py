@@ -157,6 +157,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size-mm", type=float, default=250.0, help="diameter of the circle")
     parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--measured", default="tcp", choices=("motor", "arm", "tcp"))
     parser.add_argument("--steps", action="store_true", help="every change that was tried")
     parser.add_argument("--only", type=int, help="0, 1 or 2: this cause alone")
     given = parser.parse_args()
@@ -173,7 +174,7 @@ def main() -> None:
         if given.only not in (None, i):
             continue
         begun = time.process_time()
-        result = close_outside(scene, cell, cause, rounds=given.rounds)
+        result = close_outside(scene, cell, cause, measured=given.measured, rounds=given.rounds)
         errors = [1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle)]
         taken = "; ".join(step.tried for step in result.steps if step.taken) or "nothing"
         print(f"| {cause.name} | {errors[0]:.3f} | {errors[1]:.3f} | {errors[2]:.3f} | {taken} | "

@@ -22,7 +22,6 @@ from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
 from scenes.measured import Measured, visible
 from scenes.methods import IDEAL
 from scenes.metrics import path_errors
@@ -68,7 +67,7 @@ def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, me
         robot: kinematics.
         known: the model of before.
         measured: what is measured.
-        effects: found since.
+        effects: of the model that is tried, those of before first.
     """
     recording = played.recording
     if measured == "tcp":
@@ -76,7 +75,7 @@ def measured_error(played: Play, path: JointPath, robot: Robot, known: Model, me
     else:
         q = recording.joints("qa" if measured == "arm" else "q")
         if measured == "motor":
-            q = q - _deflections(known.with_effects(_loads(effects)), recording)
+            q = q - _deflections(known.with_effects(_loads(effects[len(known.effects):])), path, recording.t)
         pose = robot.fk()
         x = np.array([pose(row).translation for row in q])
     return path_errors(path.t[path.counts], path.x_d[path.counts], recording.t, x).aligned.E_car
@@ -179,10 +178,9 @@ def _loads(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
     return tuple(effect for effect, change in changes if change.body or change.gravity is not None)
 
 
-def _deflections(model: Model, recording: Recording) -> Array:
-    """Deflection of the gears along a recording ``(N, n)`` [rad], from the model and the desired path."""
-    q_d, t = recording.joints("q_d"), recording.t
-    step = float(np.median(np.diff(t)))
-    gears = GearDeflection(model, step)
-    padded = np.concatenate([q_d[:1], q_d, q_d[-1:]])
-    return np.array([gears.at(padded[k : k + 3]) for k in range(len(q_d))])
+def _deflections(model: Model, path: JointPath, t: Array) -> Array:
+    """Deflection of the gears at times ``(M,)`` [s] along a path ``(M, n)`` [rad], as a model expects it."""
+    gears = GearDeflection(model, float(path.t[1] - path.t[0]))
+    padded = np.concatenate([path.q_d[:1], path.q_d, path.q_d[-1:]])
+    at_cycles = np.array([gears.at(padded[k : k + 3]) for k in range(len(path.q_d))])
+    return np.column_stack([np.interp(t, path.t, column) for column in at_cycles.T])
