@@ -23,6 +23,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import clipped
+from ideal_robot.signals.cutoff import thinned
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -36,6 +37,8 @@ NEAR_REVERSAL = 0.12
 own, and both filters remember it for so long."""
 POSITION_BAND = 50.0
 """Band in which positions and forces are looked at [Hz]."""
+_RATE = 250.0
+"""Samples a second at which signals are kept, where more were recorded [Hz]."""
 ROWS = 150_000
 """Rows of the regression (samples × joints) that are looked at, at most; longer recordings are decimated further."""
 
@@ -63,7 +66,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     duration = len(recording.t) / rate
     cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
     band = min(BAND * cutoff / CUTOFF, 0.5 * ROWS / (n * duration), 0.5 * rate)
-    filtered = _differentiated(without_spikes(preprocess(recording, cutoff=cutoff, cutoff_decimation=band)))
+    recorded = without_spikes(preprocess(recording, cutoff=cutoff, cutoff_decimation=band))
+    filtered = _differentiated(recorded if _measures_more(recording) else _thinned(recorded))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
     noise_velocity = small_velocity(recording, filtered)
@@ -88,7 +92,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
     units = tuple("N" if slides else "N m" for slides in prismatic)
     made = Regression(filtered.t_decimated - filtered.t[0], tuple(f"tau_{j + 1}" for j in range(n)), units,
-                      measured, measured, W, use, signals, filtered, undecided, noise_above_band(filtered), prismatic)
+                      measured, measured, W, use, signals, filtered, undecided, noise_above_band(recorded), prismatic)
     made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
     return made if shared else replace(made, W=_own_copies(made.W))
 
@@ -180,7 +184,24 @@ def in_position_band(made: Regression, recording: Recording) -> Regression:
     """
     rate = 1.0 / made.filtered.dt
     filtered = preprocess(recording, cutoff=made.filtered.cutoff, cutoff_decimation=min(POSITION_BAND, 0.5 * rate))
+    if len(filtered.t) > len(made.filtered.t):
+        filtered = _thinned(filtered)
     return replace(made, t=filtered.t_decimated - filtered.t[0], filtered=filtered)
+
+
+def _measures_more(recording: Recording) -> bool:
+    """Whether positions or forces are measured beside the motors', whose noise many samples average."""
+    others = ("x", "y", "z", "fx", "cam_t")
+    return bool(recording.having("qa").any()) or any(name in recording.columns for name in others)
+
+
+def _thinned(filtered: FilteredSignals) -> FilteredSignals:
+    """At no more than ``_RATE``: the filtered motion has nothing beyond, and effects are computed at every sample."""
+    stride = int(1.0 / (filtered.dt * _RATE) + 1e-6)
+    if stride < 2:
+        return filtered
+    columns = {name: np.ascontiguousarray(values[::stride]) for name, values in filtered.columns.items()}
+    return replace(thinned(filtered, stride), columns=columns)
 
 
 def without_spikes(filtered: FilteredSignals) -> FilteredSignals:

@@ -10,6 +10,7 @@ from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.effects import TCP_POSITION
+from ideal_robot.effects.learned import Unknown
 
 _TESTED = 6
 """Curves of a channel that are tested on blocks left out, at most."""
@@ -26,6 +27,7 @@ class LearnedCurves:
     def __init__(self, scoring: Scoring, rng: np.random.Generator) -> None:
         self.scoring, self.model, self.options = scoring, scoring.model, scoring.options
         self.dependence = DependenceTest(scoring.at_rows, self.model.problem.blocks.edges, rng)
+        self._of_signals: dict[tuple[int, bool], list[Unknown]] = {}
 
     def best(self, fit: Fit, best: Choice | None) -> Choice | None:
         """A learned curve, if it reduces the residual clearly more than the best effect of the library.
@@ -59,8 +61,7 @@ class LearnedCurves:
         regression = self.model.problem.regression
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
         at_rows = self.scoring.at_rows
-        tests = [self.dependence.test(residual[:, j], use, j, term)
-                 for term in terms(at_rows, j, pairs, regression.domain)]
+        tests = [self.dependence.test(residual[:, j], use, j, term) for term in self._terms(j, pairs)]
         period = time_period(residual[:, j], use, at_rows.t, regression.domain)
         if period is not None:
             tests.append(self.dependence.test(residual[:, j], use, j, period))
@@ -73,6 +74,13 @@ class LearnedCurves:
             self.model.design.add(candidate.key, self.model.problem.columns(candidate))
             scored.append(self.scoring.tested(fit, candidate, d))
         return scored
+
+    def _terms(self, j: int, pairs: bool) -> list[Unknown]:
+        """Curves to try on channel ``j``; they follow from the signals alone and are the same in every round."""
+        if (j, pairs) not in self._of_signals:
+            domain = self.model.problem.regression.domain
+            self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
+        return self._of_signals[j, pairs]
 
     def _taken(self, candidate: Candidate) -> bool:
         return any(c.candidate.key == candidate.key for c in self.model.choices)

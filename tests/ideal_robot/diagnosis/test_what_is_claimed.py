@@ -149,3 +149,20 @@ def test_a_coefficient_of_friction_that_would_drive_is_none_in_the_extended_mode
     assert found.model.covariance[at + 1, at + 1] > 0.0
     free = diagnose(recording, one, only=()).model.friction.laws[0].coefficients[:, 0]
     assert free == pytest.approx([1.5, 2.0], rel=0.05)
+
+
+def test_a_fast_recording_is_looked_at_no_finer_than_needed_and_says_the_same(one):
+    fast, _ = moved(stribeck=1.5)
+    t = np.arange(0.0, fast.t[-1], 0.001)
+    fine = Recording.from_arrays(t, q=np.interp(t, fast.t, fast.columns["q_1"])[:, None],
+                                 tau=np.interp(t, fast.t, fast.columns["tau_1"])[:, None])
+    made, usual = (torque_regression(r, one, Model.nominal(one)) for r in (fine, fast))
+    assert made.signals.dt == pytest.approx(0.004)
+    assert made.t[1] - made.t[0] == pytest.approx(usual.t[1] - usual.t[0])
+    assert len(made.y) == pytest.approx(len(usual.y), abs=2)
+    found, expected = (diagnose(r, one, only=(("stribeck", 1),)) for r in (fine, fast))
+    (own,), (other,) = found.effects, expected.effects
+    assert own.fitted.coefficients == pytest.approx(other.fitted.coefficients, rel=0.05)
+    # Where more is measured its noise is averaged over all samples.
+    seen = Recording({**fine.columns, "qa_1": fine.columns["q_1"]})
+    assert torque_regression(seen, one, Model.nominal(one)).signals.dt == pytest.approx(0.001)
