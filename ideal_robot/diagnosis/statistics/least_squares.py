@@ -168,7 +168,7 @@ class Fit:
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         full = (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key))
-        CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights, part) for part in full)
+        CX, Cy, CC = self._candidate(key)
         gain, coefficients = self._joined(0, CX, Cy, CC)[:2]
         B, c = self.G.shape[:2]
         reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
@@ -194,15 +194,17 @@ class Fit:
                            _one_sided(score, left))
 
     def _candidate(self, key: str) -> tuple[Array, Array, Array]:
-        weighted = []
-        for part in (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key)):
-            weighted.append(np.einsum("c,bcij->bij", self.weights, part))
-        return weighted[0], weighted[1], weighted[2]
+        # Outside its channels a candidate is zero; most have one of many.
+        channels = list(self.design.groups[key].channels)
+        CX = np.concatenate([self.design.cross(key, other)[:, channels] for other in self.keys], axis=3)
+        parts = (CX, self.design.cross(key, "y")[:, channels], self.design.cross(key, key)[:, channels])
+        CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in parts)
+        return CX, Cy, CC
 
     def _joined(self, k: int, CX: Array, Cy: Array, CC: Array) -> tuple[float, Array, Array]:
         """Schur complement: gain, coefficients of the group, and the refitted other parameters."""
-        training = self._training[k]
-        CX, Cy, CC = CX[training].sum(axis=0), Cy[training].sum(axis=0)[:, 0], CC[training].sum(axis=0)
+        training = self._training[k].astype(float)
+        CX, Cy, CC = (np.tensordot(training, part, 1) for part in (CX, Cy[:, :, 0], CC))
         Z = CX @ self._inverse[k]
         S = CC - Z @ CX.T
         # A column that the others explain all but a hundred-thousandth of has nothing of its own.
