@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.validation.evidence import discriminating_motion, ran
 from ideal_robot.diagnosis.validation.limits import with_limits
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
-from ideal_robot.effects import SENSOR
+from ideal_robot.effects import SENSOR, TCP_POSITION
 
 _CLEAR = 3.0
 """Standard deviations by which a change of a model's parameter has to differ from none, in one coefficient at least."""
@@ -156,7 +156,8 @@ class DomainDiagnosis:
         floor = np.minimum.reduce([reported.noise_floor, noise_left(residuals[-1], reported.use), after])
         channels = tuple(ChannelResult(name, unit, float(start[j]), float(refit[j]), float(after[j]),
                                        float(floor[j]), float(signal[j]), float(np.mean(own.use[:, j])),
-                                       float(self._spread(reported.measured)[j]))
+                                       float(self._spread(reported.measured)[j]),
+                                       reported.domain != TCP_POSITION or not reported.absent)
                          for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True))
                          if j not in reported.absent)
         found = tuple(self._found(k, choice, levels) for k, choice in enumerate(self.choices))

@@ -39,6 +39,8 @@ class ChannelResult:
         rms_signal: of what was measured.
         counted: share of all samples that counted, 0 to 1: in motion, apart from reversals, rests and ends.
         spread: standard deviation of what was measured; ``rms_signal`` where it is not known.
+        judged: whether all that may cause its error was looked at; not the arm's geometry where an axis of the tool's
+            place is missing.
     """
 
     channel: str
@@ -50,6 +52,7 @@ class ChannelResult:
     rms_signal: float
     counted: float = 1.0
     spread: float = float("nan")
+    judged: bool = True
 
     @property
     def loud(self) -> bool:
@@ -60,7 +63,7 @@ class ChannelResult:
     def unexplained(self) -> bool:
         """Whether it is loud and, of a torque, a part of it that matters."""
         whole = self.spread if np.isfinite(self.spread) else self.rms_signal
-        return self.loud and (not self.channel.startswith("tau") or self.rms_after > _MATTERS * whole)
+        return self.loud and self.judged and (not self.channel.startswith("tau") or self.rms_after > _MATTERS * whole)
 
     def to_dict(self) -> dict[str, Any]:
         """For JSON, relative errors 100·‖y − ŷ‖/‖y‖ included."""

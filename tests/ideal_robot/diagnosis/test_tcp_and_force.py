@@ -143,3 +143,8 @@ def test_a_late_device_that_measures_two_axes_only():
     found = diagnose(flat, robot(), only=(("dead_time", 0), ("kinematic_error", 1)))
     within(found, "dead_time", 0, delay=3e-4)
     assert [c.channel for c in found.channels if c.channel in "xyz"] == ["x", "y"]
+    # A tool elsewhere than thought is the arm's geometry, of which two axes say nothing.
+    shifted = Recording({**flat.columns, "x": flat.columns["x"] + 0.02 * np.sin(flat.columns["q_5"])})
+    found = diagnose(shifted, robot(), only=())
+    assert found.channels[-2].loud
+    assert (found.verdict, found.unexplained) == ("none", ())
