@@ -30,6 +30,8 @@ class Case:
 
 Maker = Callable[[np.random.Generator, Path], Case]
 ARM = ("arm.urdf", "arm.toml")
+QUESTIONS = (b'{"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2", "indistinguishable_from": '
+             b'["stribeck", "kinematic_error of joint 1"]}], "undecided": [{"joint": 1, "reason": "rests"}]}')
 
 
 def _arm() -> dict[str, bytes]:
@@ -120,6 +122,13 @@ def _plan(rng: np.random.Generator, folder: Path) -> Case:
                                "--z-min", "-5"], files)
 
 
+def _questions(rng: np.random.Generator, folder: Path) -> Case:
+    """What a diagnosis is said to have left open, broken."""
+    return Case("plan diagnosis", ["plan-diagnosis", "r.csv", "--urdf", "arm.urdf", "--result", "d.json", "--out",
+                                   "m.csv", "--length", "6", "--z-min", "-5"],
+                {**_arm(), "r.csv": _sound(folder, "motion"), "d.json": mutate_text.mutated(QUESTIONS, rng)})
+
+
 def _scene(rng: np.random.Generator, folder: Path) -> Case:
     kind = ("line", "path")[rng.integers(2)]
     return Case(f"run {kind} scene", ["run", "s.toml", "--out", "o", "--json", "j.json"],
@@ -165,7 +174,7 @@ def _words(rng: np.random.Generator, folder: Path) -> Case:
 MAKERS: dict[str, tuple[Maker, float]] = {
     "identify": (_identify, 4.0), "robot": (_robot, 3.0), "stiffness": (_stiffness, 3.0),
     "precorrect": (_precorrect, 2.0), "precorrect_model": (_precorrect_model, 3.0),
-    "rsi": (_rsi, 1.0), "rsi_arm": (_rsi_arm, 1.0), "plan": (_plan, 1.0),
+    "rsi": (_rsi, 1.0), "rsi_arm": (_rsi_arm, 1.0), "plan": (_plan, 1.0), "questions": (_questions, 1.0),
     "scene": (_scene, 4.0), "scenes": (_view, 1.0), "words": (_words, 2.0), "diagnose": (_diagnose, 1.0),
     "diagnose_model": (_diagnose_model, 1.0),
 }

@@ -77,10 +77,10 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
         if not isinstance(entry, Mapping):
             raise InputError("expected an effect with name and joint", file=file, field=place)
         name, joint, rivals = entry.get("effect"), entry.get("joint"), entry.get("indistinguishable_from", [])
-        if name not in known:
+        if not isinstance(name, str) or name not in known:
             raise InputError(f"no such effect; known are {', '.join(sorted(known))}", file=file,
                              field=f"{place}.effect", value=str(name)[:60])
-        if not isinstance(joint, int) or not 0 <= joint <= n:
+        if not _is_joint(joint, 0, n):
             raise InputError(f"expected a joint from 0 (the whole arm) to {n}", file=file, field=f"{place}.joint",
                              value=str(joint)[:60])
         if not isinstance(rivals, list) or not all(isinstance(rival, str) for rival in rivals):
@@ -90,18 +90,23 @@ def read_questions(values: Any, n: int, file: Any = None) -> Open:
             if rival not in known or (other is not None and not 0 <= other <= n):
                 raise InputError("no such effect at a joint of this arm", file=file,
                                  field=f"{place}.indistinguishable_from", value=rival[:60])
-        found.append(Named(str(name), joint, prefix_of(str(entry.get("channel", ""))), named))
+        found.append(Named(name, int(str(joint)), prefix_of(str(entry.get("channel", ""))), named))
     return Open(tuple(found), _undecided(values.get("undecided", []), n, file))
 
 
 def _undecided(entries: Any, n: int, file: Any) -> tuple[int, ...]:
     if not isinstance(entries, list):
         raise InputError("expected a list of joints", file=file, field="undecided")
-    joints = [entry.get("joint") if isinstance(entry, Mapping) else None for entry in entries]
+    joints: list[Any] = [entry.get("joint") if isinstance(entry, Mapping) else None for entry in entries]
     for joint in joints:
-        if not isinstance(joint, int) or not 1 <= joint <= n:
+        if not _is_joint(joint, 1, n):
             raise InputError(f"expected a joint from 1 to {n}", file=file, field="undecided", value=str(joint)[:60])
-    return tuple(sorted({int(str(joint)) for joint in joints}))
+    return tuple(sorted(set(joints)))
+
+
+def _is_joint(value: Any, first: int, last: int) -> bool:
+    """Whether a value is a joint's number; a truth value is none."""
+    return isinstance(value, int) and not isinstance(value, bool) and first <= value <= last
 
 
 def _rival(text: str) -> tuple[str, int | None]:

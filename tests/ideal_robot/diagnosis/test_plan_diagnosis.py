@@ -168,11 +168,14 @@ def test_where_the_recording_has_been_is_free():
 
 
 @pytest.mark.parametrize(("values", "field"), [
-    ([], "effects"), ({"effects": [{"effect": "gremlin", "joint": 1}]}, "effects.0.effect"),
+    ([], "effects"),
+    ({"effects": [{"effect": [], "joint": 1}]}, "effects.0.effect"),
+    ({"effects": [{"effect": "gremlin", "joint": 1}]}, "effects.0.effect"),
     ({"effects": [{"effect": "stribeck", "joint": 7}]}, "effects.0.joint"),
     ({"effects": [{"effect": "stribeck", "joint": 1, "indistinguishable_from": ["gremlin"]}]},
      "effects.0.indistinguishable_from"),
     ({"effects": [], "undecided": [{"joint": 9}]}, "undecided"),
+    ({"effects": [], "undecided": [{"joint": True}]}, "undecided"),
 ])
 def test_wrong_result_is_named(values, field):
     with pytest.raises(InputError) as caught:
