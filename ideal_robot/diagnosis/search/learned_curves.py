@@ -48,7 +48,7 @@ class LearnedCurves:
             if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
                 continue
             scored += self._of_channel(fit, residual, j, problem.products.use[:, j] & selecting, best is None, least)
-        scored = [s for s in scored if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
+        scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)
                   and s.test.total > least and not self._taken(s.candidate)]
         if not scored:
             return None

@@ -13,6 +13,7 @@ from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.dependence import Dependence
 from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.effects import ARM_POSITION
 
 _ITERATIONS = 4
 """Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
@@ -89,7 +90,10 @@ class Scoring:
             return False
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
         beside = self._sizes_at(s.candidate.joint)[channels]
-        return bool(np.any(size > self.options.smallest_beside * beside))
+        least = self.options.smallest_beside
+        if s.candidate.effect.learned and s.candidate.effect.domain == ARM_POSITION:
+            least = self.options.smallest_learned_bend
+        return bool(np.any(size > least * beside))
 
     def holds_slowly(self, s: Scored) -> bool:
         """Whether a cause that is the same at all frequencies is so: no less than half as large in half of the band.

@@ -8,6 +8,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.signals import Signals
 
+_LEAST_RANGE = 0.3
+"""Range of a joint over which a balancing spring's sine can be told from a line at all [rad]."""
 _LEAST_WEIGHT = 0.02
 """Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
 
@@ -45,8 +47,8 @@ class GravitySpring(Effect):
         return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Below a range of half a radian the shape is a straight line; where gravity does nothing none is balanced."""
-        if np.ptp(signals.q[:, joint - 1]) <= 0.5:
+        """Over a small range the shape is a straight line; where gravity does nothing none is balanced."""
+        if np.ptp(signals.q[:, joint - 1]) <= _LEAST_RANGE:
             return False
         if signals.rigid is None:
             return True

@@ -11,9 +11,15 @@ from ideal_robot.effects.signals import Signals
 
 
 class LoadDependentFriction(Effect):
-    """``tau = mu |tau_load| sign(qd)`` with ``mu > 0``: the teeth are pressed together by what the gear carries."""
+    """``tau = mu |tau_load - I qdd| sign(qd)`` with ``mu > 0``: teeth are pressed together by what the gear carries.
+
+    theta is the inertia ``I`` that is counted among the links but sits on the motor's side of the gear: motions tell the
+    sum of the two only, and what a gear carries is a matter of which is which.
+    """
 
     name = "load_dependent_friction"
+    theta_names = ("inertia before the gear",)
+    theta_units = ("kg m²",)
     coefficient_names = ("friction per load",)
     coefficient_units = ("1",)
     discriminating_motion = (
@@ -26,10 +32,31 @@ class LoadDependentFriction(Effect):
         load = np.abs(signals.load[:, joint - 1])
         return bool(np.std(load) > 0.05 * (np.mean(load) + 1e-12))
 
+    def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
+        """A tenth, half and most of what the load has of inertia."""
+        largest = self._inertia(signals, joint)
+        return [(share * largest,) for share in (0.1, 0.5, 0.9)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Between nothing and all."""
+        largest = self._inertia(signals, joint)
+        return [(1e-3 * largest, largest)]
+
+    def bounds_near(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> list[tuple[float, float]]:
+        """See ``Effect.bounds_near``. As the bounds: all of them are of one scale."""
+        return self.bounds(signals, joint)
+
+    def _inertia(self, signals: Signals, joint: int) -> float:
+        """Slope of the load over the joint's acceleration [kg m²]."""
+        qdd = signals.qdd[:, joint - 1] - np.mean(signals.qdd[:, joint - 1])
+        return max(float(qdd @ signals.load[:, joint - 1] / (qdd @ qdd + 1e-12)), 1e-9)
+
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
-        direction = signals.sliding_direction(joint)
-        return signals.on_joint(joint, np.abs(signals.load[:, joint - 1]) * direction)
+        # Files of earlier versions have no theta.
+        before = theta[0] if theta else 0.0
+        carried = signals.load[:, joint - 1] - before * signals.qdd[:, joint - 1]
+        return signals.on_joint(joint, np.abs(carried) * signals.sliding_direction(joint))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""
