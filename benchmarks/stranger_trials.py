@@ -20,21 +20,32 @@ import json
 import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 from ideal_robot.diagnosis import Options, diagnose
+from ideal_robot.errors import IdealRobotError
 from trials.report import arm_of, write_tables
 from trials.strangers.engines import ENGINES
 from trials.strangers.score import Score, score
 from trials.strangers.tables import leaving_out, report
 from trials.strangers.trial import KINDS, draw_trial
 
+GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
+"""What counts as the answer of a diagnosis that ends with an error."""
 Job = tuple[int, str | None, str | None, tuple[float, float], float]
 
 
-def play(job: Job) -> Score:
-    """Draws, diagnoses and scores one trial."""
+def play(job: Job) -> Score | None:
+    """Draws, diagnoses and scores one trial; None where nothing can be drawn from its seed.
+
+    A diagnosis that gives up has said nothing, and is never right.
+    """
     seed, kind, engine, size, scale = job
-    trial = draw_trial(seed, kind, engine, size)
+    try:
+        trial = draw_trial(seed, kind, engine, size)
+    except RuntimeError as error:
+        print(error, flush=True)
+        return None
     options = Options().scaled(scale)
     with arm_of(trial.urdf) as robot:
         model = None
@@ -42,7 +53,11 @@ def play(job: Job) -> Score:
             # What is known before is a rigid body with friction, as an identification has it, and no effects.
             model = diagnose(trial.reference, robot, only=()).model
         start = time.process_time()
-        found = diagnose(trial.recording, robot, model=model, options=options)
+        try:
+            found = diagnose(trial.recording, robot, model=model, options=options)
+        except (IdealRobotError, ArithmeticError, ValueError) as error:
+            print(f"{seed}: {error}", flush=True)
+            return score(trial, GAVE_UP)
         return score(trial, found, time.process_time() - start)
 
 
@@ -84,6 +99,8 @@ def main() -> None:
     begun = time.monotonic()
     with ProcessPoolExecutor(options.processes) as pool:
         for s in (pool.map(play, jobs) if options.processes > 1 else map(play, jobs)):
+            if s is None:
+                continue
             scores.append(s)
             print(line(s), flush=True)
             if options.json is not None:

@@ -12,6 +12,7 @@ from ideal_robot.diagnosis.statistics.with_parameters import with_parameters, wi
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
+from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
 
@@ -26,12 +27,13 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
                                                                     found.results[0].channels)
     left = bool(unknown or refitted) or any(channel.unexplained for channel in channels)
     verdict = "unknown" if left else ("effects" if effects else "none")
+    model, warnings = _extended(case, found, every)
     return Diagnosis(verdict, channels, effects,
                      unknown, _held_out(case, found), found.domains[0].held_out_seconds,
                      found.problem.regression.undecided,
                      before=tuple(structure for result in found.results for structure in result.before),
                      remaining=tuple(structure for result in found.results for structure in result.remaining),
-                     warnings=found.warnings, model=_extended(case, found, every),
+                     warnings=found.warnings + warnings, model=model,
                      traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred,
                      unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)),
                      refitted=refitted)
@@ -58,16 +60,23 @@ def _held_out(case: Case, found: Findings) -> str:
             "neither selection nor estimation saw")
 
 
-def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> Model | None:
-    """The model with the parameters of the joint fit and all effects; None where torques are in amperes."""
+def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Model | None, tuple[str, ...]]:
+    """The model with the parameters of the joint fit and all effects, and warnings; None for torques in amperes."""
     if not case.shared:
-        return None
+        return None, ()
     final = found.domains[0].final
-    model = with_possible_inertias(with_parameters(found.start, final.change, final.covariance))
+    model = with_parameters(found.start, final.change, final.covariance)
+    warnings: tuple[str, ...] = ()
+    try:
+        model = with_possible_inertias(model)
+    except IdealRobotError as error:
+        # What was found does not depend on it: torques come from the base parameters.
+        warnings = (f"the extended model predicts torques, but cannot be simulated: {error}",)
     provenance = dict(model.provenance)
     provenance["diagnosis"] = {"recording": case.recording.source, "hash": case.recording.hash,
                                "effects": [f.fitted.name for f in added]}
-    return dataclasses.replace(model, effects=model.effects + tuple(f.fitted for f in added), provenance=provenance)
+    effects = model.effects + tuple(f.fitted for f in added)
+    return dataclasses.replace(model, effects=effects, provenance=provenance), warnings
 
 
 def _name(recording: Recording) -> str:

@@ -18,6 +18,12 @@ EQUIVALENT: dict[str, tuple[tuple[str, str], ...]] = {
     "transmission_error": (
         ("arm:transmission_error", "where it is seen, in the arm's angle"),
     ),
+    "joint_elasticity": (
+        ("arm:joint_elasticity", "the same gear where its angle is measured on the arm's side"),
+    ),
+    "backlash": (
+        ("arm:backlash", "the same gear where its angle is measured on the arm's side"),
+    ),
     "load_direction_friction": (
         ("load_dependent_friction", "both are dry friction in proportion to the gear's load; the share that depends on "
                                     "driving or driven is in proportion to the load itself, which a free gain takes"),

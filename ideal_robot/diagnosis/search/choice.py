@@ -22,10 +22,10 @@ class Options:
         smallest_torque: rms of what an effect takes away over the torque's standard deviation below which nothing is
             claimed.
         smallest_beside: the same over the rms of the largest other effect at the same joint, at least.
-        smallest_learned_bend: the same of a learned curve beside the bend of a gear, whose load is known no better: motions
-            tell inertia on both sides of the gear as one.
-        learned_discovery: p-value of a learned curve; motions repeat themselves, and so does what a model leaves, so that
-            blocks of time are fewer than they are counted.
+        smallest_learned_bend: the same of a learned curve beside the bend of a gear, whose load is known no better:
+            motions tell inertia on both sides of the gear as one.
+        learned_discovery: p-value of a learned curve; motions repeat themselves, and so does what a model leaves, so
+            that blocks of time are fewer than they are counted.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
         unknown_margin: a learned curve replaces the best effect of the library only if it reduces squares by so many
             times as much.

@@ -33,8 +33,8 @@ class DeadTime(Effect):
     """
 
     name = "dead_time"
-    theta_names = ("chord",)
-    theta_units = ("s",)
+    theta_names: ClassVar[tuple[str, ...]] = ("chord",)
+    theta_units: ClassVar[tuple[str, ...]] = ("s",)
     theta_is_physical = False
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
