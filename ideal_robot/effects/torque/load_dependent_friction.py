@@ -11,9 +11,9 @@ from ideal_robot.effects.signals import Signals
 
 
 class LoadDependentFriction(Effect):
-    """``tau = mu |tau_load - I qdd| sign(qd)`` with ``mu > 0``: teeth are pressed together by their load.
+    """``tau = mu |tau_load - I qdd| sign(qd)`` with ``mu > 0``: teeth pressed together by their load.
 
-    theta is the inertia ``I`` that is counted among the links but sits on the motor's side of the gear: motions tell the
+    theta is the inertia ``I`` that is counted among links but sits on the motor's side of the gear: motions tell the
     sum of the two only, and what a gear carries is a matter of which is which.
     """
 
