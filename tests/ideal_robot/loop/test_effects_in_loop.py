@@ -8,7 +8,9 @@ import pytest
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
+from ideal_robot.effects.learned import Unknown
 from ideal_robot.loop.effects_in_loop import with_effects
+from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.arm_with_effects import chain_with, changes_of
 from ideal_robot.model.model import Model
@@ -95,3 +97,21 @@ def test_a_model_predicts_what_it_carries():
     np.testing.assert_allclose(more.inverse_dynamics(q, still, still), inverse_dynamics(changed, q, still, still),
                                atol=0.05 * np.abs(inverse_dynamics(changed, q, still, still)
                                                   - inverse_dynamics(carried, q, still, still)).max())
+
+
+def test_a_learned_curve_acts_and_fades_outside_of_what_was_seen():
+    """Over the angle where it was seen it is asked of the motor; far from there nothing is."""
+    curve = Unknown(("q_2",), False, ((-2.2, -2.0, -1.8, -1.6),))
+    fitted = FittedEffect("unknown", 2, "tau_2", (100.0,) * 6, data=curve.to_data())
+    loop = with_effects(plant(), (fitted,))
+    assert loop.terms == (fitted,)
+    still = np.zeros((3, 6))
+    q = np.zeros((3, 6))
+    q[:, 1] = [-1.9, -1.59, 0.5]
+    asked = further_torque(loop, np.arange(3.0), q, still, still, still, still)[:, 1]
+    assert asked[0] == pytest.approx(100.0)
+    assert 50.0 < asked[1] < 100.0
+    assert asked[2] == 0.0
+    over_time = Unknown(("t",), False, ((0.0, 1.0, 2.0),))
+    nowhere = FittedEffect("unknown", 2, "tau_2", (100.0,) * 5, data=over_time.to_data())
+    assert not with_effects(plant(), (nowhere,)).terms
