@@ -12,6 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.cycles import path_at_cycles
 from ideal_robot.execution.path_limits import check_limits, require_within_limits
+from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.loop.from_model import loop_model
@@ -112,5 +113,7 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     recording = Recording.from_arrays(
         times, meta={"robot": robot.name, "cycle_time": robot.t_ipo, "method": method, "source": "precorrect",
                      "units": {"t": "s", "q_c": "rad", "q_d": "rad"}}, q_c=q_c, q_d=path)
-    errors = [np.asarray(path - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
+    # Of an arm whose geometry is not the drawn one, other joint angles bring the tool where the path wants it.
+    wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
+    errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
     return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]))

@@ -83,6 +83,18 @@ class CorrectedArm:
         return result
 
 
+    def as_drawn(self, q: Array) -> Array:
+        """Angles ``(n,)`` [rad] at which the drawn arm's tool is where this arm's is at ``q (n,)``; undoes ``joints``.
+
+        A follower that knows the drawn arm alone sees its tool where it is.
+        """
+        if not self.differs:
+            return q
+        drawn = np.asarray(q, dtype=float)
+        for _ in range(_STEPS):
+            drawn = q - (self.joints(drawn[None])[0] - drawn)
+        return np.asarray(drawn)
+
     def from_rest(self, q_d: Array, t_ipo: float) -> Array:
         """``joints`` along a path that starts where the drawn arm rests: the correction is taken up smoothly.
 

@@ -9,6 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.sensor_change import SensorChange
 from ideal_robot.elasticity.observer import ArmObserver
+from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
 from planning.follower import ForceFollower
 from planning.force.contact import Phase
@@ -63,6 +64,7 @@ class ForceTask:
         model = cell.model if method.knows_model else None
         self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay))
         # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
+        self._geometry = CorrectedArm(cell.robot, () if model is None else model.effects)
         self._observer = None if model is None else ArmObserver(model, cell.robot.t_ipo)
         self._arm = self._observer.init(self.q_start) if self._observer is not None else None
         self._state = self.feedforward.init(self.q_start)
@@ -143,11 +145,11 @@ class ForceTask:
         return self.follower.phase is Phase.DONE or lifted
 
     def _arm_angles(self, q: Array) -> Array:
-        """q_a from the motor angles, the contact torque included."""
+        """q_a from the motor angles, the contact torque included; of the drawn arm whose tool is in the same place."""
         if self._observer is None or self._arm is None:
             return q
         self._arm = self._observer.step(self._arm, q, self._torque[0])
-        return self._arm.q_a
+        return self._geometry.as_drawn(self._arm.q_a)
 
     def _sense(self, t: float) -> None:
         arrived = self._sensor.arrived(t)

@@ -10,6 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.effects.sensor_change import SensorChange
 from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
@@ -87,7 +88,8 @@ class LineTask:
         self._detection = detection or DetectionSettings()
         self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
-        self._known = SensorChange.of(() if model is None else model.effects)
+        effects = () if model is None else model.effects
+        self._known, self._arm = SensorChange.of(effects), CorrectedArm(cell.robot, effects)
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
         # Once for nothing, so that compiling does not fall into the first cycles.
@@ -120,7 +122,7 @@ class LineTask:
             q_d: horizon of the last cycle ``(n_d, n)`` [rad], from which the gears' deflection follows.
         """
         self._new = self.camera.arrived(t)
-        self.follower.observe(t, q if self._deflection is None else q - self._deflection.at(q_d))
+        self.follower.observe(t, self._arm.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d)))
 
     def plan(self, t: float, q_d: Array) -> Array:
         """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""

@@ -14,6 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.path_limits import require_within_limits
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
 from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.feedforward.registry import method as described
@@ -105,7 +106,8 @@ def _require_better(law: Feedforward, loop: LoopModel, q_d: Array, file: Path) -
         InputError: on the identified loop the correction makes the path worse.
     """
     part = q_d[: round(_TRIED / law.t_ipo)]
-    errors = [float(np.sqrt(np.mean((part - simulate(loop, q_c).q_a[:-1]) ** 2))) for q_c in (law.along(part), part)]
+    wanted = law.arm.from_rest(part, law.t_ipo) if isinstance(law, ForCorrectedArm) else part
+    errors = [float(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2))) for q_c in (law.along(part), part)]
     if not errors[0] <= errors[1] + 1e-6:
         raise InputError("at this cycle the identified loop cannot be inverted; identify the arm at it, or use "
                          "--method none", file=file, field="--cycle", value=law.t_ipo)
