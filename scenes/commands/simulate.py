@@ -11,7 +11,8 @@ import typer
 def command(
     scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).")],
     serve: Annotated[bool, typer.Option("--serve", help="Play the cell in real time behind its devices.")] = False,
-    arm: Annotated[str, typer.Option(help="Where the follower listens for the controller: rsi://host:port.")
+    arm: Annotated[str, typer.Option(help="rsi://host:port where the follower listens for the controller, "
+                                     "or rtde://127.0.0.1:port where this controller listens.")
                    ] = "rsi://127.0.0.1:49152",
     host: Annotated[str, typer.Option(help="Address of this computer on which camera and force sensor listen.")
                     ] = "127.0.0.1",
@@ -56,9 +57,12 @@ def command(
     if cycle is not None:
         loaded = loaded.changed(world={"t_ipo": cycle})
     scheme, _, rest = arm.partition(":")
-    if scheme != "rsi":
-        raise InputError("expected an address such as rsi://127.0.0.1:49152", field="--arm", value=arm)
-    places = Places(host_and_port(rest, "--arm", 49152), host, camera_port, force_port, relative)
+    ports = {"rsi": 49152, "rtde": 30004}
+    if scheme not in ports:
+        raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://127.0.0.1:30004", field="--arm",
+                         value=arm)
+    places = Places(host_and_port(rest, "--arm", ports[scheme]), host, camera_port, force_port, relative,
+                    scheme == "rtde")
     unkind = Unkindness(drift=1e-6 * drift, offset=1e-3 * offset, loss=loss, doubled=doubled, late=1e-3 * late_by,
                         late_share=late)
     serve_scene(loaded, places, unkind, sessions, json, lambda text: typer.echo(text, err=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.rsi.format import RsiFormat
 from ideal_robot.rtde import RtdeRobot
+from ideal_robot.rtde.rtde_error import RtdeError
 from scenes.follow.live_arm import Link
 from sensing.stream.address import host_and_port
 
@@ -80,8 +82,21 @@ def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterato
     elif scheme == "rtde":
         host, port = host_and_port(rest, "--arm", RTDE_PORT)
         with RtdeRobot(robot, host, port=port, bridge=devices.bridge, answers_within=answers_within) as rtde:
-            rtde.connect()
+            _connect(rtde, devices.patience)
             yield rtde
     else:
         raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://192.168.1.30", field="--arm",
                          value=devices.arm[:80])
+
+
+def _connect(rtde: RtdeRobot, patience: float) -> None:
+    """Connects as soon as somebody listens, up to ``patience`` [s]."""
+    end = time.monotonic() + patience
+    while True:
+        try:
+            rtde.connect()
+            return
+        except RtdeError as error:
+            if not isinstance(error.__cause__, OSError) or time.monotonic() > end:
+                raise
+        time.sleep(0.2)

@@ -88,7 +88,8 @@ def left_behind(folder: Path) -> Recording | None:
 
 
 def _recording(rows: Array, meta: dict[str, Any], gain: Array) -> Recording:
-    filled = rows[np.isfinite(rows[:, 0])]
+    # The time of a cycle's end is positive; rows not reached yet hold NaN, or zeros for a moment at the beginning.
+    filled = rows[rows[:, 0] > 0.0]
     n = (rows.shape[1] - 2) // len(_QUANTITIES)
     columns = {name: np.array(filled[:, 2 + i * n : 2 + (i + 1) * n]) for i, name in enumerate(_QUANTITIES)}
     tau = columns.pop("tau")

@@ -25,16 +25,20 @@ from scenes.line.scene import LineScene
 from scenes.scene import Scene
 from scenes.serve.carried import ServedCamera, ServedForce
 from sim.arm.arm import SimulatedArm
+from sim.arm.world import STEP
 from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine
 from sim.contact.contact import TipContact
 from sim.devices.netft_server import NetFTServer
 from sim.devices.served_arm import Carried, ServedArm, Session
+from sim.devices.served_rtde import ServedRtde
 from sim.devices.stream_server import StreamServer, camera_description
 from sim.devices.unkind import DeviceClock, Outbox, Unkindness, now
 
 SETTLING = 0.3
 """Time on the line until the distance counts, as in one process [s]."""
+MARGIN = 0.002
+"""Distance from where the travel on the surface begins and ends within which the force does not count [m]."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,7 @@ class Places:
         host: address of this computer on which camera and force sensor listen.
         camera, force: ports; 0 for any free one.
         relative: whether corrections add up.
+        rtde: whether the controller speaks RTDE; ``arm`` is then where it listens.
     """
 
     arm: tuple[str, int] = ("127.0.0.1", 49152)
@@ -53,6 +58,7 @@ class Places:
     camera: int = 50001
     force: int = 49151
     relative: bool = False
+    rtde: bool = False
 
 
 class ServedCell:
@@ -122,16 +128,19 @@ class ServedCell:
     def _pressed(self, contact: TipContact) -> dict[str, float]:
         """Normal force while the tip is on the surface and travels."""
         history, wanted = contact.history(), float(self.cell.scene.force)  # type: ignore[union-attr]
-        force = history["normal"]
-        touched = np.flatnonzero(force > 0.5 * wanted)
-        if not len(touched):
-            return {"rms_error": float("nan"), "largest": float(force.max(initial=0.0))}
-        tip = history["tip"]
-        moving = np.linalg.norm(tip - tip[touched[0]], axis=1) > 0.005
-        counts = moving & (np.arange(len(force)) <= touched[-1] - 200)
-        error = force[counts] - wanted
-        return {"rms_error": float(np.sqrt(np.mean(error**2))) if counts.any() else float("nan"),
-                "largest": float(force.max())}
+        force, tip = history["normal"], history["tip"]
+        figures = {"rms_error": float("nan"), "largest": float(force.max(initial=0.0))}
+        touched = np.flatnonzero(force > 0.0)
+        if len(touched) > 1:
+            # A calibration before has pressed, too; what counts is the last visit, between its ends.
+            apart = np.flatnonzero(np.diff(touched) > round(0.3 / STEP))
+            first, last = touched[0 if not len(apart) else apart[-1] + 1], touched[-1]
+            visit = slice(first, last + 1)
+            begun, ended = (np.linalg.norm((tip[visit] - tip[at])[:, :2], axis=1) > MARGIN for at in (first, last))
+            error = force[visit][begun & ended] - wanted
+            if len(error):
+                figures["rms_error"] = float(np.sqrt(np.mean(error**2)))
+        return figures
 
 
 @contextmanager
@@ -180,7 +189,8 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
         except (OSError, OverflowError) as error:
             raise InputError(f"cannot listen there ({error})", field="host:port", value=places.host) from error
         devices: tuple[Carried, ...] = tuple(carried)
-        yield served, ServedArm(arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift,
+        served_arm = ServedRtde if places.rtde else ServedArm
+        yield served, served_arm(arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift,
                                 rng=streams[2], carried=devices, sign=Axes.of(cell.robot).sign)
 
 

@@ -39,7 +39,7 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
                 + "; ".join(f"{key} {value}" for key, value in figures.items() if key.endswith(("_mm", "_N"))))
 
         before = {number: signal.signal(number, lambda *_: arm.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
-        say("controller: sends to {}:{}".format(*places.arm))
+        say("controller: {} {}:{}".format("listens on" if places.rtde else "sends to", *places.arm))
         if cell.camera is not None:
             say("camera: stream://{}:{}".format(*cell.camera))
         if cell.force is not None:

@@ -10,7 +10,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -61,6 +61,7 @@ class RtdeController:
         register: first of the input registers its program reads.
         timeout: how long a command is waited for in each cycle [s]; the simulated time stands still meanwhile.
         port: TCP port; 0 for any free one, see ``address``.
+        after: called behind each cycle with how many there were, e.g. to wait for the next one; None: at once.
         commands: what the arm was commanded in each cycle.
         inputs: every value it was given by name, the last one each.
     """
@@ -70,6 +71,7 @@ class RtdeController:
     register: int = 24
     timeout: float = 5.0
     port: int = 0
+    after: Callable[[int], None] | None = None
     commands: list[Array] = field(default_factory=list)
     inputs: dict[str, float] = field(default_factory=dict)
 
@@ -158,6 +160,8 @@ class RtdeController:
                 held = np.array([self.inputs[f"input_double_register_{self.register + i}"] for i in range(6)])
             self.commands.append(held)
             state, k = self.arm.cycle(held), k + 1
+            if self.after is not None:
+                self.after(k)
 
     def _told(self, state: RobotState, held: Array, t: float, k: int) -> bytes:
         stop, end = self.faults.protective_stop, self.faults.program_ends

@@ -1,0 +1,126 @@
+"""A follower and a simulated cell, two processes of their own, for tests and measurements of both together."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def free_ports() -> dict[str, int]:
+    """Ports nobody has at the moment."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as arm, socket.socket() as camera, \
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as force:
+        for link in (arm, camera, force):
+            link.bind(("127.0.0.1", 0))
+        return {"arm": arm.getsockname()[1], "camera": camera.getsockname()[1], "force": force.getsockname()[1]}
+
+
+@dataclass
+class Cell:
+    """A served cell.
+
+    Attributes:
+        process: of ``simulate --serve``.
+        ports: of its devices.
+        folder: for files.
+    """
+
+    process: subprocess.Popen[str]
+    ports: dict[str, int]
+    folder: Path
+    relative: bool
+    protocol: str = "rsi"
+
+    def follow(self, scene: str, *options: str) -> subprocess.Popen[str]:
+        """Starts a follower."""
+        devices = ["--arm", f"{self.protocol}://127.0.0.1:{self.ports['arm']}", "--out", str(self.folder / "out")]
+        devices += ["--relative"] if self.relative else []
+        if scene != "force_wave":
+            devices += ["--camera", f"stream://127.0.0.1:{self.ports['camera']}"]
+        if scene != "line":
+            devices += ["--force", f"netft://127.0.0.1:{self.ports['force']}?rate=250", "--force-delay", "19"]
+        (self.folder / "follow.json").unlink(missing_ok=True)
+        return started("follow", scene, "--delay", "--wait", "240", "--json", str(self.folder / "follow.json"),
+                       *devices, *options)
+
+    def truth(self, session: int, seconds: float = 60.0) -> dict[str, Any]:
+        """What really happened in a session, waited for."""
+        file, end = self.folder / "truth.json", time.monotonic() + seconds
+        while time.monotonic() < end:
+            if file.exists():
+                found: dict[str, Any] = json.loads(file.read_text())
+                if found["session"] >= session:
+                    return found
+            time.sleep(0.2)
+        raise TimeoutError(f"no session {session} within {seconds} s")
+
+    def figures(self) -> dict[str, Any]:
+        """The follower's figures."""
+        found: dict[str, Any] = json.loads((self.folder / "follow.json").read_text())
+        return found
+
+
+def started(*words: str) -> subprocess.Popen[str]:
+    """A verb of the command line as a process of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return subprocess.Popen([sys.executable, "-m", "scenes.cli", *words], stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True, env=environment)
+
+
+@contextmanager
+def served(scene: str, folder: Path, *options: str, relative: bool = True, protocol: str = "rsi") -> Iterator[Cell]:
+    """``simulate --serve`` until the block ends."""
+    ports = free_ports()
+    words = ["--arm", f"{protocol}://127.0.0.1:{ports['arm']}", "--camera-port", str(ports["camera"]), "--force-port",
+             str(ports["force"]), "--json", str(folder / "truth.json"), *(["--relative"] if relative else []), *options]
+    process = started("simulate", scene, "--serve", *words)
+    try:
+        yield Cell(process, ports, folder, relative, protocol)
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGINT)
+        try:
+            process.communicate(timeout=20.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
+
+
+def wait_until(happened: Callable[[], bool], seconds: float) -> None:
+    """Waits for something that happens in another process."""
+    end = time.monotonic() + seconds
+    while not happened():
+        if time.monotonic() > end:
+            raise TimeoutError(f"it did not happen within {seconds} s")
+        time.sleep(0.02)
+
+
+def rows(folder: Path) -> int:
+    """Cycles that are in the follower's journal by now."""
+    try:
+        found = np.load(folder / "out" / "journal.npy", mmap_mode="r")
+    except (OSError, ValueError):
+        return 0
+    return int((found[:, 0] > 0.0).sum())
+
+
+def children(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    found = []
+    for folder in Path(f"/proc/{pid}/task").glob("*/children"):
+        found += [int(word) for word in folder.read_text().split()]
+    return found

@@ -1,0 +1,126 @@
+"""Follower and simulated cell as processes of their own: they do the job, and each may be killed, frozen, restarted.
+
+Everything here is in real time and takes minutes on a busy computer.
+"""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+from collections.abc import Callable
+from os import kill
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.signals.recording import Recording
+from tests.scenes.follow.pair import Cell, children, rows, served, wait_until
+
+pytestmark = pytest.mark.slow
+MIDDLE = 150
+"""Cycles after which the arm is on the line."""
+
+
+def finished(follower: subprocess.Popen[str], seconds: float = 120.0) -> tuple[int, str]:
+    _, said = follower.communicate(timeout=seconds)
+    return follower.returncode, said
+
+
+def resting_within_limits(cell: Cell, session: int) -> None:
+    truth = cell.truth(session)
+    assert truth["at_rest"]
+    assert truth["largest_acceleration_share"] <= 1.0
+
+
+def whole(folder: Path, least: int) -> Recording:
+    recording = Recording.read(folder / "out" / "recording.parquet")
+    assert len(recording.t) >= least
+    assert np.isfinite(recording.joints("q")).all()
+    assert np.isfinite(recording.joints("q_c")).all()
+    return recording
+
+
+@pytest.mark.parametrize(("scene", "figure", "most"), [
+    ("line", lambda t: t["control_error_mm"]["mean"], 3.0), ("force_wave", lambda t: t["force_N"]["rms_error"], 3.0),
+    ("contour", lambda t: t["force_N"]["rms_error"], 3.0), ("glue", lambda t: t["control_error_mm"]["mean"], 0.5)])
+def test_the_job_is_done_over_wires(scene: str, figure: Callable[[dict], float], most: float, tmp_path: Path) -> None:
+    """The camera of ``line`` is taken as mounted by hand, with its errors of millimetres."""
+    with served(scene, tmp_path) as cell:
+        code, said = finished(cell.follow(scene), 300.0)
+        assert code == 0, said
+        assert figure(cell.truth(1)) < most
+        resting_within_limits(cell, 1)
+        whole(tmp_path, 250)
+        for device in cell.figures()["devices"].values():
+            assert abs(device["clock"]["drift_ppm"]) < 200.0
+
+
+def test_whatever_happens_to_the_follower_the_arm_rests_and_the_next_start_works(tmp_path: Path) -> None:
+    def act(number: int) -> Callable[[subprocess.Popen[str]], None]:
+        return lambda follower: follower.send_signal(number)
+
+    def camera(number: int) -> Callable[[subprocess.Popen[str]], None]:
+        return lambda follower: kill(next(child for child in children(follower.pid)
+                                          if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()), number)
+
+    faults = [(act(signal.SIGTERM), 1, "stopped by the system"), (act(signal.SIGINT), 1, "stopped by the user"),
+              (camera(signal.SIGKILL), 1, "camera's process has ended"), (camera(signal.SIGSTOP), 1, "line"),
+              (act(signal.SIGSTOP), 1, ""), (act(signal.SIGKILL), -9, "")]
+    with served("line", tmp_path) as cell:
+        for session, (happen, code, reason) in enumerate(faults, 1):
+            follower = cell.follow("line")
+            wait_until(lambda: rows(tmp_path) >= MIDDLE, 240.0)
+            happen(follower)
+            if session == len(faults) - 1:
+                resting_within_limits(cell, session)
+                follower.send_signal(signal.SIGCONT)
+            ended, said = finished(follower)
+            assert ended == code, said
+            assert reason in said
+            resting_within_limits(cell, session)
+            if code == 1:
+                assert cell.figures()["failure"]
+                assert reason in (tmp_path / "out" / "report.html").read_text().replace("&#39;", "'")
+                whole(tmp_path, MIDDLE)
+        follower = cell.follow("line")
+        ended, said = finished(follower, 300.0)
+        assert ended == 0, said
+    # The run that was killed had left a journal, of which the next one made a recording.
+    assert len(Recording.read(tmp_path / "out" / "recording_killed.parquet").t) >= MIDDLE
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_cell_that_is_gone_ends_the_run_and_its_recording_is_whole(number: int, tmp_path: Path) -> None:
+    with served("line", tmp_path) as cell:
+        follower = cell.follow("line")
+        wait_until(lambda: rows(tmp_path) >= MIDDLE, 240.0)
+        cell.process.send_signal(number)
+        code, said = finished(follower)
+        assert code == 1
+        assert "no packet from the controller within 1 s" in said
+        whole(tmp_path, MIDDLE)
+    with served("line", tmp_path) as cell:
+        code, said = finished(cell.follow("line"), 300.0)
+        assert code == 0, said
+
+
+def test_the_line_is_followed_by_an_arm_behind_rtde(tmp_path: Path) -> None:
+    with served("line", tmp_path, protocol="rtde") as cell:
+        code, said = finished(cell.follow("line"), 300.0)
+        assert code == 0, said
+        assert cell.truth(1)["control_error_mm"]["mean"] < 3.0
+        resting_within_limits(cell, 1)
+        assert cell.figures()["devices"]["arm"]["link"]["cycles"] > 250
+
+
+def test_lost_late_and_doubled_packets_are_survived_within_the_limits(tmp_path: Path) -> None:
+    with served("line", tmp_path, "--loss", "0.02", "--late", "0.003", "--late-by", "30", "--doubled", "0.02",
+                "--drift", "50") as cell:
+        code, said = finished(cell.follow("line"), 300.0)
+        assert code == 0, said
+        resting_within_limits(cell, 1)
+        assert cell.truth(1)["control_error_mm"]["mean"] < 3.0
+        link = cell.figures()["devices"]["arm"]["link"]
+        assert link["lost"] > 0
+        assert link["repeated"] > 0
