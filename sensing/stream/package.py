@@ -32,6 +32,7 @@ has to send small packages at once (``TCP_NODELAY``).
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -90,14 +91,14 @@ class Reader:
     def __init__(self) -> None:
         self._waiting = bytearray()
 
-    def feed(self, piece: bytes) -> list[Package]:
+    def feed(self, piece: bytes) -> Iterator[Package]:
         """The packages that are complete with this piece.
 
         Raises:
-            StreamError: not our stream, another version, or a package too large. The connection is of no use then.
+            StreamError: behind those that are sound: not our stream, another version, or a package too large. The
+                connection is of no use then.
         """
         self._waiting += piece
-        found: list[Package] = []
         while len(self._waiting) >= HEADER.size:
             magic, version, kind, size, stamp = HEADER.unpack_from(self._waiting)
             if magic != MAGIC or version != VERSION:
@@ -106,6 +107,6 @@ class Reader:
                 raise StreamError(f"a package of {size} bytes, at most {LARGEST} are taken")
             if len(self._waiting) < HEADER.size + size:
                 break
-            found.append(Package(kind, stamp, bytes(self._waiting[HEADER.size : HEADER.size + size])))
+            payload = bytes(self._waiting[HEADER.size : HEADER.size + size])
             del self._waiting[: HEADER.size + size]
-        return found
+            yield Package(kind, stamp, payload)

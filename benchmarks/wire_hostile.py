@@ -1,0 +1,209 @@
+"""Mutated, cut, replayed and foreign packets on every socket of cameras and force sensors, both ends.
+
+    python benchmarks/wire_hostile.py [PACKETS]
+
+A million each by default. Prints what became of them and how the memory went; exit code 1 where anything but a refusal
+came of one, or memory grew by more than 20 MiB.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from sensing.camera.stream_camera import StreamCamera
+from sensing.force.netft import NetFT
+from sensing.force.stream_force import StreamForce
+from sensing.sensing_error import SensingError
+from sensing.stream.package import Reader, StreamError
+from sim.devices.netft_server import NetFTServer
+from sim.devices.stream_server import StreamServer, camera_description
+
+HEADER = struct.Struct(">2sBBId")
+
+
+def package(kind: int, stamp: float, payload: bytes) -> bytes:
+    return HEADER.pack(b"IR", 1, kind, len(payload), stamp) + payload
+
+
+def memory() -> float:
+    """Resident memory of this process [MiB]; 0 where the system does not tell."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * 4096 / 2**20
+    except OSError:
+        return 0.0
+
+
+def mutated(sound: Callable[[int], bytes], count: int, rng: np.random.Generator) -> Iterator[bytes]:
+    """Packets with a few bytes changed, cut short, or as they were."""
+    for k in range(count):
+        packet = bytearray(sound(k))
+        for place in rng.integers(0, len(packet), rng.integers(0, 4)):
+            packet[place] = rng.integers(0, 256)
+        yield bytes(packet[: rng.integers(1, len(packet) + 1)] if rng.random() < 0.2 else packet)
+
+
+def wrench(k: int) -> bytes:
+    return package(4, 0.004 * k, struct.pack(">I6d", k, *range(6)))
+
+
+def parser(count: int, rng: np.random.Generator) -> str:
+    """The stream's parser, without a socket."""
+    refused = packages = 0
+    reader = Reader()
+    for packet in mutated(wrench, count, rng):
+        try:
+            packages += len(list(reader.feed(packet)))
+        except StreamError:
+            refused, reader = refused + 1, Reader()
+        if len(reader._waiting) > 5 << 20:
+            raise SystemExit("the parser holds more than one package")
+    return f"{packages} packages, {refused} streams refused"
+
+
+def over_tcp(sound: Callable[[int], bytes], hello: bytes, read: Callable[[str, int], Callable[[], object]], count: int,
+             rng: np.random.Generator) -> str:
+    """A client whose device is hostile: connection after connection."""
+    sent = connections = 0
+    stopped = threading.Event()
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.settimeout(0.2)
+
+    def serve() -> None:
+        nonlocal sent, connections
+        while sent < count and not stopped.is_set():
+            try:
+                client, _ = listener.accept()
+            except TimeoutError:
+                continue
+            connections += 1
+            client.settimeout(2.0)
+            try:
+                # Its clock is told at once, so that what follows is taken as far as it is sound.
+                client.sendall(hello + package(6, 0.0, struct.pack(">d", time.perf_counter())))
+                for packet in mutated(sound, 400, rng):
+                    client.sendall(packet)
+                    sent += 1
+            except OSError:
+                sent += 1
+            client.close()
+        stopped.set()
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    take = read(*listener.getsockname())
+    taken = 0
+    while not stopped.is_set():
+        taken += take() is not None
+    thread.join(5.0)
+    listener.close()
+    return f"{sent} sent in {connections} connections, {taken} taken"
+
+
+def camera(host: str, port: int) -> Callable[[], object]:
+    device = StreamCamera(host, port)
+
+    def take() -> object:
+        device._connection._tried = 0.0
+        frame = device.read(0.05)
+        if frame is not None and frame.image.shape != (16, 16):
+            raise SystemExit("a picture of another size was taken")
+        return frame
+
+    return take
+
+
+def force(host: str, port: int) -> Callable[[], object]:
+    device = StreamForce(host, port)
+
+    def take() -> object:
+        device._connection._tried = 0.0
+        found = device.read(0.05)
+        if found and not np.isfinite(found[0].wrench).all():
+            raise SystemExit("a wrench that is none was taken")
+        return found or None
+
+    return take
+
+
+def netft(count: int, rng: np.random.Generator) -> str:
+    """NetFT's socket: mutated records of the sensor's own address, and as many of another."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link, socket.socket(
+            socket.AF_INET, socket.SOCK_DGRAM) as foreign:
+        link.bind(("127.0.0.1", 0))
+        device = NetFT(*link.getsockname())
+        client = link.recvfrom(64)[1]
+        taken = 0
+        for packet in mutated(lambda k: struct.pack(">IIIiiiiii", k, 28 * k, 0, *range(6)), count, rng):
+            link.sendto(packet, client)
+            foreign.sendto(packet, client)
+            for reading in device.read(0.001):
+                taken += 1
+                if not (np.isfinite(reading.wrench).all() and np.isfinite(reading.stamp)):
+                    raise SystemExit("a reading that is none was taken")
+        device.close()
+    return f"{taken} readings taken, counts {device.counts}"
+
+
+def servers(count: int, rng: np.random.Generator) -> str:
+    """The simulated devices' own sockets."""
+    stream = StreamServer("127.0.0.1", 0, lambda: 0.0, 1, camera_description(16, 16, 50.0))
+    box = NetFTServer("127.0.0.1", 0)
+    left = 0
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        client: socket.socket | None = None
+        for packet in mutated(lambda k: package(5, 0.0, struct.pack(">d", float(k))), count, rng):
+            link.sendto(packet[:64], box.address)
+            try:
+                if client is None:
+                    client = socket.create_connection(stream.address, 2.0)
+                    client.settimeout(0.5)
+                client.sendall(packet)
+                client.setblocking(False)
+                while client.recv(65536):
+                    pass
+                raise ConnectionError
+            except BlockingIOError:
+                if client is not None:
+                    client.settimeout(0.5)
+            except OSError:
+                left += 1
+                if client is not None:
+                    client.close()
+                client = None
+    stream.close()
+    box.close()
+    return f"{left} connections were ended by the server"
+
+
+def main() -> None:
+    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
+    rng, grown = np.random.default_rng(1), 0.0
+    hello = package(1, 0.0, camera_description(16, 16, 50.0))
+    fields = lambda k: package(2, 0.02 * k, struct.pack(">IHH", k, 16, 16) + bytes(256))  # noqa: E731
+    for name, play in (
+            ("stream, parser", lambda n: parser(n, rng)),
+            ("stream, camera", lambda n: over_tcp(fields, hello, camera, n, rng)),
+            ("stream, force", lambda n: over_tcp(wrench, package(3, 0.0, struct.pack(">d", 250.0)), force, n, rng)),
+            ("netft", lambda n: netft(n, rng)),
+            ("servers", lambda n: servers(n, rng))):
+        try:
+            play(max(count // 10, 100))
+            before = memory()
+            said = play(count)
+        except SensingError as error:
+            raise SystemExit(f"{name}: {error}") from error
+        grown = max(grown, memory() - before)
+        print(f"{name}: {said}; memory {before:.0f} MiB after a tenth, {memory():.0f} MiB at the end", flush=True)
+    raise SystemExit(int(grown > 20.0))
+
+
+if __name__ == "__main__":
+    main()
