@@ -72,7 +72,7 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     if diagnosis.not_transferred:
         page.heading("What competed and lost")
         page.table(["effect", "where", "channel", "p-value", "error without", "error with", "why not"],
-                   [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, f"{d.p_value:.1e}",
+                   [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, d.p_value,
                      d.rms_without, d.rms_with, d.reason] for d in diagnosis.not_transferred],
                    "Found, but not added: these lower the error of the data they were found in, but not that of data "
                    "that had no part in it (a phase that starts anew, or a habit of the motion), or are not what "
@@ -158,7 +158,7 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
         name = e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else "")
         numbers = "; ".join(map(_amount, e.fitted.parameters))
         told = {None: "–", True: "yes", False: "no"}[e.transfers]
-        rows.append([name, _where(e), e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.1e}", numbers,
+        rows.append([name, _where(e), e.fitted.channel, e.rms_before, e.rms_after, e.p_value, numbers,
                      ", ".join(e.indistinguishable_from) or "–", told])
     page.table(["effect", "where", "channel", "error without", "error with", "p-value", "parameters",
                 "these data cannot tell it from", "lowers the error of the other recording"], rows,
@@ -198,7 +198,7 @@ def _remaining(page: Report, diagnosis: Diagnosis) -> None:
     for words, found in (("before", diagnosis.before), ("after", diagnosis.remaining)):
         if found:
             page.table(["channel", "depends on", "share of squares", "by chance", "p-value"],
-                       [[s.channel, " and ".join(s.depends_on), s.share, s.expected, f"{s.p_value:.1e}"]
+                       [[s.channel, " and ".join(s.depends_on), s.share, s.expected, s.p_value]
                         for s in found],
                        f"Residual {words}: smooth curves over single signals; by chance: with the signs of whole "
                        "blocks of time flipped at random.")
