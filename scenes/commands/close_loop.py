@@ -44,6 +44,11 @@ def command(
     if rows := result.ladder():
         show_table("what was tried", ["round", "change of the model", "stays", result.tried_by, "why not"], rows)
     show_table("before and after", list(result.columns), result.table())
+    if (asked := result.json().get("plan")) is not None:
+        told = sum(pair["told_apart"] for pair in asked.get("pairs", []))
+        typer.echo(f"asked for in round {asked['round']}: "
+                   + (f"a motion of {asked['duration_s']:.0f} s that tells {told} of {len(asked['pairs'])} pairs; played"
+                      if asked["played"] else str(asked["reason"])))
     if result.diagnosis is not None:
         typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")
