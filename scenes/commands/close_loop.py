@@ -47,8 +47,8 @@ def command(
     if (asked := result.json().get("plan")) is not None:
         told = sum(pair["told_apart"] for pair in asked.get("pairs", []))
         typer.echo(f"asked for in round {asked['round']}: "
-                   + (f"a motion of {asked['duration_s']:.0f} s that tells {told} of {len(asked['pairs'])} pairs; played"
-                      if asked["played"] else str(asked["reason"])))
+                   + (f"a motion of {asked['duration_s']:.0f} s, played, that tells {told} of "
+                      f"{len(asked['pairs'])} pairs" if asked["played"] else str(asked["reason"])))
     if result.diagnosis is not None:
         typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")
