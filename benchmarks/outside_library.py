@@ -21,6 +21,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.feedforward.ideal import IdealRobot
 from scenes import load_scene
+from scenes.methods import IDEAL
 from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import closed
 from scenes.path.close_loop_result import CloseLoopResult
@@ -160,6 +161,7 @@ def main() -> None:
     parser.add_argument("--measured", default="tcp", choices=("motor", "arm", "tcp"))
     parser.add_argument("--steps", action="store_true", help="every change that was tried")
     parser.add_argument("--only", type=int, help="0, 1 or 2: this cause alone")
+    parser.add_argument("--floor", action="store_true", help="no closing: the path before, and with the oracle")
     given = parser.parse_args()
     scene = load_scene("close_stribeck").changed(path={"size_mm": given.size_mm}, speed=0.5)
     assert isinstance(scene, PathScene)
@@ -169,6 +171,14 @@ def main() -> None:
     causes = [crossed_drag(2, 3, 120.0, float(0.5 * (low + high)[2]), float((high - low)[2])),
               slack_at_first(cell, 3, 600.0),
               place_friction(1, 120.0, float(high[0]), float(0.35 * (high - low)[0]))]
+    if given.floor:
+        print("| cause | E_car before mm | oracle mm |\n| --- | --- | --- |")
+        for cause in causes:
+            arm = with_cause(cell, cause)
+            plays = [arm.play(law) for law in (arm.feedforward(IDEAL), oracle_of(cell, cause))]
+            errors = [1e3 * played.errors.aligned.E_car for played in plays]
+            print(f"| {cause.name} | {errors[0]:.3f} | {errors[1]:.3f} |", flush=True)
+        return
     print("| cause | E_car before mm | after mm | oracle mm | taken | CPU s |\n| --- | --- | --- | --- | --- | --- |")
     for i, cause in enumerate(causes):
         if given.only not in (None, i):
