@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 LINK_UNITS = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
@@ -91,7 +92,5 @@ def torques(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
         qd: joint velocities ``(N, n)`` [rad/s].
         qdd: joint accelerations ``(N, n)`` [rad/s²].
     """
-    data = model.createData()
-    rnea = pin.rnea
     q, qd, qdd = (np.ascontiguousarray(values, dtype=float) for values in (q, qd, qdd))
-    return np.array([rnea(model, data, a, b, c) for a, b, c in zip(q, qd, qdd, strict=True)]).reshape(len(q), model.nv)
+    return inverse_dynamics(chain_of(model), q, qd, qdd)

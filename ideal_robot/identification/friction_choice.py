@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import optimize
@@ -110,6 +110,7 @@ class FrictionChoice:
         self._load_varies = np.std(size, axis=0) > _VARIES * np.sqrt(np.mean(size**2, axis=0))
         self._load_varies[list(barred)] = False
         self._folds = np.arange(len(y)) * _FOLDS // len(y)
+        self._motions: dict[int, list[tuple[Array, Array, Array]]] = {}
         self._filtered: dict[tuple[int, int], Array] = {}
         self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}
         self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
@@ -128,10 +129,17 @@ class FrictionChoice:
         key = (joint, candidate, shape)
         if key not in self._cache:
             law = candidate.make(shape)
-            parts = [self._decimated(i, law.regressor(s.qd[:, [joint]], load[:, [joint]], s.q[:, [joint]])[:, 0])
-                     for i, (s, load) in enumerate(zip(self._signals, self._load, strict=True))]
+            parts = [self._decimated(i, law.regressor(qd, load, q)[:, 0])
+                     for i, (qd, load, q) in enumerate(self._motion(joint))]
             self._cache[key] = np.concatenate(parts) / self._noise[joint]
         return self._cache[key]
+
+    def _motion(self, joint: int) -> list[tuple[Array, Array, Array]]:
+        """Velocity, load and position of one joint in each recording ``(N, 1)``, copied out once."""
+        if joint not in self._motions:
+            self._motions[joint] = [(s.qd[:, [joint]], load[:, [joint]], s.q[:, [joint]])
+                                    for s, load in zip(self._signals, self._load, strict=True)]
+        return self._motions[joint]
 
     def _decimated(self, recording: int, columns: Array) -> Array:
         """Decimated columns; most laws share most of theirs, so each is filtered once."""
@@ -235,6 +243,8 @@ class _Projection:
     own: Array
     y: Array
     folds: np.ndarray
+    rests: dict[tuple[bool, ...], tuple[Array, Array, float, Array, Array, np.ndarray | None]] = field(
+        default_factory=dict)
 
     @classmethod
     def of(cls, rigid_grams: Sequence[tuple[Array, Array, float]], information: Array, rigid: Array, y: Array,
@@ -263,16 +273,28 @@ class _Projection:
         return cls(grams, known, own, y[:, joint], folds)
 
     def _bordered(self, F: Array, use: Callable[[int], bool]) -> tuple[Array, Array, float, Array]:
-        keep = np.array([use(fold) for fold in range(len(self.grams))])[self.folds]
-        A = self.known + sum(gram[0] for fold, gram in enumerate(self.grams) if use(fold))
-        r = sum(gram[1] for fold, gram in enumerate(self.grams) if use(fold))
-        yy = sum(gram[2] for fold, gram in enumerate(self.grams) if use(fold))
+        A, r, yy, own, y, keep = self._rest(tuple(use(fold) for fold in range(len(self.grams))))
         size = np.maximum(np.linalg.norm(F, axis=0), 1e-12)
-        scaled = F[keep] / size
-        cross = self.own[keep].T @ scaled
-        full = np.block([[A, cross], [cross.T, scaled.T @ scaled]])
+        scaled = (F if keep is None else F[keep]) / size
+        first, total = len(r), len(r) + F.shape[1]
+        full = np.empty((total, total))
+        full[:first, :first] = A
+        full[:first, first:] = own.T @ scaled
+        full[first:, :first] = full[:first, first:].T
+        full[first:, first:] = scaled.T @ scaled
         full[np.diag_indices_from(full)] += _RIDGE * np.maximum(np.diag(full), 1e-9)
-        return full, np.concatenate([r, scaled.T @ self.y[keep]]), float(yy), size
+        return full, np.concatenate([r, scaled.T @ y]), yy, size
+
+    def _rest(self, used: tuple[bool, ...]) -> tuple[Array, Array, float, Array, Array, np.ndarray | None]:
+        """What does not depend on the law, of the folds used: normal equations, own rows, and which rows those are."""
+        if used not in self.rests:
+            A = self.known + sum(gram[0] for gram, use in zip(self.grams, used, strict=True) if use)
+            r = sum(gram[1] for gram, use in zip(self.grams, used, strict=True) if use)
+            yy = float(sum(gram[2] for gram, use in zip(self.grams, used, strict=True) if use))
+            keep = None if all(used) else np.array(used)[self.folds]
+            own, y = (self.own, self.y) if keep is None else (self.own[keep], self.y[keep])
+            self.rests[used] = A, np.asarray(r), yy, own, y, keep
+        return self.rests[used]
 
     def _solved(self, F: Array, use: Callable[[int], bool], bounded: np.ndarray) -> tuple[Array, Array, float, Array]:
         """Parameters, right-hand side, ``yᵀy`` and column sizes.
@@ -284,7 +306,8 @@ class _Projection:
         first = self.own.shape[1]
         while True:
             p = np.zeros(len(rhs))
-            p[free] = np.linalg.solve(full[np.ix_(free, free)], rhs[free])
+            some = full if free.all() else full[np.ix_(free, free)]
+            p[free] = np.linalg.solve(some, rhs[free])
             wrong = np.where(bounded, p[first:], 0.0)
             if np.all(wrong >= 0.0):
                 return p, rhs, yy, size

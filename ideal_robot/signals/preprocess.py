@@ -132,9 +132,10 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
     if keep.sum() < 10:
         raise InputError("too short: after filtering and removing the edges fewer than 10 samples are left",
                          file=recording.source, field="t", value=f"{t[-1] - t[0]:.3g} s")
-    others = {name: resampled(recording.t, values[:, None], t)[:, 0] for name, values in recording.columns.items()
-              if name != "t"}
-    return FilteredSignals(t, q, qd, qdd, tau, factor, cutoff, 0.5 * rate / factor, keep, recording.source, others)
+    names = [name for name in recording.columns if name != "t"]
+    others = resampled(recording.t, np.array([recording.columns[name] for name in names]).T, t)
+    return FilteredSignals(t, q, qd, qdd, tau, factor, cutoff, 0.5 * rate / factor, keep, recording.source,
+                           dict(zip(names, others.T, strict=True)))
 
 
 def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
@@ -180,14 +181,46 @@ def lowpass(values: Array, dt: float, cutoff: float) -> Array:
     sos = signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
     # Padding as long as the filter remembers; the default is too short for low cut-offs.
     pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
-    return np.asarray(signal.sosfiltfilt(sos, values, axis=0, padlen=pad))
+    return _column_by_column(values, lambda rows: signal.sosfiltfilt(sos, rows, axis=1, padlen=pad))
 
 
 def decimated(values: Array, factor: int) -> Array:
     """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
     if factor == 1:
         return np.asarray(values, dtype=float)
-    return np.asarray(signal.resample_poly(values, 1, factor, axis=0, window=decimation_taps(factor)))
+    return _column_by_column(values, lambda rows: np.array([_thinned_out(row, factor) for row in rows]))
+
+
+def _thinned_out(row: Array, factor: int) -> Array:
+    """``y_m = Σ_j h_j x_{mf - 10f + j}`` of ``x (N,)``, zero beyond its ends, as ``scipy.signal.resample_poly`` has it.
+
+    With x and h cut into pieces of f samples it is one product of matrices and a sum along diagonals, several times as
+    fast as tap by tap.
+    """
+    taps = np.zeros(21 * factor)
+    taps[: 20 * factor + 1] = decimation_taps(factor)
+    count = -(-len(row) // factor)
+    padded = np.zeros((count + 20) * factor)
+    padded[10 * factor : 10 * factor + len(row)] = row
+    products = padded.reshape(-1, factor) @ taps.reshape(21, factor).T
+    down, right = products.strides
+    return np.asarray(np.lib.stride_tricks.as_strided(products, (count, 21), (down, down + right)).sum(axis=1))
+
+
+def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Array:
+    """A linear filter along the first axis of ``values (N, …)``, given as one along the rows of ``(m, N)``.
+
+    Columns of zeros, half of a regressor's, stay what they are without being filtered.
+    """
+    if np.ndim(values) == 1:
+        return filtered(np.asarray(values, dtype=float)[None])[0]
+    columns = np.asarray(values, dtype=float).reshape(len(values), -1)
+    live = columns.any(axis=0)
+    rows = filtered(np.ascontiguousarray(columns[:, live].T) if live.any() else np.zeros((1, len(values))))
+    result = np.zeros((rows.shape[1], columns.shape[1]))
+    if live.any():
+        result[:, live] = rows.T
+    return result.reshape(len(result), *np.shape(values)[1:])
 
 
 @cache

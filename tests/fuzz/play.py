@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import resource
@@ -18,7 +19,9 @@ from pathlib import Path
 from tests.fuzz.cases import Case
 
 SECONDS = 60.0
-"""Longest time of a case [s]."""
+"""Longest processor time of a case [s]."""
+PATIENCE = 5.0
+"""How many times as long by the clock, where other processes share the cores; what takes longer hangs."""
 BYTES = 2 * 1024**3
 """Memory a case may take beside what the loaded program maps [bytes]."""
 
@@ -29,7 +32,7 @@ class Played:
 
     Attributes:
         code: exit code; negative: the signal that ended it.
-        seconds: of the clock.
+        seconds: of processor time.
         peak: largest resident memory [bytes].
         err: standard error.
         broken: the promise that was broken, or None.
@@ -77,14 +80,12 @@ def play(case: Case, seconds: float = SECONDS) -> Played:
 
     Args:
         case: what is called.
-        seconds: after which it is killed.
+        seconds: of processor time, after which it is killed.
     """
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     try:
         _write(case, folder)
-        start = time.monotonic()
-        code, peak = _forked(case, folder, seconds)
-        took = time.monotonic() - start
+        code, peak, took = _forked(case, folder, seconds)
         err = (folder / ".err").read_text(errors="replace") if (folder / ".err").exists() else ""
         return Played(code, took, peak, err, _broken(case, folder, code, took, peak, err, seconds))
     finally:
@@ -96,25 +97,26 @@ def _write(case: Case, folder: Path) -> None:
         (folder / name).write_bytes(raw)
 
 
-def _forked(case: Case, folder: Path, seconds: float) -> tuple[int, int]:
+def _forked(case: Case, folder: Path, seconds: float) -> tuple[int, int, float]:
     sys.stdout.flush()
     sys.stderr.flush()
     child = os.fork()
     if child == 0:
-        _child(case, folder)
-    deadline = time.monotonic() + seconds + 2.0
+        _child(case, folder, seconds)
+    deadline = time.monotonic() + PATIENCE * seconds
     while True:
         done, status, usage = os.wait4(child, os.WNOHANG)
         if done:
-            return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss
+            used = usage.ru_utime + usage.ru_stime
+            return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss, used
         if time.monotonic() > deadline:
             os.killpg(child, signal.SIGKILL)
             _, status, usage = os.wait4(child, 0)
-            return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss
+            return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss, math.inf
         time.sleep(0.005)
 
 
-def _child(case: Case, folder: Path) -> None:
+def _child(case: Case, folder: Path, seconds: float) -> None:
     code = 70
     try:
         os.setsid()
@@ -125,6 +127,7 @@ def _child(case: Case, folder: Path) -> None:
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
         mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (mapped + BYTES, mapped + BYTES))
+        resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 2))
         os.environ["IDEAL_ROBOT_DEBUG"] = "1"
         sys.argv = ["ideal-robot", *case.words]
         import scenes.cli
@@ -147,7 +150,7 @@ def _child(case: Case, folder: Path) -> None:
 
 def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: str, seconds: float) -> str | None:
     if code < 0:
-        return "over time" if took >= seconds else f"killed by signal {-code}"
+        return "over time" if took >= 0.98 * seconds else f"killed by signal {-code}"
     if took > seconds:
         return "over time"
     if "Traceback (most recent call last)" in err:

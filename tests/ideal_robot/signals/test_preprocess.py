@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from ideal_robot.errors import InputError
-from ideal_robot.signals.preprocess import chosen_cutoff, decimated, lowpass, preprocess
+from ideal_robot.signals.preprocess import chosen_cutoff, decimated, decimation_taps, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.segments import alone, segments
 
@@ -94,3 +95,14 @@ def test_segments_of_a_trapezoidal_motion() -> None:
     assert sum(x.kind == "rest" for x in found) == 2
     assert len(alone(s, 0)) == 1
     assert alone(s, 1) == []
+
+
+@pytest.mark.parametrize(("count", "factor"), [(3000, 12), (1001, 7), (50, 3), (1000, 2), (9, 5)])
+def test_decimation_is_scipys_polyphase_filter_column_by_column(count: int, factor: int) -> None:
+    x = np.random.default_rng(0).normal(size=(count, 2, 3))
+    x[:, 1, 2] = 0.0
+    expected = signal.resample_poly(x, 1, factor, axis=0, window=decimation_taps(factor))
+    np.testing.assert_allclose(decimated(x, factor), expected, atol=1e-12)
+    np.testing.assert_allclose(decimated(x[:, 0, 0], factor), expected[:, 0, 0], atol=1e-12)
+    assert decimated(x[:, :, :0], factor).shape == (len(expected), 2, 0)
+    np.testing.assert_array_equal(lowpass(x, 0.002, 20.0)[:, 1, 2], 0.0)
