@@ -142,7 +142,10 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
         task.observe(t, q, q_d)
         if stopping is None:
             try:
-                q_d = task.plan(t, q_d)
+                planned = task.plan(t, q_d)
+                if not np.isfinite(planned).all():
+                    raise PlanningError(f"the plan at {t:.3f} s holds values that are not numbers; stopped on the path")
+                q_d = planned
             except (PlanningError, LimitError) as error:
                 log.failure = str(error)
                 stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)

@@ -7,12 +7,17 @@ import os
 import numpy as np
 import pytest
 
+from ideal_robot.arrays import Array
+
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import design_excitation
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from scenes.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.detection.sources import pictures
 from scenes.model_files import model_at
+from scenes.result import silent
 from scenes.scene_file import load_scene
 
 LONG = "x" * 300
@@ -31,3 +36,46 @@ def test_a_name_that_no_file_can_have_is_no_file(name: str) -> None:
 def test_a_period_that_is_none_is_refused(period: float) -> None:
     with pytest.raises(InputError, match="period"):
         design_excitation(Robot.load("kr6"), np.random.default_rng(0), period=period)
+
+
+class _Drifting:
+    """A task whose plan holds a NaN from the tenth cycle on; arm and task in one."""
+
+    n_d, t_ipo = 8, 0.012
+
+    def __init__(self) -> None:
+        self.q_start = Robot.load("kr6").home
+        self.commands: list[Array] = []
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        ahead = self.q_start + 1e-3 * (round(t / self.t_ipo) + np.arange(8.0))[:, None]
+        return ahead if t < 0.115 else np.where(np.arange(8)[:, None] == 5, np.nan, ahead)
+
+    def command(self, t: float, q_d: Array) -> Array:
+        return q_d[0]
+
+    def cycle(self, q_c: Array) -> RobotState:
+        self.commands.append(q_c)
+        return RobotState(0.0, q_c, q_c)
+
+    def speed(self, t: float) -> float:
+        return 0.1
+
+    def done(self, t: float) -> bool:
+        return False
+
+    def observe(self, *_: object) -> None:
+        """Nothing is observed."""
+
+    request = collect = observe
+
+
+def test_a_plan_of_numbers_that_are_none_ends_in_a_stop_on_the_path() -> None:
+    task, log = _Drifting(), CycleLog()
+    play_cycles(task, Robot.load("kr6"), task, log, CycleSettings(5.0, 0.1, 3.0, 3.0, ""), silent)
+    assert log.failure is not None
+    assert "not numbers" in log.failure
+    commands = np.array(task.commands)
+    assert np.isfinite(commands).all()
+    assert np.ptp(commands[-5:], axis=0).max() < 1e-9
+    assert np.all(np.diff(commands, axis=0) > -1e-12)
