@@ -3,10 +3,10 @@
     python benchmarks/kill.py --verb run --count 50
     python benchmarks/kill.py --verb sweep --count 10 --signal TERM
 
-Every file must be the earlier one or the new one, all of one kind; a sweep's file of lines must hold whole answers, and
-``--resume`` must bring it to the same end. Verbs fork from a process that has played them once, so that moments are those
-of the work and not of imports. Prints how many of each kind and, of signals that can be caught, the longest time until
-all processes are gone; exit code 1 for a mixture, for a process that outlives it, or for more than two seconds.
+Every file must be the earlier one or the new one, all of one kind; a sweep's file of lines must hold whole answers,
+and ``--resume`` must bring it to the same end. Verbs fork from a process that has played them once, so that moments are
+those of the work and not of imports. Prints how many of each kind and, of signals that can be caught, the longest time
+until all processes are gone; exit code 1 for a mixture, for a process that outlives it, or for more than two seconds.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ def identify_verb(folder: Path) -> Verb:
                      for name in ("o/report.html", "o/j.json", "o/m.json", "o/e.urdf"))
 
     def words(kind: str) -> list[str]:
-        return ["identify", f"{kind}.csv", "--urdf", "arm.urdf", "--friction", "viscous_coulomb", "--out", "o", "--json",
-                "o/j.json", "--model", "o/m.json", "--export-urdf", "o/e.urdf"]
+        return ["identify", f"{kind}.csv", "--urdf", "arm.urdf", "--friction", "viscous_coulomb", "--out", "o",
+                "--json", "o/j.json", "--model", "o/m.json", "--export-urdf", "o/e.urdf"]
 
     for kind in ("new", "old"):
         finished(folder, words(kind))
@@ -127,8 +127,8 @@ def run_verb(folder: Path) -> Verb:
                          if recordings.get(kind) == (where / "o/recording.parquet").read_bytes() or kind == "mixed")
         report = (where / "o/report.html").read_text(encoding="utf-8")
         seed = json.loads((where / "o/j.json").read_text())["seed"]
-        of_report = next((kind for kind in KINDS if f"the {kind} one" in report and report.rstrip().endswith("</html>")),
-                         "mixed")
+        ends = report.rstrip().endswith("</html>")
+        of_report = next((kind for kind in KINDS if ends and f"the {kind} one" in report), "mixed")
         return recording if recording == of_report == KINDS[seed - 1] else "mixed"
 
     for kind in ("new", "old"):

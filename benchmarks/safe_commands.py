@@ -1,19 +1,15 @@
-"""A million random cycles behind every feedforward and through the loop of line, force and devices: how near the limits.
+"""A million random cycles behind every feedforward and through the loop of line, force and devices: how near limits.
 
     python benchmarks/safe_commands.py --cycles 1000000
 
-The cycles are shared evenly by methods and inputs; seed 1. Inputs: jumps anywhere in the joint range, random walks beyond
-the limits, numbers that are none, paths that end. A share of 1 is the limit; exit code 1 where one is passed.
+The cycles are shared evenly by methods and inputs; seed 1. Inputs: jumps anywhere in the joint range, random walks
+beyond the limits, numbers that are none, paths that end. A share of 1 is the limit; exit code 1 where one is passed.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import sys
-
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
 
 import numpy as np
 

@@ -80,10 +80,14 @@ class Report:
             figure: to embed.
             caption: the sentence.
         """
+        from matplotlib import rc_context
+
         wide = figure.get_figwidth() > _PHONE
         if not any(axes.images for axes in figure.axes):
             svg = io.BytesIO()
-            figure.savefig(svg, format="svg", bbox_inches="tight", metadata={"Date": None})
+            # With a salt of its own the names in the SVG, and so the page, are the same each time.
+            with rc_context({"svg.hashsalt": "ideal-robot"}):
+                figure.savefig(svg, format="svg", bbox_inches="tight", metadata={"Date": None})
             if len(svg.getvalue()) <= _SVG_MAX:
                 self._embed(svg.getvalue(), "svg+xml", caption, wide)
                 return

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
-
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import design_excitation
 from ideal_robot.model.model import Model

@@ -52,3 +52,17 @@ def test_drawings_are_vectors_pictures_and_clouds_of_points_are_pixels(tmp_path:
         page.figure(figure)
     html = page.write(tmp_path / "p.html").read_text(encoding="utf-8")
     assert re.findall(r"data:image/([\w+]+);", html) == ["svg+xml", "png", "png"]
+
+
+def test_the_same_figure_makes_the_same_page(tmp_path: Path) -> None:
+    pages = []
+    for name in ("a.html", "b.html"):
+        figure = Figure(figsize=(4.0, 2.0))
+        axes = figure.add_subplot()
+        axes.fill_between([0.0, 1.0, 2.0], [0.0, 1.0, 0.0], alpha=0.5)
+        axes.plot([0.0, 2.0], [0.0, 1.0], "o")
+        report = Report("page", "of a figure")
+        report.figure(figure, "what to see")
+        report.write(tmp_path / name)
+        pages.append((tmp_path / name).read_bytes())
+    assert pages[0] == pages[1]
