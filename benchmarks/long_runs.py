@@ -1,0 +1,123 @@
+"""How time and memory grow: following a line and pressing on a surface, sweeps, identification of long recordings.
+
+    python benchmarks/long_runs.py                                    # short ones, in minutes
+    python benchmarks/long_runs.py --line 60,3600 --force 60,3600 --runs 10,1000 --record 600,14400 --diagnose
+
+Every length is played in a process of its own, forked from one that has loaded the program; the table gives processor
+time and by how much its resident memory grew at most. The last row of each kind is the slope between the two longest
+ones: where it is the same as between the two shortest, time and memory are linear. ``--diagnose`` adds the diagnosis.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np  # noqa: E402
+
+import ideal_robot as ir  # noqa: E402
+from benchmarks import bench_identify  # noqa: E402
+from ideal_robot.robots.robot import Robot  # noqa: E402
+from ideal_robot.signals.recording import Recording  # noqa: E402
+from scenes import load_scene, run_scene  # noqa: E402
+from scenes.sweep import jobs, sweep  # noqa: E402
+from scenes.sweep_file import SweepFile  # noqa: E402
+
+LINE, FORCE = 1.2, 0.8
+"""Lengths of the paths [m]; a longer play goes slower."""
+
+
+def apart(job: Callable[[], object]) -> tuple[float, float]:
+    """Processor time [s] and growth of the largest resident memory [MB] of a job in a process of its own."""
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+            job()
+            code = 0
+        except Exception:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    _, status, usage = os.wait4(child, 0)
+    if status:
+        return float("nan"), float("nan")
+    before = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return usage.ru_utime + usage.ru_stime, (1024.0 * usage.ru_maxrss - before) / 1e6
+
+
+def table(kind: str, unit: str, lengths: list[float], job: Callable[[float], object]) -> None:
+    """Rows of one kind of work, and the slopes."""
+    found = []
+    for length in lengths:
+        seconds, megabytes = apart(lambda length=length: job(length))  # type: ignore[misc]
+        found.append((length, seconds, megabytes))
+        print(f"{kind:34s} {length:8g} {unit:8s} {seconds:9.1f} s {megabytes:9.0f} MB", flush=True)
+    for (a, t0, m0), (b, t1, m1) in itertools.pairwise(found):
+        print(f"{'':34s} {a:g} to {b:g}: {1e3 * (t1 - t0) / (b - a):.1f} ms and {1e3 * (m1 - m0) / (b - a):.0f} kB "
+              f"a {unit}", flush=True)
+
+
+def follow_line(seconds: float) -> None:
+    """Follows a straight line so slowly that it takes as long."""
+    run_scene(load_scene("straight"), speed=LINE / seconds)
+
+
+def press(seconds: float) -> None:
+    """Presses along the wavy surface so slowly that it takes as long."""
+    run_scene(load_scene("force_wave"), speed=FORCE / seconds)
+
+
+def many(count: float) -> None:
+    """A sweep of short runs in one process."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = load_scene("straight").changed(line={"points": [[0.0, 0.0], [0.4, 0.0]]},
+                                               calibration={"by_moving": False})
+        sweep(jobs([scene], seeds=range(1, round(count) + 1)), processes=1,
+              file=SweepFile(Path(folder) / "l.jsonl", resume=False))
+
+
+def recording_of(seconds: float) -> Recording:
+    """A recording of the simulated KR 15, repeated until it is as long; the motion is periodic."""
+    one = bench_identify.recording(1, 60.0)
+    period = one.t[-1] - one.t[0] + one.t[1] - one.t[0]
+    times = max(1, round(seconds / period))
+    columns = {name: np.tile(values, times) for name, values in one.columns.items() if name != "t"}
+    t = np.concatenate([one.t + k * period for k in range(times)])
+    return Recording({"t": t, **columns}, one.meta, one.source)
+
+
+def main() -> None:
+    """Plays the lengths and prints the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name, default, text in (("line", "20,60", "following a line [s]"), ("force", "20,60", "pressing [s]"),
+                                ("runs", "3,6", "runs of a sweep"),
+                                ("record", "120,240", "recordings at 500 Hz [s]")):
+        parser.add_argument(f"--{name}", default=default, help=f"{text}, separated by commas; empty: none")
+    parser.add_argument("--diagnose", action="store_true", help="diagnose the recordings as well")
+    options = parser.parse_args()
+    lengths = {name: [float(piece) for piece in getattr(options, name).split(",") if piece]
+               for name in ("line", "force", "runs", "record")}
+    table("following a line", "s", lengths["line"], follow_line)
+    table("20 N on a wavy surface", "s", lengths["force"], press)
+    table("sweep", "run", lengths["runs"], many)
+    robot = Robot.load("kr15")
+    recordings = {seconds: recording_of(seconds) for seconds in lengths["record"]}
+    table("identify, 6 joints, 500 Hz", "s", lengths["record"], lambda s: ir.identify([recordings[s]], robot))
+    if options.diagnose:
+        table("diagnose, 6 joints, 500 Hz", "s", lengths["record"], lambda s: ir.diagnose(recordings[s], robot))
+
+
+if __name__ == "__main__":
+    main()
