@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pydantic
@@ -35,6 +35,13 @@ class CameraTable(Table):
     """By how much the clock of the time stamps runs fast [s/s]; needs calibration.by_moving = false."""
     stamp_noise: float = pydantic.Field(default=0.00005, ge=0, le=0.1)
     loss: float = pydantic.Field(default=0.0, ge=0, lt=1)
+    doubled: float = pydantic.Field(default=0.0, ge=0, lt=1)
+    """Probability that a field arrives twice."""
+    auto_exposure: float = pydantic.Field(default=0.0, ge=0, le=10)
+    """Time constant with which the camera's exposure follows the light [s]; 0 for a fixed exposure."""
+    renderer: Literal["sampled", "bullet"] = "sampled"
+    """Who makes the picture: PyBullet's renderer, with the tool's tip and a hose in it, or the drawn plane itself,
+    sampled where the rays meet it, without a renderer's errors."""
     knock_deg: float = pydantic.Field(default=0.0, ge=-5, le=5)
     """By how much somebody's knock turns the camera about its optical axis on the way."""
     knock_s: float = pydantic.Field(default=1.4, ge=0)

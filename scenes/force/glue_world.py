@@ -12,7 +12,7 @@ from scenes.camera_table import believed_camera, true_camera
 from scenes.camera_world import camera_settings
 from scenes.force.cell import Cell
 from scenes.force.line_camera import GlueCamera
-from sim.camera.relief_camera import ReliefCamera
+from sim.camera.bullet_camera import BulletCamera
 from sim.camera.surface import DrawnLine
 
 
@@ -30,7 +30,7 @@ class GlueWorld:
         where = cell.geometry
         self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                               background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
-        self.rendered = ReliefCamera(true, self.line, cell.surface, camera_settings(scene.camera), noise)
+        self.rendered = BulletCamera(true, self.line, camera_settings(scene.camera), noise, relief=cell.surface)
 
     def close(self) -> None:
         """Frees the renderer."""

@@ -24,6 +24,8 @@ from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_detection import DetectionSettings, PredictedLine, search_windows
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
+from sim.camera.lamp import ArmShape
+from sim.equipment.equipped_arm import shadow_of
 
 SPARING = 4
 """One field in so many is looked at: neighbours tell the same."""
@@ -61,6 +63,8 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
     """
     commands = _moves(robot, calibration_postures(robot, reference, believed, at), arm.t_ipo)
     arm.reset(commands[0])
+    camera.restart()
+    shape = ArmShape(robot) if camera.lamp is not None else None
     view = CalibrationView(robot, reference, believed, detection, detector, commands[0])
     # The camera's clock runs ahead of the arm's by a whole number of fields.
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate
@@ -75,7 +79,8 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         view.history.add((k + 1) * T, arm.cycle(q_c).q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
             windows = search_windows(believed, prediction, detection)
-            late.append((camera.windows(t, lambda at: arm.tcp_at(at - ahead), windows), prediction))
+            late.append((camera.windows(t, lambda at: arm.tcp_at(at - ahead), windows,
+                                        shadow_of(shape, arm, t - ahead)), prediction))
         # The pose of a time stamp is known once the controller has told of it.
         while late and late[0][0].t_stamp - ahead < k * T:
             fields += 1

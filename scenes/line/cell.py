@@ -28,7 +28,9 @@ from sensing.camera.line_detection import DetectionSettings
 from sensing.sensing_error import SensingError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import RenderedCamera
+from sim.camera.lamp import Lamp
 from sim.camera.surface import DrawnLine
 
 
@@ -60,7 +62,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     # A controller's cycle times are no secret: they stand in its manual.
     robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
                     t_velocity=world.t_velocity)
-    place, noise, camera_noise, calibration, _, wear = streams(scene)
+    place, noise, camera_noise, calibration, _, wear, _ = streams(scene)
     where = geometry(scene, place)
     line = drawn_line(scene, where, wear)
     detector = DETECTORS.get(scene.camera.detector)()
@@ -79,7 +81,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
 
 def streams(scene: LineScene) -> list[np.random.Generator]:
     """Independent random streams, so that changing one effect does not change the draws of another."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(6)]
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(7)]
 
 
 
@@ -98,6 +100,32 @@ class Prepared:
     camera as mounted by hand."""
 
 
+def camera_of(cell: Cell) -> RenderedCamera:
+    """The simulated camera of a scene, over its drawn surface and under its lamp."""
+    scene, settings = cell.scene, camera_settings(cell.scene.camera)
+    lamp = lamp_over(scene, cell.geometry, streams(scene)[6])
+    if scene.camera.renderer == "sampled":
+        return RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp)
+    return BulletCamera(cell.true_camera, cell.line, settings, cell.camera_noise, tool=True, lamp=lamp)
+
+
+def lamp_over(scene: LineScene, where: Geometry, rng: np.random.Generator) -> Lamp | None:
+    """The scene's lamp; None where there is light from everywhere.
+
+    Args:
+        scene: its table ``light``.
+        where: the line's place.
+        rng: draws on which side of the line the lamp stands.
+    """
+    light = scene.light
+    side = rng.uniform(0.0, 2.0 * np.pi)
+    if light.falloff == light.shadow == light.glare == 0.0:
+        return None
+    across = light.aside_m * np.array([np.cos(side), np.sin(side), 0.0])
+    place = where.drawn.mean(axis=0) + where.plane.rotation @ (across + np.array([0.0, 0.0, light.height_m]))
+    return Lamp(place, 1e-3 * light.radius_mm, light.falloff, light.shadow, light.glare)
+
+
 @contextmanager
 def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared]:
     """Paints the surface, looks at the line and calibrates the camera, for one or many runs of the scene.
@@ -106,7 +134,7 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
         InputError: the scene cannot be played.
     """
     cell = set_up(scene)
-    with RenderedCamera(cell.true_camera, cell.line, camera_settings(scene.camera), cell.camera_noise) as camera:
+    with camera_of(cell) as camera:
         detection, hand_eye, reasons = DetectionSettings(), None, []
         span = span_of(scene, cell.reference)
         model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None

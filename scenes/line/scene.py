@@ -29,13 +29,30 @@ class Wear(Table):
     shades: int = pydantic.Field(default=0, ge=0, le=50)
 
 
+class Light(Table):
+    """A lamp beside the cell; where it stands, the seed draws. Without sizes there is light from everywhere."""
+
+    height_m: float = pydantic.Field(default=1.6, gt=0.3, le=10)
+    """Of the lamp above the surface."""
+    aside_m: float = pydantic.Field(default=0.8, ge=0, le=10)
+    """From the line's middle, in a direction that the seed draws."""
+    radius_mm: float = pydantic.Field(default=30.0, gt=0, le=500)
+    falloff: float = pydantic.Field(default=0.0, ge=0, le=1)
+    """Share of the light that is the lamp's and fades with the distance from it."""
+    shadow: float = pydantic.Field(default=0.0, ge=0, le=0.95)
+    """Share of the light that the arm takes away where it stands in the lamp's way."""
+    glare: float = pydantic.Field(default=0.0, ge=0, le=255)
+    """Gray levels added where the surface mirrors the lamp into the camera."""
+
+
 class LineScene(Scene):
     """An arm with a camera follows a drawn line."""
 
     workshop: ClassVar[dict[str, dict[str, Any]]] = {
         "world": ARM,
         "displacement": {"height_mm": 3.0, "tilt_deg": 1.0},
-        "camera": {"jitter": 0.004, "loss": 0.05},
+        "camera": {"renderer": "bullet", "jitter": 0.004, "loss": 0.05, "doubled": 0.02, "auto_exposure": 0.15},
+        "light": {"falloff": 0.6, "shadow": 0.4, "glare": 60.0},
         "wear": {"width_percent": 20.0, "fade_percent": 30.0, "gaps": 2, "scratches": 1, "crossings": 1, "glares": 1,
                  "shades": 1},
     }
@@ -46,6 +63,7 @@ class LineScene(Scene):
     line: Line
     feature: tuple[Feature, ...] = ()
     wear: Wear = Wear()
+    light: Light = Light()
     displacement: Displacement = Displacement()
     reference: Reference = Reference()
     camera: CameraTable = CameraTable()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -28,6 +29,8 @@ REST = 0.2
 """Time the recording goes on after the path has come to rest [s]."""
 SHOWN = 4
 """Camera fields kept as pictures."""
+RECENT = 32
+"""Fields among which one that comes twice is recognised by its time stamp."""
 
 
 def assumed_latency(model: Model) -> float:
@@ -85,6 +88,7 @@ class LineTask:
         self._count = int(np.ceil((START + follower.duration + REST) / self._T))
         self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
         self._new: list[Field] = []
+        self._stamps: deque[float] = deque(maxlen=RECENT)
         self._detection = detection or DetectionSettings()
         self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
@@ -121,7 +125,12 @@ class LineTask:
             q: motor angles ``(n,)`` [rad].
             q_d: horizon of the last cycle ``(n_d, n)`` [rad], from which the gears' deflection follows.
         """
-        self._new = self.camera.arrived(t)
+        self._new = []
+        for one in self.camera.arrived(t):
+            # A field that a network delivers twice is one measurement.
+            if one.t_stamp not in self._stamps:
+                self._new.append(one)
+                self._stamps.append(one.t_stamp)
         self.follower.observe(t, self._arm.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d)))
 
     def plan(self, t: float, q_d: Array) -> Array:

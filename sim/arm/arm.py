@@ -210,7 +210,11 @@ class SimulatedArm:
         Raises:
             SimError: ``t`` lies before the start or in the future.
         """
-        return self.tcp_of(self._history.pose(t, self.t, self._q_a, self._qd_a))
+        return self.tcp_of(self.q_at(t))
+
+    def q_at(self, t: float) -> Array:
+        """True arm angles ``(n,)`` [rad] at a time ``t`` [s] within the history, as ``tcp_at``."""
+        return self._history.pose(t, self.t, self._q_a, self._qd_a)
 
     def history(self) -> dict[str, Array]:
         """The true arm every 2 ms or finer.

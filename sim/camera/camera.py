@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import TracebackType
 
 import numpy as np
@@ -19,6 +19,7 @@ from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Field, Gray, Window
 from sim.camera.camera_settings import CameraSettings
+from sim.camera.lamp import Lamp, covered, light, mirrored
 from sim.camera.lens_sampling import sample_rays
 from sim.camera.plane_sampling import sample_plane, texel_map
 from sim.camera.surface import DrawnLine
@@ -43,6 +44,7 @@ class RenderedCamera:
         rng: seeds the camera's noise. Every field draws from a stream of its own, so that a field is the same
             whatever was asked before.
         texture: painted surface; made from ``surface`` if not given, and kept as ``texture`` for another camera on it.
+        lamp: lights the surface; None for light from everywhere.
 
     Raises:
         InputError: the surface is too large for its resolution, or the lens cannot be inverted within the image.
@@ -55,6 +57,7 @@ class RenderedCamera:
         settings: CameraSettings,
         rng: np.random.Generator,
         texture: Texture | None = None,
+        lamp: Lamp | None = None,
     ) -> None:
         self.model, self.surface, self.settings = model, surface, settings
         edge_u, edge_v = np.linspace(0, model.width - 1, 9), np.linspace(0, model.height - 1, 9)
@@ -62,7 +65,9 @@ class RenderedCamera:
         if not np.isfinite(model.rays(border)).all():
             raise InputError("this lens folds the picture over within the image; take a weaker distortion",
                              field="camera.distortion", value=tuple(model.distortion))
+        self.lamp = lamp
         self._key = int(rng.integers(2**63))
+        self.restart()
         self.texture = paint(surface, settings.resolution) if texture is None else texture
         self._stamp_noise = lru_cache(maxsize=256)(self._drawn_stamp_noise)
         self._whole_rays: dict[int, Array] = {}
@@ -72,6 +77,10 @@ class RenderedCamera:
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
+
+    def restart(self) -> None:
+        """Forgets what earlier fields have done to the automatic exposure."""
+        self._gain, self._exposed = 1.0, -math.inf
 
     def close(self) -> None:
         """Frees what the camera holds for its pictures."""
@@ -99,13 +108,22 @@ class RenderedCamera:
         wrong = self.settings.stamp_offset + self.settings.stamp_drift * t_exposure
         return float(t_exposure + wrong + self.settings.stamp_noise * self._stamp_noise(k))
 
-    def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window]) -> Field:
+    def comes_twice(self, t_exposure: float) -> bool:
+        """Whether the field exposed at ``t_exposure`` [s] is sent once more, behind the first."""
+        if self.settings.doubled == 0.0:
+            return False
+        k = round((t_exposure - self.settings.phase) * self.settings.rate)
+        return bool(self._stream(-1 - k).random() < self.settings.doubled)
+
+    def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window],
+                shape: Sequence[Array] = ()) -> Field:
         """One field, cut to windows.
 
         Args:
             t_exposure: true time of mid-exposure, one of ``due`` [s].
             pose_at: true TCP pose at a time; called within half the exposure time around ``t_exposure``.
             windows: rectangles inside the image; empty ones give empty patches.
+            shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
 
         Raises:
             InputError: a window reaches outside the image.
@@ -123,18 +141,29 @@ class RenderedCamera:
         t_stamp = self.stamp(t_exposure)
         n = s.sub_exposures
         poses = [pose_at(t_exposure + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
-        gray = self._noisy(self._sampled(windows, poses, s.supersampling), rng)
+        gray = self._sampled(windows, poses, s.supersampling)
+        if self.lamp is not None:
+            gray = self._lit(gray, windows, poses[n // 2], shape) * self._exposure(t_exposure, poses[n // 2], shape)
+        seen = self._noisy(gray, rng)
         ends = np.cumsum([window.width * window.height for window in windows])
-        patches = tuple(gray[end - window.width * window.height : end].reshape(window.height, window.width)
+        patches = tuple(seen[end - window.width * window.height : end].reshape(window.height, window.width)
                         for window, end in zip(windows, ends, strict=True))
         return Field(t_stamp, t_exposure + latency, tuple(windows), patches)
 
-    def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None) -> Gray:
-        """The whole image ``(height, width)`` from one TCP pose, for reports; noise only if ``noise_rng`` is given."""
+    def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None, shape: Sequence[Array] = ()) -> Gray:
+        """The whole image ``(height, width)`` from one TCP pose, well exposed, for reports.
+
+        Args:
+            pose: of the TCP in the base frame.
+            noise_rng: of the gray noise; None for none.
+            shape: as for ``windows``.
+        """
         whole = Window(0, 0, self.model.width, self.model.height)
         # A fine image shows its line smooth enough with one sample a pixel, and takes long anyway.
         samples = 2 if whole.width * whole.height <= FINE else 1
         gray = self._sampled([whole], [pose], samples)
+        if self.lamp is not None:
+            gray = self._lit(gray, [whole], pose, shape) / self._brightness(self.lamp, pose, shape)
         return self._noisy(gray, noise_rng).reshape(whole.height, whole.width)
 
     def _stream(self, k: int) -> np.random.Generator:
@@ -149,6 +178,49 @@ class RenderedCamera:
         if rng is not None and self.settings.noise > 0.0:
             gray = gray + self.settings.noise * rng.standard_normal(gray.shape)
         return np.clip(np.rint(gray, out=gray), 0, 255, out=gray).astype(np.uint8)
+
+    def _lit(self, gray: Array, windows: Sequence[Window], pose: pin.SE3, shape: Sequence[Array]) -> Array:
+        """Gray values where the lamp lights each pixel's place on the surface, with the lamp's mirror image."""
+        lamp = self.lamp
+        if lamp is None or not len(gray):
+            return gray
+        rays = np.concatenate([self._rays(w, 1).reshape(-1, 2) for w in windows if w.width * w.height])
+        points = self._on_plane(np.column_stack([rays, np.ones(len(rays))]), pose)
+        up, eye = self.surface.plane.rotation[:, 2], (pose * self.model.T_tool_camera).translation
+        hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape))
+        lit = light(lamp, points, up, self._lit_at, hidden)
+        return np.asarray(gray * lit + mirrored(lamp, points, up, eye, hidden))
+
+    def _exposure(self, t: float, pose: pin.SE3, shape: Sequence[Array]) -> float:
+        """Factor of the automatic exposure, which follows what it sees with a lag."""
+        lamp, lag = self.lamp, self.settings.auto_exposure
+        if lamp is None or lag == 0.0:
+            return 1.0
+        wanted = 1.0 / self._brightness(lamp, pose, shape)
+        first = t <= self._exposed or not math.isfinite(self._exposed)
+        share = 1.0 if first else 1.0 - math.exp((self._exposed - t) / lag)
+        self._gain, self._exposed = self._gain + share * (wanted - self._gain), t
+        return self._gain
+
+    def _brightness(self, lamp: Lamp, pose: pin.SE3, shape: Sequence[Array]) -> float:
+        """Of the picture: the most light at a few places in it, so that it is not overexposed."""
+        u, v = np.meshgrid(self.model.width * np.array([0.2, 0.5, 0.8]), self.model.height * np.array([0.2, 0.5, 0.8]))
+        points = self._on_plane(self.model.rays(np.column_stack([u.ravel(), v.ravel()])), pose)
+        hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape))
+        return float(light(lamp, points, self.surface.plane.rotation[:, 2], self._lit_at, hidden).max())
+
+    @cached_property
+    def _lit_at(self) -> Array:
+        """Where the light is 1: the middle of the line."""
+        return np.asarray(self.surface.at(np.array([0.5 * self.surface.length]))[0][0])
+
+    def _on_plane(self, rays: Array, pose: pin.SE3) -> Array:
+        """Where rays ``(N, 3)`` in the camera's frame meet the surface's plane ``(N, 3)`` [m]."""
+        T = pose * self.model.T_tool_camera
+        directions = rays @ T.rotation.T
+        up = self.surface.plane.rotation[:, 2]
+        depth = ((self.surface.plane.translation - T.translation) @ up) / (directions @ up)
+        return np.asarray(T.translation + depth[:, None] * directions)
 
     def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> Array:
         """Mean gray values of all pixels of the windows, one after the other, over the TCP poses.
@@ -177,3 +249,9 @@ class RenderedCamera:
         """Rays (x, y, 1) of ``n`` × ``n`` samples in each pixel, their x and y ``(height, width, n², 2)``."""
         return np.stack(sample_rays(window.u, window.v, window.height, window.width, n, self.model.K,
                                     self.model.distortion), axis=-1)
+
+
+def _capsules(shape: Sequence[Array]) -> tuple[Array, Array]:
+    if len(shape):
+        return np.ascontiguousarray(shape[0]), np.ascontiguousarray(shape[1])
+    return np.empty((0, 2, 3)), np.empty(0)

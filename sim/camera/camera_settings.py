@@ -25,6 +25,8 @@ class CameraSettings:
         stamp_drift: by how much the clock of the time stamps runs fast [s/s].
         stamp_noise: standard deviation of the time stamp [s].
         loss: probability that a field is lost.
+        doubled: probability that a field arrives twice.
+        auto_exposure: time constant with which the exposure follows the light [s]; 0 for a fixed one.
         resolution: texel of the drawn surface [m].
     """
 
@@ -40,6 +42,8 @@ class CameraSettings:
     stamp_drift: float = 0.0
     stamp_noise: float = 0.00005
     loss: float = 0.0
+    doubled: float = 0.0
+    auto_exposure: float = 0.0
     resolution: float = 0.00025
 
     def __post_init__(self) -> None:
@@ -55,5 +59,6 @@ class CameraSettings:
         if self.exposure * self.rate > 1.0:
             raise InputError("the exposure cannot be longer than the time between two fields", field="camera.exposure",
                              value=self.exposure)
-        if self.loss >= 1.0:
-            raise InputError("expected a probability below 1", field="camera.loss", value=self.loss)
+        for name in ("loss", "doubled"):
+            if getattr(self, name) >= 1.0:
+                raise InputError("expected a probability below 1", field=f"camera.{name}", value=getattr(self, name))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import pinocchio as pin
@@ -15,9 +15,24 @@ from sensing.camera.field import Field, Window
 from sensing.force.wrench import WrenchSample
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
+from sim.camera.lamp import ArmShape
 from sim.contact.contact import TipContact
 from sim.contact.force_sensor import ForceSensor
 from sim.equipment.arrivals import Arrivals
+
+AGAIN = 0.006
+"""After which a field that comes twice comes again [s]."""
+
+
+def shadow_of(shape: ArmShape | None, arm: SimulatedArm, t: float) -> tuple[Array, ...]:
+    """What of the arm may stand in a lamp's way at a time: ends and radii of its capsules, as the camera takes them.
+
+    Args:
+        shape: of the arm; None where no lamp is.
+        arm: the arm.
+        t: within its history [s].
+    """
+    return () if shape is None else (shape.at(arm.q_at(t)), shape.radii)
 
 
 class Carried(Protocol):
@@ -54,6 +69,8 @@ class CarriedCamera:
         self._camera, self._arm, self._knock = camera, arm, knock
         self._wanted: list[tuple[float, Sequence[Window]]] = []
         self._late: Arrivals[Field] = Arrivals()
+        self._shape = ArmShape(arm.robot) if camera.lamp is not None else None
+        camera.restart()
 
     def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
         """See ``Camera.request``."""
@@ -67,7 +84,10 @@ class CarriedCamera:
 
     def carry(self, t0: float, t1: float) -> None:
         """Exposes what was asked for."""
-        self._late.send([self._camera.windows(t, self._tool_at, windows) for t, windows in self._wanted])
+        for t, windows in self._wanted:
+            seen = self._camera.windows(t, self._tool_at, windows, shadow_of(self._shape, self._arm, t))
+            again = replace(seen, t_arrival=seen.t_arrival + AGAIN)
+            self._late.send([seen, again] if self._camera.comes_twice(t) else [seen])
         self._wanted = []
 
     def _tool_at(self, t: float) -> pin.SE3:

@@ -7,7 +7,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from scenes import load_scene
-from scenes.line.cell import set_up
+from scenes.line.cell import prepared, set_up
 from scenes.line.kind import run
 from sim.camera.texture import paint
 from tests.scenes.line.test_line_following import CALIBRATED, short
@@ -100,3 +100,18 @@ def test_a_camera_that_somebody_knocks_on_the_way_is_found_out() -> None:
     assert result.failure is None
     assert result.control_error.mean < 1.0e-4
     assert result.control_error.max < 4.0e-4
+
+
+def test_a_field_that_comes_twice_is_one_measurement() -> None:
+    scene = load_scene("line").changed(world="bench", calibration=CALIBRATED)
+    once, twice = (run(scene.changed(camera={"doubled": doubled}), method="ideal") for doubled in (0.0, 0.5))
+    assert twice.fields_seen == once.fields_seen
+    assert twice.control_error.mean == once.control_error.mean
+
+
+def test_the_tool_in_the_picture_is_not_taken_for_the_line() -> None:
+    scene = load_scene("line").changed(seed=3)
+    assert scene.camera.renderer == "bullet"
+    with prepared(scene) as cell:
+        assert cell.detection.line_width == pytest.approx(0.003, rel=0.25)
+        assert cell.hand_eye is not None

@@ -7,10 +7,10 @@ import pinocchio as pin
 import pytest
 
 from sensing.camera.camera_model import CameraModel
+from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import RenderedCamera
 from sim.camera.camera_settings import CameraSettings
 from sim.camera.live_camera import LiveCamera
-from sim.camera.relief_camera import ReliefCamera
 from sim.camera.surface import DrawnLine
 from sim.contact.contact import HeightSurface, Wave
 
@@ -22,7 +22,7 @@ def cell(relief: bool) -> tuple[RenderedCamera, LiveCamera]:
     model, settings, rng = CameraModel.default(), CameraSettings(noise=0.0), np.random.default_rng(1)
     height = HeightSurface(plane, (Wave(0.003, 0.3),), 0.3, 0.1, 0.002, (0.01, 0.02)) if relief else None
     rendered = (RenderedCamera(model, line, settings, rng) if height is None else
-                ReliefCamera(model, line, height, settings, rng))
+                BulletCamera(model, line, settings, rng, relief=height))
     return rendered, LiveCamera(model, line, settings.resolution, 0.0, rng, height)
 
 

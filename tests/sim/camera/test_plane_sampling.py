@@ -7,10 +7,9 @@ import pinocchio as pin
 
 from sensing.camera.camera_model import CameraModel, default_mount
 from sensing.camera.field import Window
+from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import CameraSettings, RenderedCamera
-from sim.camera.relief_camera import ReliefCamera
 from sim.camera.surface import DrawnLine, Feature
-from sim.contact.contact import HeightSurface
 from tests.sensing.camera.synthetic import tool_over
 
 PLANE = pin.SE3(pin.rpy.rpyToMatrix(0.05, -0.03, 0.4), np.array([0.6, -0.1, 0.3]))
@@ -23,7 +22,7 @@ WINDOWS = [Window(0, 0, 40, 30), Window(120, 100, 60, 3), Window(150, 60, 3, 60)
 def test_the_plane_is_seen_as_pybullet_renders_it() -> None:
     camera = CameraModel.default(mount=default_mount() * pin.SE3(pin.rpy.rpyToMatrix(0.06, -0.04, 0.1), np.zeros(3)))
     with (RenderedCamera(camera, LINE, SETTINGS, np.random.default_rng(0)) as sampled,
-          ReliefCamera(camera, LINE, HeightSurface(PLANE), SETTINGS, np.random.default_rng(0)) as rendered):
+          BulletCamera(camera, LINE, SETTINGS, np.random.default_rng(0)) as rendered):
         for aside, yaw in ((0.0, 0.0), (0.01, 0.6), (-0.02, -1.2)):
             def pose_at(t: float, aside: float = aside, yaw: float = yaw) -> pin.SE3:
                 return tool_over(0.05 + 0.5 * (t - 0.005), aside, yaw, plane=PLANE)

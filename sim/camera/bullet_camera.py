@@ -1,4 +1,4 @@
-"""The camera over a surface that is not flat: the drawn texture on a relief, rendered by PyBullet's TinyRenderer.
+"""The camera as PyBullet's TinyRenderer renders it: the drawn texture, flat or on a relief, and the tool before it.
 
 Shifting the principal point in the projection matrix moves a window to any place of the image. TinyRenderer draws an
 undistorted picture; the lens is put in by sampling it where the distorted pixels' rays hit it.
@@ -21,9 +21,11 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sim.bullet import output_dropped, pybullet
 from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.lamp import Lamp
 from sim.camera.lens_sampling import add_samples, displacements, sample_rays
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture
+from sim.camera.tool_mesh import TOOL_COLOUR, tool_mesh
 from sim.contact.contact import HeightSurface
 
 STRIP = 0.008
@@ -38,24 +40,28 @@ PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
 NEAR, FAR = 0.02, 3.0
 
 
-class ReliefCamera(RenderedCamera):
-    """Renders the drawn line on a height surface instead of on its plane.
+class BulletCamera(RenderedCamera):
+    """Renders the drawn line by PyBullet.
 
     Args:
         model: the true camera.
         surface: the drawn line, given on the nominal plane; it is lifted to the relief.
-        relief: heights over the same plane.
-        settings, rng: as ``RenderedCamera``.
+        settings, rng, lamp: as ``RenderedCamera``.
+        relief: heights over the same plane; None for the plane itself.
+        tool: whether the tool's tip and a hose beside it are in the picture.
     """
 
-    def __init__(self, model: CameraModel, surface: DrawnLine, relief: HeightSurface, settings: CameraSettings,
-                 rng: np.random.Generator) -> None:
-        super().__init__(model, surface, settings, rng)
+    def __init__(self, model: CameraModel, surface: DrawnLine, settings: CameraSettings, rng: np.random.Generator, *,
+                 relief: HeightSurface | None = None, tool: bool = False, lamp: Lamp | None = None) -> None:
+        super().__init__(model, surface, settings, rng, lamp=lamp)
         self._relief = relief
         self._offsets = displacements(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
-        with output_dropped():
-            self._load(self.texture)
+        self._tool = -1
+        with output_dropped(), tempfile.TemporaryDirectory(prefix="ideal_robot_scenery_") as folder:
+            self._load_surface(self.texture, Path(folder))
+            if tool:
+                self._tool = self._body(Path(folder), "tool", tool_mesh(), pin.SE3.Identity(), TOOL_COLOUR)
 
     def close(self) -> None:
         """Frees the renderer."""
@@ -64,8 +70,7 @@ class ReliefCamera(RenderedCamera):
             self._client = -1
 
     def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> Array:
-        views = [self._view(pose) for pose in poses]
-        return np.concatenate([np.empty(0), *(self._render(window, views, n).ravel() for window in windows)])
+        return np.concatenate([np.empty(0), *(self._render(window, poses, n).ravel() for window in windows)])
 
     def _view(self, pose: pin.SE3) -> list[float]:
         """OpenGL view matrix, column-major: base frame → camera with y up and z backwards."""
@@ -75,24 +80,25 @@ class ReliefCamera(RenderedCamera):
         V[1:3] *= -1.0
         return V.T.ravel().tolist()
 
-    def _render(self, window: Window, views: Sequence[list[float]], n: int) -> Array:
-        """Mean gray values ``(height, width)`` of a window over the views, ``n`` × ``n`` samples per pixel and view."""
+    def _render(self, window: Window, poses: Sequence[pin.SE3], n: int) -> Array:
+        """Mean gray values ``(height, width)`` of a window over the poses, ``n`` × ``n`` samples per pixel and pose."""
         K, k = self.model.K, self.model.distortion
         if window.width == 0 or window.height == 0:
             return np.zeros((window.height, window.width))
         x, y = sample_rays(window.u, window.v, window.height, window.width, n, K, k)
         scale = n * K[0, 0]
-        offsets = self._offsets if len(views) > 1 else np.zeros((1, 2))
+        offsets = self._offsets if len(poses) > 1 else np.zeros((1, 2))
         # The smallest undistorted picture that covers all samples wherever a sub-exposure moves its grid.
         pad_u, pad_v = np.abs(offsets).max(axis=0)
         column0, row0 = pad_u - scale * x.min(), pad_v - scale * y.min()
         width = int(scale * x.max() + column0 + pad_u) + 2
         height = int(scale * y.max() + row0 + pad_v) + 2
         total = np.zeros((window.height, window.width))
-        for view, (du, dv) in zip(views, offsets, strict=True):
+        for pose, (du, dv) in zip(poses, offsets, strict=True):
+            self._carry_tool(pose)
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
-            image = self._picture(view, width, height, scale, column0 + du, row0 + dv)
-            add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(views))
+            image = self._picture(self._view(pose), width, height, scale, column0 + du, row0 + dv)
+            add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(poses))
         return total
 
     def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float) -> NDArray[np.uint8]:
@@ -110,32 +116,44 @@ class ReliefCamera(RenderedCamera):
         )  # fmt: skip
         return picture[2]
 
-    def _load(self, texture: Texture) -> None:
+    def _carry_tool(self, pose: pin.SE3) -> None:
+        if self._tool >= 0:
+            pybullet.resetBasePositionAndOrientation(self._tool, pose.translation.tolist(),
+                                                     pin.Quaternion(pose.rotation).coeffs().tolist(),
+                                                     physicsClientId=self._client)
+
+    def _load_surface(self, texture: Texture, folder: Path) -> None:
         x0, y1 = texture.x_min, texture.y_max
         width, depth = texture.size
-        columns = max(2, int(np.ceil(width / STRIP)))
+        columns = max(2, int(np.ceil(width / STRIP))) if self._relief is not None else 1
+        rows = ROWS if self._relief is not None else 1
         x = x0 + width * np.arange(columns + 1) / columns
-        y = y1 - depth + depth * np.arange(ROWS + 1) / ROWS
+        y = y1 - depth + depth * np.arange(rows + 1) / rows
         lines = []
-        for j in range(ROWS + 1):
+        for j in range(rows + 1):
             for i in range(columns + 1):
-                lines.append(f"v {x[i]:.9f} {y[j]:.9f} {float(self._relief.height(x[i], y[j])):.9f}")
-        lines += [f"vt {i / columns:.9f} {j / ROWS:.9f}" for j in range(ROWS + 1) for i in range(columns + 1)]
+                z = 0.0 if self._relief is None else float(self._relief.height(x[i], y[j]))
+                lines.append(f"v {x[i]:.9f} {y[j]:.9f} {z:.9f}")
+        lines += [f"vt {i / columns:.9f} {j / rows:.9f}" for j in range(rows + 1) for i in range(columns + 1)]
         lines.append("vn 0 0 1")
-        for j in range(ROWS):
+        for j in range(rows):
             for i in range(columns):
                 a = j * (columns + 1) + i + 1
                 b, c, d = a + 1, a + columns + 2, a + columns + 1
                 lines += [f"f {a}/{a}/1 {b}/{b}/1 {c}/{c}/1", f"f {a}/{a}/1 {c}/{c}/1 {d}/{d}/1"]
-        with tempfile.TemporaryDirectory(prefix="ideal_robot_relief_") as folder:
-            mesh, image = Path(folder) / "relief.obj", Path(folder) / "relief.png"
-            mesh.write_text("\n".join(lines) + "\n", encoding="ascii")
-            cv2.imwrite(str(image), texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-            shape = pybullet.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), rgbaColor=[1, 1, 1, 1],
-                                               physicsClientId=self._client)
-            plane = self.surface.plane
-            quaternion = pin.Quaternion(plane.rotation).coeffs().tolist()
-            body = pybullet.createMultiBody(0, -1, shape, plane.translation.tolist(), quaternion,
-                                            physicsClientId=self._client)
-            identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
+        body = self._body(folder, "surface", lines, self.surface.plane, [1.0, 1.0, 1.0, 1.0])
+        image = folder / "surface.png"
+        cv2.imwrite(str(image), texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
         pybullet.changeVisualShape(body, -1, textureUniqueId=identifier, physicsClientId=self._client)
+
+    def _body(self, folder: Path, name: str, obj: Sequence[str], place: pin.SE3, colour: list[float]) -> int:
+        """A body that is only seen, from the lines of an .obj file: only those have the right texture coordinates."""
+        # PyBullet caches meshes by file name, so each camera's are in a folder of their own.
+        mesh = folder / f"{name}.obj"
+        mesh.write_text("\n".join(obj) + "\n", encoding="ascii")
+        shape = pybullet.createVisualShape(pybullet.GEOM_MESH, fileName=str(mesh), rgbaColor=colour,
+                                           physicsClientId=self._client)
+        quaternion = pin.Quaternion(place.rotation).coeffs().tolist()
+        return int(pybullet.createMultiBody(0, -1, shape, place.translation.tolist(), quaternion,
+                                            physicsClientId=self._client))
