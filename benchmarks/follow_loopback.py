@@ -73,9 +73,8 @@ def scene_of(case: Case, folder: Path) -> str:
 
 def error_of(figures: dict[str, Any]) -> float:
     """Mean distance [mm] where there is a line, RMS force error [N] otherwise."""
-    if "control_error_mm" in figures:
-        return float(figures["control_error_mm"]["mean"])
-    return float(figures["force_N"]["rms_error"])
+    found = figures["control_error_mm"]["mean"] if "control_error_mm" in figures else figures["force_N"]["rms_error"]
+    return float("nan") if found is None else float(found)
 
 
 def in_process(case: Case, scene: str) -> float:
@@ -140,6 +139,7 @@ def measured(case: Case, runs: int, camera: Path | None, folder: Path) -> dict[s
                          "slipped": truth["slipped"], "failure": figures.get("failure")})
     own = in_process(case, scene)
     errors = np.array([row["error"] for row in rows if "error" in row])
+    errors = errors[np.isfinite(errors)]
     mean = float(errors.mean()) if len(errors) else float("nan")
     answered = sum(row.get("cycles", 0) for row in rows)
     return {"case": case.name, "runs": rows, "in_process": own, "mean": mean,
@@ -148,7 +148,7 @@ def measured(case: Case, runs: int, camera: Path | None, folder: Path) -> dict[s
             "ended_early": sum(row["code"] != 0 for row in rows),
             "late_share": sum(row.get("late", 0) for row in rows) / max(answered, 1),
             "largest_acceleration_share": max((row.get("share", np.nan) for row in rows), default=np.nan),
-            "processor_share": float(np.nanmean([row.get("processor", np.nan) for row in rows])),
+            "processor_share": float(np.mean([row.get("processor", np.nan) for row in rows])),
             "memory_MiB": {key: max((row["memory"][key] for row in rows if "memory" in row), default=np.nan)
                            for key in ("follower", "camera")}}
 
@@ -177,6 +177,9 @@ def main() -> None:
                   f"{row['largest_acceleration_share']:5.2f} "
                   f"{1e2 * row['processor_share']:6.1f} {row['memory_MiB']['follower']:5.0f} "
                   f"{row['memory_MiB']['camera']:6.0f}", flush=True)
+            for run in row["runs"]:
+                if run["code"] != 0:
+                    print(f"    exit code {run['code']}: {run['failure']}", flush=True)
     if given.json is not None:
         given.json.write_text(json.dumps(found, indent=2), encoding="utf-8")
 

@@ -19,10 +19,10 @@ from scenes.follow.journal import Journal
 from scenes.scene_error import SceneError
 from sensing.clock.clock_relation import ClockRelation
 
-START_TOLERANCE = np.radians(0.5)
-"""How far from the start of the path the arm may stand [rad]."""
-_APPROACH = 0.6
-"""Time in which it is brought to the start from there [s]."""
+START_TOLERANCE = np.radians(5.0)
+"""How far from the start of the path the arm may stand [rad]: a calibration of the surface moves the start."""
+_APPROACH = 0.3
+"""Rest at the start [s]."""
 _REMEMBERED = 256
 """Cycles whose times are remembered."""
 _SLOWEST, _SHARE = 0.35, 0.25
@@ -158,7 +158,7 @@ class LiveArm:
             raise SceneError(f"joint {joint + 1} stands at {np.degrees(self.link.commanded[joint]):.2f}° and the path "
                              f"starts at {np.degrees(start[joint]):.2f}°; move the arm to the start of the path, or "
                              "check axis_sign and axis_zero in the robot's data")
-        self.lead(smooth_way(self.link.commanded, start, max(round(_APPROACH / self.t_ipo), 1)))
+        self.lead(moves(self.robot, [self.link.commanded.copy(), start], _APPROACH))
 
     def lead(self, commands: Array) -> None:
         """Goes through commands ``(N, n)`` [rad] from rest to rest; raises ``FollowStoppedError`` where it has to end.

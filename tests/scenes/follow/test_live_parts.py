@@ -72,7 +72,7 @@ def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
 
 def test_an_arm_that_stands_elsewhere_is_not_moved(link: Tame, arm: LiveArm) -> None:
     with pytest.raises(SceneError, match="joint 3 stands at"):
-        arm.approach(link.robot.home + np.array([0, 0, 0.02, 0, 0, 0]))
+        arm.approach(link.robot.home + np.array([0, 0, 0.1, 0, 0, 0]))
     assert not link.taken
     arm.approach(link.robot.home + 0.004)
     np.testing.assert_allclose(link.taken[-1], link.robot.home + 0.004)
