@@ -37,8 +37,9 @@ def helped(function: Function) -> set[str]:
     """Names of the parameters whose annotation, ``Annotated[…, typer.Option(help="…")]``, says what they are."""
     return {one.arg for one in (*function.args.args, *function.args.kwonlyargs) if one.annotation
             for call in ast.walk(one.annotation) if isinstance(call, ast.Call)
-            for keyword in call.keywords if keyword.arg == "help" and isinstance(keyword.value, ast.Constant)
-            and keyword.value.value}
+            for keyword in call.keywords if keyword.arg == "help"
+            # A text, or a call that makes one of what is registered.
+            and (isinstance(keyword.value, ast.Call) or getattr(keyword.value, "value", ""))}
 
 
 def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
