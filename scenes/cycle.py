@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array, held
 from ideal_robot.errors import LimitError
 from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.execution.stopping import stopping_rows
-from ideal_robot.robots.interface import RobotInterface
+from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from planning.planning_error import PlanningError
 from scenes.result import Progress
@@ -65,8 +65,14 @@ class Task(Protocol):
         """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
         ...
 
-    def collect(self, t0: float, t1: float) -> None:
-        """Takes note of the cycle from ``t0`` to ``t1`` [s], which is over."""
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Takes note of a cycle that is over.
+
+        Args:
+            t0: its begin [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
         ...
 
     def speed(self, t: float) -> float:
@@ -166,12 +172,13 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
             log.q_d.append(q_d[0].copy())
             log.q_c.append(q_c)
             task.request(t, t + T)
-            q = robot.cycle(q_c).q
+            measured = robot.cycle(q_c)
+            q = measured.q
         except (PlanningError, LimitError) as error:
             # A command that leaves the arm's limits, as of a gain too high: the controller refuses it.
             log.failure = log.failure or str(error)
             return
-        task.collect(t, t + T)
+        task.collect(t, t + T, measured)
         still = still + 1 if stopping is not None and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
         if task.done(t) or still * T > settings.rest:
             return

@@ -19,6 +19,8 @@ DIRECT = "direct_feedback"
 SENSOR_PATH = "sensor_path"
 """The sensed path, commanded as it is."""
 IDEAL = "ideal"
+ADAPTED = "adapted"
+"""The ideal robot with friction that follows the arm: on known paths it plays beforehand, else it learns as it goes."""
 PLAIN = ("precorrected_1", "precorrected")
 """Made for known paths; sensor-based scenes play them when asked for, and leave them out of their comparisons."""
 
@@ -73,7 +75,8 @@ class SceneMethod:
 
 def following_methods() -> tuple[str, ...]:
     """Keys of the methods that follow what is sensed: the sensed path alone, and what needs no more than a model."""
-    return (SENSOR_PATH, IDEAL, *(key for key in registered_methods(Needs.MODEL) if key not in (NONE, IDEAL)))
+    return (SENSOR_PATH, IDEAL, ADAPTED,
+            *(key for key in registered_methods(Needs.MODEL) if key not in (NONE, IDEAL, ADAPTED)))
 
 
 def method_of(wanted: Any, allowed: Sequence[str]) -> SceneMethod:

@@ -47,7 +47,11 @@ def _precorrected(setting: Setting) -> Feedforward:
 
 
 def _adapted(setting: Setting) -> Feedforward:
-    practice, start = setting.plays(), AdaptedIdeal(_ideal(setting))
+    start = AdaptedIdeal(_ideal(setting))
+    if setting.practice is None:
+        # Nothing to play beforehand: it learns while it works.
+        return _corrected(setting, start)
+    practice = setting.plays()
     before = practice.play(start, practice.motion(setting.path()))
     return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.line.line_follower import FollowerSettings
 from scenes.cycle import Task
@@ -50,8 +51,9 @@ class LiveLineTask(LineTask):
             self.arm.q_d = q_d[0]
         return super().command(t, q_d)
 
-    def collect(self, t0: float, t1: float) -> None:
-        """The pictures are in another process; none is kept."""
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Lets a feedforward that adapts learn; the pictures are in another process, none is kept."""
+        self._state = self.feedforward.observe(self._state, measured)
 
 
 class LineJob:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ideal_robot.robots.interface import RobotState
 from scenes.cycle import Task
 from scenes.follow.live_camera import EvaluatedField, Predict
 from sensing.camera.camera_device import WindowsAt
@@ -74,5 +75,5 @@ def rehearse(task: Task, T: float, cycles: int, first: int = 0) -> None:
         q_d = task.plan(t, q_d)
         task.command(t, q_d)
         task.request(t, t + T)
-        task.collect(t, t + T)
+        task.collect(t, t + T, RobotState(t + T, q_d[0], np.zeros_like(q)))
         q = q_d[0]

@@ -11,6 +11,7 @@ from ideal_robot.effects.sensor_change import SensorChange
 from ideal_robot.elasticity.observer import ArmObserver
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
+from ideal_robot.robots.interface import RobotState
 from planning.follower import ForceFollower
 from planning.force.contact import Phase
 from planning.force.direct_force import DirectForceFeedback
@@ -132,8 +133,9 @@ class ForceTask:
         if self.vision is not None and self._camera is not None:
             self._camera.request(t0, t1, self.vision.windows)
 
-    def collect(self, t0: float, t1: float) -> None:
-        """Nothing is kept of a cycle that is over."""
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Lets a feedforward that adapts learn from the cycle."""
+        self._state = self.feedforward.observe(self._state, measured)
 
     def speed(self, t: float) -> float:
         """Path speed [m/s]; at least a tenth, so that a stop at rest takes some time, too."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.path.reference import ReferencePath
 from scenes.line.calibration_view import CalibrationView, calibration_postures
@@ -41,7 +42,8 @@ BEFORE = 10**7
 
 def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
                         camera: RenderedCamera, deflection: GearDeflection | None, at: float,
-                        detection: DetectionSettings, detector: LineDetector) -> HandEye:
+                        detection: DetectionSettings, detector: LineDetector,
+                        moved: list[RobotState] | None = None) -> HandEye:
     """Moves the camera over one piece of the line and returns the camera that explains all that was seen.
 
     The arm is driven through its positional interface, from pose to pose with a short rest at each; fields are taken
@@ -57,6 +59,7 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         at: arc length of the reference around which the piece lies [m].
         detection: how the line looks.
         detector: what finds its points.
+        moved: gets what the controller reports, cycle by cycle.
 
     Raises:
         SceneError: fewer than half of the poses can be reached, or fewer than half of the fields show the line.
@@ -76,7 +79,10 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
         due += len(exposures)
         predictions = [view.predicted(camera.stamp(t) - ahead) for t in taken]
-        view.history.add((k + 1) * T, arm.cycle(q_c).q - sag[k])
+        measured = arm.cycle(q_c)
+        if moved is not None:
+            moved.append(measured)
+        view.history.add((k + 1) * T, measured.q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
             windows = search_windows(believed, prediction, detection)
             late.append((camera.windows(t, lambda at: arm.tcp_at(at - ahead), windows,

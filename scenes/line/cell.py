@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from scenes.camera_table import believed_camera, true_camera
 from scenes.camera_world import camera_settings
@@ -95,6 +96,8 @@ class Prepared:
     hand_eye: HandEye | None
     believed: CameraModel | None = None
     """A camera to be believed in place of the one that was mounted by hand."""
+    moved: tuple[RobotState, ...] = ()
+    """What the controller reported while the camera was calibrated, cycle by cycle."""
     warning: str = ""
     """Why there are no looks or no calibration although one was wanted; the run then goes on with the usual line, the
     camera as mounted by hand."""
@@ -136,6 +139,7 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
     cell = set_up(scene)
     with camera_of(cell) as camera:
         detection, hand_eye, reasons = DetectionSettings(), None, []
+        moved: list[RobotState] = []
         span = span_of(scene, cell.reference)
         model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
         with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
@@ -148,7 +152,7 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
                 try:
                     hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera,
                                                    GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
-                                                   cell.detector)
+                                                   cell.detector, moved)
                 except (SceneError, SensingError) as error:
                     reasons.append(str(error))
-        yield Prepared(camera, detection, hand_eye, warning="; ".join(reasons))
+        yield Prepared(camera, detection, hand_eye, moved=tuple(moved), warning="; ".join(reasons))

@@ -70,7 +70,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         camera = CarriedCamera(shared.camera, arm, knock_of(scene.camera))
         mounted(sensors, LineWorld(arm, cell.line))
         model = model_for(scene, cell.robot) if method.knows_model else None
-        task = LineTask(cell, method, camera, model, gains, log, sensors, shared.detection)
+        task = LineTask(cell, method, camera, model, gains, log, sensors, shared.detection, shared.moved)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [camera]), cell.robot, task, log,
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),

@@ -14,6 +14,7 @@ from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
 from scenes.cycle import CycleLog
@@ -75,11 +76,13 @@ class LineTask:
         log: is written to.
         sensors: besides the camera.
         detection: how the line looks; the usual line if None.
+        moved: what the controller reported when the arm moved last, cycle by cycle: a feedforward that adapts learns
+            from it.
     """
 
     def __init__(self, cell: Known, method: SceneMethod, camera: Camera, model: Model | None,
                  gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = (),
-                 detection: DetectionSettings | None = None) -> None:
+                 detection: DetectionSettings | None = None, moved: Sequence[RobotState] = ()) -> None:
         self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
         self.follower = follower = cell.follower
         self.n_d = follower.n_d
@@ -96,6 +99,8 @@ class LineTask:
         self._known, self._arm = SensorChange.of(effects), CorrectedArm(cell.robot, effects)
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
+        for measured in moved:
+            self._state = self.feedforward.observe(self._state, measured)
         # Once for nothing, so that compiling does not fall into the first cycles.
         self.feedforward.step(self._state, np.tile(follower.q_start, (self.feedforward.n_d, 1)))
         follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
@@ -183,8 +188,9 @@ class LineTask:
         ahead = self.follower.predict(exposure).seen_from(self.follower.history.pose(exposure))
         return search_windows(self.cell.camera, ahead, self._detection)
 
-    def collect(self, t0: float, t1: float) -> None:
-        """Keeps a field now and then for the report."""
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Lets a feedforward that adapts learn from the cycle, and keeps a field now and then for the report."""
+        self._state = self.feedforward.observe(self._state, measured)
         k, fields = round(t0 / self._T), self.log.fields
         if k not in self._picture_at:
             return

@@ -115,3 +115,20 @@ def test_the_tool_in_the_picture_is_not_taken_for_the_line() -> None:
     with prepared(scene) as cell:
         assert cell.detection.line_width == pytest.approx(0.003, rel=0.25)
         assert cell.hand_eye is not None
+
+
+def test_a_cold_arm_is_learned_while_the_camera_is_calibrated() -> None:
+    """[L] 2.2, 3.2: friction of 20 °C and a model of 35 °C; what calibration moved is what there is to learn from."""
+    scene = load_scene("line").changed(world={"base": "bench", "start_temperature": 20.0})
+    with prepared(scene) as shared:
+        fixed, adapted = (run(scene, method=key, shared=shared).control_error.mean for key in ("ideal", "adapted"))
+    assert adapted < 0.92 * fixed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2])
+def test_adaptation_does_no_harm_where_there_is_nothing_to_adapt(seed: int) -> None:
+    scene = load_scene("line").changed(world="bench", seed=seed)
+    with prepared(scene) as shared:
+        fixed, adapted = (run(scene, method=key, shared=shared).control_error.mean for key in ("ideal", "adapted"))
+    assert adapted < 1.03 * fixed
