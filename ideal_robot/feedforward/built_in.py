@@ -32,6 +32,20 @@ def _linear(setting: Setting) -> Feedforward:
     return _corrected(setting, LinearInverse(loop, setting.horizon(N_D), limits=(robot.q_min, robot.q_max)))
 
 
+def _linear_printed(setting: Setting) -> Feedforward:
+    robot = setting.robot
+    motion = setting.plays().sinusoids(setting.path())
+    answer = motion - setting.plays().play(PassThrough(robot.t_ipo), motion).errors()
+    loop = LinearLoop.identify(motion, answer, robot.t_ipo)
+    return LinearInverse(loop, setting.horizon(N_D), limits=(robot.q_min, robot.q_max))
+
+
+def _trained_printed(setting: Setting) -> Feedforward:
+    robot = setting.robot
+    motion, q_c = setting.plays().training(setting.path(), setting.loop(), setting.progress)
+    return train([(motion, q_c)], robot.t_ipo, limits=(robot.q_min, robot.q_max))
+
+
 def _trained(setting: Setting) -> Feedforward:
     robot, loop = setting.robot, setting.loop()
     motion, q_c = setting.plays().training(setting.path(), loop, setting.progress)
@@ -72,7 +86,10 @@ def _learned(step: int) -> Method:
 
 NONE = Method(lambda setting: PassThrough(setting.robot.t_ipo), "the desired path is commanded as it is", Needs.NOTHING)
 LINEAR = Method(_linear, "inverse of the linear closed loop about the path's middle ([G] (12))", Needs.PATH)
-TRAINED = Method(_trained, "weights trained on another motion on the arm ([G] (12), (13))", Needs.PLAYS)
+LINEAR_1 = Method(_linear_printed, "the same of responses from measured sinusoids, as printed ([G] (7), (12))",
+                  Needs.PLAYS)
+TRAINED_1 = Method(_trained_printed, "weights trained on another motion on the arm, as printed ([G] (13))", Needs.PLAYS)
+TRAINED = Method(_trained, "the same, and weights of the rigid-body torques ([G] (13) and more)", Needs.PLAYS)
 PRECORRECTED_1 = Method(lambda setting: _corrected(setting, Precorrection(setting.identified(), setting.robot)),
                         "nonlinear precorrection as printed: no look ahead, no gear elasticity ([G] (16) to (20))")
 PRECORRECTED = Method(_precorrected,

@@ -20,6 +20,9 @@ from ideal_robot.robots.robot import Robot
 ITERATIONS = 4
 """Learning steps on the arm, as in [G] 4.3."""
 
+DURATION, AMPLITUDE, FREQUENCIES = 8.0, 0.1, (0.4, 1.2)
+"""Of the sinusoids that impulse responses are identified from: [s], [rad], of the first and the last joint [Hz]."""
+
 
 @dataclass(frozen=True)
 class Rehearsed:
@@ -66,6 +69,24 @@ class Practice:
     def motion(self, q_d: Array) -> Array:
         """The motion ``(M, n)`` [rad] about a path ``q_d (N, n)`` [rad] that training and adaptation learn from."""
         return training_motion(q_d, self.robot.t_ipo)
+
+    def sinusoids(self, q_d: Array) -> Array:
+        """"Simple sinusoidal joint trajectories" ([G] 3.2) about the middle of a path, from rest to rest.
+
+        Args:
+            q_d: the path ``(N, n)`` [rad].
+
+        Returns:
+            the motion ``(M, n)`` [rad]: each joint with a frequency of its own, some degrees.
+        """
+        robot, middle = self.robot, np.median(q_d, axis=0)
+        t = robot.t_ipo * np.arange(round(DURATION / robot.t_ipo))
+        frequency = np.linspace(*FREQUENCIES, robot.n)
+        room = np.minimum(middle - robot.q_min, robot.q_max - middle)
+        size = np.minimum.reduce([np.full(robot.n, AMPLITUDE), 0.5 * np.maximum(room, 0.0),
+                                  0.3 * robot.v_max / (2.0 * np.pi * frequency)])
+        swell = np.sin(np.pi * np.clip(t / DURATION, 0.0, 1.0)) ** 2
+        return np.asarray(middle + size * swell[:, None] * np.sin(2.0 * np.pi * t[:, None] * frequency))
 
     def training(self, q_d: Array, loop: LoopModel, progress: Progress = silent) -> tuple[Array, Array]:
         """A motion ``(M, n)`` about a path that is not the path, and the commands learned for it ``(M, n)`` [rad].

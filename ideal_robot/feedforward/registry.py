@@ -25,7 +25,9 @@ _BUILT_IN = "ideal_robot.feedforward.built_in"
 _REGISTRY: Registry[Method | Factory] = Registry("method", "ideal_robot.feedforward", {
     "none": f"{_BUILT_IN}:NONE",
     "linear": f"{_BUILT_IN}:LINEAR",
+    "linear_1": f"{_BUILT_IN}:LINEAR_1",
     "trained": f"{_BUILT_IN}:TRAINED",
+    "trained_1": f"{_BUILT_IN}:TRAINED_1",
     "precorrected_1": f"{_BUILT_IN}:PRECORRECTED_1",
     "precorrected": f"{_BUILT_IN}:PRECORRECTED",
     "model_learned": f"{_BUILT_IN}:MODEL_LEARNED",

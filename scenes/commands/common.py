@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import sys
 from typing import Any, TypeVar
 
@@ -75,6 +76,15 @@ def closed(run: result.RunResult) -> None:
     if run.failure is not None:
         typer.echo(f"ideal-robot: {run.failure}", err=True)
         raise typer.Exit(1)
+
+
+def length(text: str, option: str) -> float:
+    """A length in metres from ``0.2mm``, ``200um`` or ``0.0002``."""
+    found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|um|µm|m|)\s*", text)
+    value = _number(found[1], float, option, text) if found else math.nan
+    if found is None or not (math.isfinite(value) and value > 0):
+        raise InputError("expected a positive length such as 0.2mm", field=option, value=text[:60])
+    return value * {"mm": 1e-3, "um": 1e-6, "µm": 1e-6}.get(found[2], 1.0)
 
 
 def numbers(text: str, option: str) -> list[float]:

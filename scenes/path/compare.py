@@ -73,14 +73,15 @@ class PathComparison(ShownTable):
         return tuple(columns), rows
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
-        """One row a method, what fits a terminal: E_car [mm], its reduction and the paper's [%]."""
+        """One row a method, what fits a terminal: E_car [mm], its reduction as arm, motors and paper say [%]."""
         paper = self.scene.paper.E_car_reduction_percent
-        columns = ["method", "timed mm", "aligned", "E_car −%", "E_max −%", "paper −%"]
+        columns = ["method", "timed mm", "aligned", "E_car −%", "motors −%", "E_max −%", "paper −%"]
         rows: list[list[Any]] = []
         for method, run in self.runs.items():
             less = self.reduction(method)
             rows.append([method, 1e3 * run.errors.time_matched.E_car, 1e3 * run.errors.aligned.E_car,
-                         less["E_car"]["weaker"], less["E_max"]["weaker"], paper.get(method)])
+                         less["E_car"]["weaker"], self.motor_reduction(method)["E_car"], less["E_max"]["weaker"],
+                         paper.get(method)])
         return columns, rows
 
     def full_table(self) -> tuple[list[str], list[list[Any]]]:

@@ -100,3 +100,36 @@ def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
         register(own, PassThrough)
     with pytest.raises(InputError, match="lower case"):
         register("My Method", HalfAhead)
+
+
+def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:
+    """[G] (7), (12): an arm that is a linear filter is inverted without a model; the motion keeps the arm's limits."""
+    place, q_d = practice(), path()
+    g = np.array([0.0, 0.3, 0.4, 0.2, 0.1])
+
+    def play(law: Feedforward, wanted: np.ndarray) -> Rehearsed:
+        q_c = law.along(wanted)
+        answer = q_c[:1] + np.array([np.convolve(g, column)[: len(q_c)] for column in (q_c - q_c[0]).T]).T
+        return Rehearsed(law.init(wanted[0]), lambda: np.asarray(wanted - answer))
+
+    linear = Practice(play, ROBOT)
+    motion = linear.sinusoids(q_d)
+    assert np.all(motion > ROBOT.q_min)
+    assert np.all(motion < ROBOT.q_max)
+    assert np.all(np.abs(np.diff(motion, axis=0)) < 0.5 * ROBOT.v_max * ROBOT.t_ipo)
+    np.testing.assert_allclose(motion[0], np.median(q_d, axis=0), atol=1e-9)
+    law = feedforward("linear_1", None, ROBOT, n_d=30, q_d=q_d, practice=linear)
+    before, after = (np.abs(play(one, q_d).errors()).max() for one in (PassThrough(ROBOT.t_ipo), law))
+    # The inverse of paths of 3 Hz, of responses that sinusoids told.
+    assert after < 0.15 * before
+    assert feedforward("linear_1", MODEL, ROBOT, q_d=q_d, practice=place).n_d == 30
+
+
+def test_training_as_printed_weighs_no_torques() -> None:
+    """[G] (13) has positions and signs; ``trained`` adds the rigid body, and is better where links couple."""
+    place, q_d = practice(), path()
+    printed, more = (feedforward(key, MODEL, ROBOT, q_d=q_d, practice=place) for key in ("trained_1", "trained"))
+    assert len(printed.w) == 0  # type: ignore[attr-defined]
+    assert len(more.w) > 0  # type: ignore[attr-defined]
+    off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in (PassThrough(ROBOT.t_ipo), printed, more)]
+    assert off[2] < off[1] < off[0]
