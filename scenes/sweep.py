@@ -26,17 +26,18 @@ MOST = 100_000
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a sweep; ``speed``, ``seed``, ``method`` and ``individual`` None mean the scene's own."""
+    """One run of a sweep; ``speed``, ``seed``, ``method``, ``individual`` and ``world`` None mean the scene's own."""
 
     scene: str | Scene
     method: Any
     speed: float | None
     seed: int | None
     individual: int | None = None
+    world: str | None = None
 
 
 def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Sequence[float] = (),
-         seeds: Sequence[int] = (), individuals: Sequence[int] = ()) -> list[Job]:
+         seeds: Sequence[int] = (), individuals: Sequence[int] = (), world: str | None = None) -> list[Job]:
     """All combinations, in the order given; an empty list stands for the scene's own value.
 
     Args:
@@ -45,20 +46,22 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
         speeds: [m/s].
         seeds: of all that is drawn.
         individuals: arms of the type, each with the model of its own identification motions.
+        world: where all scenes play; where their files say if None.
     """
     own: tuple[None] = (None,)
     count = math.prod(len(values) or 1 for values in (scenes, methods, speeds, seeds, individuals))
     if count > MOST:
         raise InputError(f"these are {count} runs; at most {MOST} at once", field="--seeds")
     product = itertools.product(scenes, methods or own, speeds or own, seeds or own, individuals or own)
-    return [Job(*one) for one in product]
+    return [Job(*one, world=world) for one in product]
 
 
 def play(job: Job) -> dict[str, Any]:
     """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep."""
     answer = _named(job)
     try:
-        scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed, individual=job.individual)
+        scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed, individual=job.individual,
+                       world=job.world)
         answer |= {"scene": scene.name, "speed_m_s": getattr(scene, "speed", None), "seed": scene.seed}
         result = kind_of(scene).run(scene, method=job.method, out=None, progress=silent)
         return {**answer, **result.json(), "failure": result.failure}
@@ -132,7 +135,8 @@ def _named(job: Job) -> dict[str, Any]:
     """What of an answer is known before anything is played."""
     return {"scene": job.scene.name if isinstance(job.scene, Scene) else job.scene,
             "method": job.method if isinstance(job.method, str | None) else None, "speed_m_s": job.speed,
-            "seed": job.seed, **({} if job.individual is None else {"individual": job.individual}), "failure": None}
+            "seed": job.seed, **({} if job.individual is None else {"individual": job.individual}),
+            **({} if job.world is None else {"world": job.world}), "failure": None}
 
 
 def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:

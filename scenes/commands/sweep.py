@@ -14,6 +14,8 @@ def command(
     seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = "",
     individuals: Annotated[str, typer.Option("--individuals", "--individual", help="Arms of the type, each with a "
                                              "model of its own (see prepare): a list 1,2,5 or a range 1-10.")] = "",
+    world: Annotated[str | None, typer.Option(help="Where they play instead of the scenes' worlds: workshop or "
+                                                   "bench.")] = None,
     methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "",
     processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
     dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
@@ -43,7 +45,7 @@ def command(
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
                 numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),
-                whole_numbers(individuals, "--individuals"))
+                whole_numbers(individuals, "--individuals"), world)
     check_outputs(json=json, csv=csv, lines=lines)
     if resume and lines is None:
         raise InputError("needs --lines FILE, the file to go on with", field="--resume")
