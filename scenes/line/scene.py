@@ -15,6 +15,8 @@ from scenes.worlds import ARM
 class Wear(Table):
     """What use has done to the drawn line and its light: sizes and counts; the seed draws the rest."""
 
+    grain: Literal["none", "paper", "wood", "metal"] = "none"
+    """What the bare surface looks like: even, or with the speckle or streaks of a material."""
     width_percent: float = pydantic.Field(default=0.0, ge=0, le=50)
     """By how much the line's width varies on its way, more or less."""
     fade_percent: float = pydantic.Field(default=0.0, ge=0, le=90)

@@ -30,7 +30,8 @@ def drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> D
     worn = wear.width_percent > 0 or wear.fade_percent > 0
     return DrawnLine(where.drawn, where.plane, width=1e-3 * look.width_mm, gray=look.gray, background=look.background,
                      edge=1e-3 * look.edge_mm, features=(*_features(scene), *_worn(wear, float(s[-1]), rng)),
-                     widths=widths if worn else None, grays=grays if worn else None)
+                     widths=widths if worn else None, grays=grays if worn else None,
+                     grain=None if wear.grain == "none" else wear.grain, grain_seed=scene.seed)
 
 
 def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:

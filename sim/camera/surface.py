@@ -79,6 +79,7 @@ class DrawnLine:
         gray, background: gray values of line and surface, 0 to 255.
         edge: width of the soft edge, over which the gray value changes linearly [m].
         features: what makes it hard to see.
+        grain, grain_seed: what the bare surface looks like, see ``sim.camera.grain``; even gray if None.
         widths, grays: at each point ``(N,)`` where they are not the same everywhere [m], gray values.
     """
 
@@ -91,6 +92,8 @@ class DrawnLine:
     features: tuple[Feature, ...] = ()
     widths: Array | None = None
     grays: Array | None = None
+    grain: str | None = None
+    grain_seed: int = 0
 
     def __post_init__(self) -> None:
         points = np.array(self.points, dtype=float)

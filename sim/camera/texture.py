@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from sim.camera.grain import add_grain
 from sim.camera.surface import DrawnLine, Feature
 
 MAX_TEXELS = 64_000_000
@@ -158,6 +159,8 @@ def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> 
                 canvas.patch(centre, feature.length / 2, gray, 1.0)
             else:
                 canvas.patch(centre, feature.length / 2, 0.0, gray / 100.0)
+    if line.grain is not None:
+        add_grain(canvas.gray, line.grain, line.grain_seed)
     image = np.clip(np.rint(canvas.gray, out=canvas.gray), 0, 255, out=canvas.gray).astype(np.uint8)
     return Texture(image, float(low[0]), float(high[1]), resolution)
 

@@ -132,3 +132,14 @@ def test_adaptation_does_no_harm_where_there_is_nothing_to_adapt(seed: int) -> N
     with prepared(scene) as shared:
         fixed, adapted = (run(scene, method=key, shared=shared).control_error.mean for key in ("ideal", "adapted"))
     assert adapted < 1.03 * fixed
+
+
+def test_a_grain_is_of_its_size_and_repeats_with_the_seed() -> None:
+    even, wooden = (paint(set_up(short(wear={"grain": grain})).line).image.astype(float) for grain in ("none", "wood"))
+    bare = even == 200.0
+    assert bare.mean() > 0.9
+    assert np.std(wooden[bare]) == pytest.approx(15.0, rel=0.1)
+    np.testing.assert_array_equal(wooden, paint(set_up(short(wear={"grain": "wood"})).line).image)
+    # Streaks along the line: neighbours along it are alike over centimetres, across it over millimetres.
+    along, across = (np.mean(np.abs(np.roll(wooden, 40, axis)[bare] - wooden[bare])) for axis in (1, 0))
+    assert along < 0.7 * across
