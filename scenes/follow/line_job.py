@@ -52,7 +52,13 @@ class LiveLineTask(LineTask):
         return super().command(t, q_d)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn; the pictures are in another process, none is kept."""
+        """Lets a feedforward that adapts learn; the pictures are in another process, none is kept.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
         self._state = self.feedforward.observe(self._state, measured)
 
 

@@ -134,7 +134,13 @@ class ForceTask:
             self._camera.request(t0, t1, self.vision.windows)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn from the cycle."""
+        """Lets a feedforward that adapts learn from the cycle.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
         self._state = self.feedforward.observe(self._state, measured)
 
     def speed(self, t: float) -> float:

@@ -189,7 +189,13 @@ class LineTask:
         return search_windows(self.cell.camera, ahead, self._detection)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn from the cycle, and keeps a field now and then for the report."""
+        """Lets a feedforward that adapts learn from the cycle, and keeps a field now and then for the report.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
         self._state = self.feedforward.observe(self._state, measured)
         k, fields = round(t0 / self._T), self.log.fields
         if k not in self._picture_at:
