@@ -1,6 +1,6 @@
 """Both line detectors on the same pictures: error of the points, refusals, and points that are wrong but accepted.
 
-    python benchmarks/bench_detector.py [--fields 300] [--many 10000] [--json FILE]
+    python -m benchmarks.compare_detectors [--fields 300] [--many 10000] [--json FILE]
 
 Each disturbance alone, then all of them at once on ``--many`` fields of lines that are drawn anew every 250 fields.
 Line, poses and predictions as in ``bench_camera.py``: the prediction is ±1 mm off and believed to 1 mm. Exposure 2 ms
@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_camera import AHEAD, UP, clutter, over, sine
 
+from benchmarks.bench_camera import AHEAD, UP, clutter, over, sine
 from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS
