@@ -1,11 +1,11 @@
 """How time and memory grow: following a line and pressing on a surface, sweeps, identification of long recordings.
 
     python benchmarks/long_runs.py                                    # short ones, in minutes
-    python benchmarks/long_runs.py --line 60,3600 --force 60,3600 --runs 10,1000 --record 600,14400 --diagnose
+    python benchmarks/long_runs.py --line 60,3600 --force 60,3600 --runs 10,1000 --record 600,14400
 
 Every length is played in a process of its own, forked from one that has loaded the program; the table gives processor
 time and by how much its resident memory grew at most. The last row of each kind is the slope between the two longest
-ones: where it is the same as between the two shortest, time and memory are linear. ``--diagnose`` adds the diagnosis.
+ones: where it is the same as between the two shortest, time and memory are linear.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import numpy as np  # noqa: E402
 
 import ideal_robot as ir  # noqa: E402
 from benchmarks import bench_identify  # noqa: E402
@@ -88,14 +87,9 @@ def many(count: float) -> None:
               file=SweepFile(Path(folder) / "l.jsonl", resume=False))
 
 
-def recording_of(seconds: float) -> Recording:
-    """A recording of the simulated KR 15, repeated until it is as long; the motion is periodic."""
-    one = bench_identify.recording(1, 60.0)
-    period = one.t[-1] - one.t[0] + one.t[1] - one.t[0]
-    times = max(1, round(seconds / period))
-    columns = {name: np.tile(values, times) for name, values in one.columns.items() if name != "t"}
-    t = np.concatenate([one.t + k * period for k in range(times)])
-    return Recording({"t": t, **columns}, one.meta, one.source)
+def recordings_of(seconds: float) -> list[Recording]:
+    """A minute of the simulated KR 15 as often as it takes."""
+    return [bench_identify.recording(1, 60.0)] * max(1, round(seconds / 60.0))
 
 
 def main() -> None:
@@ -105,7 +99,6 @@ def main() -> None:
                                 ("runs", "3,6", "runs of a sweep"),
                                 ("record", "120,240", "recordings at 500 Hz [s]")):
         parser.add_argument(f"--{name}", default=default, help=f"{text}, separated by commas; empty: none")
-    parser.add_argument("--diagnose", action="store_true", help="diagnose the recordings as well")
     options = parser.parse_args()
     lengths = {name: [float(piece) for piece in getattr(options, name).split(",") if piece]
                for name in ("line", "force", "runs", "record")}
@@ -113,10 +106,8 @@ def main() -> None:
     table("20 N on a wavy surface", "s", lengths["force"], press)
     table("sweep", "run", lengths["runs"], many)
     robot = Robot.load("kr15")
-    recordings = {seconds: recording_of(seconds) for seconds in lengths["record"]}
-    table("identify, 6 joints, 500 Hz", "s", lengths["record"], lambda s: ir.identify([recordings[s]], robot))
-    if options.diagnose:
-        table("diagnose, 6 joints, 500 Hz", "s", lengths["record"], lambda s: ir.diagnose(recordings[s], robot))
+    recordings = {seconds: recordings_of(seconds) for seconds in lengths["record"]}
+    table("identify, 6 joints, 500 Hz", "s", lengths["record"], lambda s: ir.identify(recordings[s], robot))
 
 
 if __name__ == "__main__":
