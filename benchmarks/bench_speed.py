@@ -169,7 +169,7 @@ def main() -> None:
     line(options.repeats)
     plant(options.repeats)
     identification(options.repeats)
-    show("`ideal-robot --help`", [used_by([sys.executable, "-m", "scenes.cli", "--help"])[0]
+    show("help of the command line", [used_by([sys.executable, "-m", "scenes.cli", "--help"])[0]
                                   for _ in range(options.repeats)], "s", "≤ 0.3")
     if options.first:
         first_runs()
