@@ -80,7 +80,8 @@ def main() -> None:
     parser.add_argument("--size-min", type=float, default=0.5, help="multiples of visible")
     parser.add_argument("--size-max", type=float, default=10.0)
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
+    parser.add_argument("--minutes", type=float, default=1e9,
+                        help="stop after that long and report what there is; 0 plays nothing")
     parser.add_argument("--json", type=Path, metavar="OUT", help="a line per score; what is there is not played again")
     parser.add_argument("--share-scale", type=float, default=1.0,
                         help="factor on all shares that are asked of an effect")
@@ -95,7 +96,8 @@ def main() -> None:
                   and options.kind in (None, s.kind)]
     done = {s.seed for s in scores}
     jobs: list[Job] = [(seed, options.kind, options.engine, size, options.share_scale)
-                       for seed in range(options.first, options.first + options.count) if seed not in done]
+                       for seed in range(options.first, options.first + options.count)
+                       if seed not in done and options.minutes > 0.0]
     begun = time.monotonic()
     with ProcessPoolExecutor(options.processes) as pool:
         for s in (pool.map(play, jobs) if options.processes > 1 else map(play, jobs)):

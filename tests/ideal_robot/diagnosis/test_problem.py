@@ -53,3 +53,16 @@ def test_a_prior_holds_the_parameters(problem):
     held = problem.with_prior(1e15 * np.eye(count)).fit()
     assert np.all(np.abs(held.change) < 1e-3 * np.abs(problem.fit().change).max())
     assert held.change.shape == (count,)
+
+
+def test_the_lower_half_of_the_band_gives_the_same_numbers_where_nothing_else_is_there(problem):
+    slow = problem.slow()
+    assert np.std(slow.products.y.values) < np.std(problem.products.y.values)
+    size = slow.fit([ripple()]).coefficients[0]
+    assert size == pytest.approx([0.4, 0.0], abs=0.05)
+
+
+def test_held_parameters_leave_their_changes_to_effects(problem):
+    free = problem.with_prior(1e2 * np.eye(problem.products.W.m))
+    assert np.abs(free.held().fit().change).max() < 0.1 * np.abs(free.fit().change).max()
+    assert problem.held() is problem

@@ -101,3 +101,21 @@ def test_held_out_blocks_take_no_part():
              for values in (y, spoiled)]
     np.testing.assert_allclose(betas[0], betas[1])
     assert isinstance(blocks, Blocks)
+
+
+def test_a_group_that_the_prior_allows_is_not_significant_and_one_beyond_it_is():
+    rng = np.random.default_rng(5)
+    count = 800
+    x = rng.normal(size=count)
+    W = np.stack([np.ones(count), x], axis=1)[:, None, :]
+    blocks = time_blocks(count, 0.01, held_out=False)
+
+    def p_value(change: float) -> float:
+        data = BlockProducts((change * x + rng.normal(size=count))[:, None], W, np.ones((count, 1), bool), blocks)
+        design = Design(data)
+        design.add("c", data.masked(x[:, None, None]))
+        # The second parameter is known to 0.1; the group changes the same.
+        return Fit(design, ["W"], np.ones(1), np.diag([0.0, 1.0 / 0.1**2])).p_value("c")
+
+    assert p_value(0.05) > 0.05
+    assert p_value(1.0) < 1e-6

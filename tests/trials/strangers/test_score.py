@@ -11,7 +11,7 @@ import pytest
 from ideal_robot.signals.recording import Recording
 from trials.strangers.equivalents import right_names
 from trials.strangers.score import Score, score
-from trials.strangers.tables import power, rates
+from trials.strangers.tables import leaving_out, power, rates
 from trials.strangers.trial import Cause, Trial
 
 
@@ -115,3 +115,25 @@ def test_scores_survive_json_and_make_tables() -> None:
 @pytest.mark.parametrize(("joint", "allowed"), [(5, True), (2, False)])
 def test_a_load_is_a_payload_only_next_to_the_flange(joint: int, allowed: bool) -> None:
     assert (("payload", 0) in right_names("link_load", joint, 6)) is allowed
+
+
+def test_an_engine_left_out_is_judged_by_the_factor_of_the_others() -> None:
+    def empty(engine: str, *margins: float) -> Score:
+        names = tuple(("degressive", j + 1) for j in range(len(margins)))
+        made = dataclasses.replace(score(a_trial(), said("effects", *names)), engine=engine, margins=margins)
+        return dataclasses.replace(made, right=not margins)
+
+    # Played with halved shares: a margin of 3 is one and a half times the usual share.
+    every = [empty("mujoco", 3.0), empty("mujoco"), empty("pybullet", 1.2), empty("pybullet")]
+    text = leaving_out(every, 0.5)
+    assert "| mujoco | 0.60 | 1 of 2 | 1 of 2 |" in text
+    assert "| pybullet | 1.50 | 2 of 2 | 2 of 2 |" in text
+
+
+def test_a_joints_delay_holds_what_all_torques_are_late_by_unless_that_has_a_name() -> None:
+    trial = dataclasses.replace(a_trial(("dead_time", 2)), late=1e-3)
+    number = SimpleNamespace(name="delay", value=4e-3, std=1e-4)
+    alone = score(trial, said("effects", ("dead_time", 2), parameters=(number,)))
+    beside = score(trial, said("effects", ("dead_time", 2), ("torque_filter", 0), parameters=(number,)))
+    assert dict(alone.covered)["dead_time: delay"] == pytest.approx(0.0, abs=1e-9)
+    assert dict(beside.covered)["dead_time: delay"] == pytest.approx(10.0)
