@@ -5,7 +5,6 @@ import pinocchio as pin
 
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.effects.registry import find
-from ideal_robot.effects.torque.torque_filter import lagged
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -62,13 +61,6 @@ def test_one_filter_delays_every_joint():
 def test_a_single_sample_that_stands_out_costs_nothing():
     _, regression = made()
     assert np.max(np.abs(regression.measured[:, 2])) == 0.0
-
-
-def test_a_filter_of_first_order_lags_behind_a_ramp_by_its_time_constant():
-    t = np.arange(0.0, 2.0, 0.004)
-    behind = lagged(np.column_stack([3.0 * t, np.ones_like(t)]), 0.05, 0.004)
-    np.testing.assert_allclose(behind[:, 0], 3.0 * (t - 0.05 * (1.0 - np.exp(-t / 0.05))), atol=1e-12)
-    np.testing.assert_allclose(behind[:, 1], 1.0, atol=1e-12)
 
 
 def test_teeth_carry_what_is_behind_the_gear():
