@@ -15,6 +15,7 @@ UNITS = {
     "ripple_order": "per motor turn", "low_pass": "s", "t_ipo": "s", "t_position": "s", "t_velocity": "s",
     "position_gain": "1/s", "velocity_gain": "N m s/rad", "integral_time": "s", "velocity_filter": "s",
     "current_lag": "s", "extra_rotor_inertia": "kg m²", "kinematic_error": "m", "zero_error": "rad",
+    "twist_error": "rad",
     "transmission_error": "rad", "transmission_order": "per joint turn", "payload_mass": "kg", "payload_com": "m",
     "payload_inertia": "kg m²", "log_cycle": "s", "external_position_noise": "m", "external_rotation_noise": "rad",
 }
