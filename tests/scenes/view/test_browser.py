@@ -36,7 +36,9 @@ def screenshot(port: int, path: Path) -> np.ndarray:
         assert path.is_file(), done.stderr
         picture = np.array(Image.open(path).convert("RGB")).astype(int)
         arm = (picture[..., 0] - picture[..., 2] > 30)[SCENE]
-        if arm.any() and near(picture[PANEL], (34, 139, 230), 30).sum() > 30:
+        # The scene fades in: only once it has is the line's black black.
+        shown = (picture[SCENE].max(axis=2) < 80).sum() > 300
+        if arm.any() and shown and near(picture[PANEL], (34, 139, 230), 30).sum() > 30:
             break
     return picture
 
