@@ -21,7 +21,8 @@ from scenes.report.world_table import COLUMNS, world_rows
 from sim.arm.picture import picture
 
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
-COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT}
+COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT, "adapted": "#7d3c98",
+           "ideal_points": "#000000"}
 NAMED = {"ideal": "the ideal robot", "sensor_path": "the sensed path alone", "none": "no correction",
          "direct_feedback": "direct sensor feedback at its best gain"}
 PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
