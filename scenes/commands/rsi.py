@@ -77,7 +77,8 @@ def command(
             typer.echo("ideal-robot: the robot's data has no table [rsi]: axes are taken to count as in the URDF; "
                        "see docs/rsi.md", err=True)
         typer.echo("waiting for the controller on {}:{}".format(*server.link.address), err=True)
-        with stopping_on_signals(server), progress_bar("rsi") as progress:
+        with (stopping_on_signals(server.stop, lambda: server.link.counts.cycles > 0),
+              progress_bar("rsi") as progress):
             run = server.play(patience=wait, core=core, progress=progress)
     run.recording.write(record)
     if json is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -36,6 +35,7 @@ from scenes.methods import following_methods, method_of
 from scenes.model_files import model_at
 from scenes.result import Progress, silent
 from scenes.rsi.arm_cycle import answers_within, at_cycle
+from scenes.rsi.interrupts import stopping_on_signals
 from scenes.rsi.undisturbed import undisturbed
 from scenes.scene import Scene
 from sensing.force.sensors import open_force
@@ -144,7 +144,7 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
         if force is not None:
             stack.callback(force.close)
         camera = None if process is None else LiveCamera(process, arm, job.detection)
-        stack.enter_context(_stopping_on_signals(arm))
+        stack.enter_context(stopping_on_signals(arm.stop))
         yield _Opened(arm, journal, process, camera, force), granted
 
 
@@ -199,17 +199,3 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
 def _spread(seconds: np.ndarray) -> dict[str, float]:
     values = 1e3 * seconds if len(seconds) else np.array([np.nan])
     return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(np.max(values))}
-
-
-@contextmanager
-def _stopping_on_signals(arm: LiveArm) -> Iterator[None]:
-    """Within the block Ctrl-C and SIGTERM bring the arm to rest on its path."""
-    def interrupt(number: int, _: object) -> None:
-        arm.stop("stopped by the user" if number == signal.SIGINT else "stopped by the system (SIGTERM)")
-
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-
-from scenes.rsi.server import RsiServer
 
 
 @contextmanager
-def stopping_on_signals(server: RsiServer) -> Iterator[None]:
-    """Within the block either signal stops the server; the handlers before are restored."""
+def stopping_on_signals(stop: Callable[[str], None], begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
+    """Within the block either signal stops the arm; the handlers before are restored.
+
+    Args:
+        stop: brings the arm to rest; is told why.
+        begun: whether there is an arm to be brought to rest; without one the program ends.
+    """
 
     def interrupt(number: int, _: object) -> None:
-        if server.link.counts.cycles == 0:
+        if not begun():
             raise KeyboardInterrupt
-        server.stop("stopped by the user" if number == signal.SIGINT else "stopped by the system (SIGTERM)")
+        stop("stopped by the user" if number == signal.SIGINT else "stopped by the system (SIGTERM)")
 
     before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -197,8 +197,7 @@ class RenderedCamera:
         if lamp is None or lag == 0.0:
             return 1.0
         wanted = 1.0 / self._brightness(lamp, pose, shape)
-        first = t <= self._exposed or not math.isfinite(self._exposed)
-        share = 1.0 if first else 1.0 - math.exp((self._exposed - t) / lag)
+        share = 1.0 if t <= self._exposed else 1.0 - math.exp((self._exposed - t) / lag)
         self._gain, self._exposed = self._gain + share * (wanted - self._gain), t
         return self._gain
 

@@ -88,8 +88,8 @@ def in_world(world: World, seed: int, rng: np.random.Generator) -> Recording:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="in the last joints a payload or rotor, or a curve, of 1 to 3 % of a torque's "
-                                        "spread is still named: see docs/diagnosis.md, Limits")
+@pytest.mark.xfail(strict=True, reason="in the last joints a payload or rotor, or a curve, of 1 to 3 % of a torque's "
+                                       "spread is still named: see docs/diagnosis.md, Limits")
 def test_a_healthy_recording_of_our_world_against_the_model_of_another_one():
     # What identification has no parameters for is truly there, and found, in the default world: gears and ripples.
     robot = Robot.load("kr6")

@@ -195,7 +195,8 @@ def test_sigterm_brakes_like_ctrl_c(tmp_path: Path) -> None:
     controller = LaggingController(HOME, measured=terminate)
     with rsi_server(written(tmp_path, motion()), robot="kr6", method="none", port=0, rest=0.4) as server:
         server.link.timeout = PATIENCE
-        with playing(controller, server.link.address), stopping_on_signals(server):
+        with playing(controller, server.link.address), stopping_on_signals(
+                server.stop, lambda: server.link.counts.cycles > 0):
             run = server.play(patience=PATIENCE)
     assert run.failure == "stopped by the system (SIGTERM)"
     assert 70 < len(run.recording.t) < run.rows
