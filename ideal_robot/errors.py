@@ -17,6 +17,9 @@ class InputError(IdealRobotError):
         file: the file it was found in, if any.
         field: the key, column or option it was found in, if any.
         value: the offending value, if it is short enough to show.
+
+    >>> print(InputError("expected a positive number", file="arm.toml", field="t_ipo", value=-1))
+    arm.toml: t_ipo: expected a positive number (got -1)
     """
 
     def __init__(

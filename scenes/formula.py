@@ -65,6 +65,9 @@ def evaluated(formula: str, x: Array, field: str = "line.formula") -> Array:
 
     Raises:
         InputError: anything else in it, too long, too deep, or not finite somewhere.
+
+    >>> evaluated("0.04*sin(2*pi*x/0.8)", np.array([0.0, 0.2]))
+    array([0.  , 0.04])
     """
     shown = formula if len(formula) <= 60 else formula[:57] + "..."
     try:

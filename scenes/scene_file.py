@@ -23,6 +23,10 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
     Raises:
         InputError: no such scene, two scenes of the same name, broken TOML, an unknown key, a value out of range.
+
+    >>> scene = load_scene("line")
+    >>> scene.kind, scene.robot, scene.changed(speed=0.4).speed
+    ('line', 'kr6', 0.4)
     """
     path, values = scene_values(name_or_path)
     kind = values.get("kind")

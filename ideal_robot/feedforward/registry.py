@@ -41,7 +41,11 @@ _REGISTRY: Registry[Method | Factory] = Registry("method", "ideal_robot.feedforw
 
 
 def methods(needs: Needs = Needs.PLAYS) -> tuple[str, ...]:
-    """Keys of all methods that need no more than ``needs``, those of this project first."""
+    """Keys of all methods that need no more than ``needs``, those of this project first.
+
+    >>> "learned_1" in methods(Needs.PATH), "learned_1" in methods(Needs.PLAYS)
+    (False, True)
+    """
     if needs == Needs.PLAYS:
         return _REGISTRY.names()
     return tuple(key for key in _REGISTRY.names() if method(key).needs <= needs)

@@ -11,7 +11,11 @@ from ideal_robot.friction.base import FrictionModel
 
 
 class ViscousCoulomb(FrictionModel):
-    """[G] (1): ``a1 qd + a2 sign(qd)``."""
+    """[G] (1): ``a1 qd + a2 sign(qd)``.
+
+    >>> ViscousCoulomb(np.array([[2.0], [0.5]])).torque(np.array([[-1.0], [0.0], [3.0]]))[:, 0]
+    array([-2.5,  0. ,  6.5])
+    """
 
     key = "viscous_coulomb"
     coefficient_names = ("Fv", "Fc")
@@ -37,7 +41,14 @@ class CubeRoot(FrictionModel):
 
 
 class Arctan(FrictionModel):
-    """[G] (3): ``a1 qd + a2 sign(qd) + a3 arctan(a4 qd)``: degressive, saturating."""
+    """[G] (3): ``a1 qd + a2 sign(qd) + a3 arctan(a4 qd)``: degressive, saturating.
+
+    Ten times the speed, less than twice the friction:
+
+    >>> law = Arctan(np.array([[0.5], [1.0], [2.0]]), shape=np.array([[20.0]]))
+    >>> law.torque(np.array([[0.1], [1.0]]))[:, 0].round(2)
+    array([3.26, 4.54])
+    """
 
     key = "arctan"
     coefficient_names = ("a1", "a2", "a3")

@@ -106,6 +106,10 @@ class Robot(Summarised):
         Raises:
             InputError: unknown name, missing or broken file, a joint that is not one-degree-of-freedom, a list
                 whose length is not the joint count.
+
+        >>> robot = Robot.load("kr6")
+        >>> robot.n, robot.t_ipo
+        (6, 0.012)
         """
         urdf, data_path = _locate(name_or_urdf, data)
         model = model_of(read_text(urdf, "a URDF"), urdf)

@@ -150,6 +150,10 @@ class Recording(Summarised):
 
         Raises:
             InputError: arrays of other shape, or of unequal length.
+
+        >>> t = np.arange(3) * 0.004
+        >>> sorted(Recording.from_arrays(t, q=np.zeros((3, 2)), tau=np.ones((3, 2))).columns)
+        ['q_1', 'q_2', 't', 'tau_1', 'tau_2']
         """
         named: dict[str, Array] = {"t": np.array(t, dtype=float)}
         for name, given in columns.items():

@@ -27,8 +27,9 @@ _NO_EDGE = 10_000
 def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     """Prints a table; floats with three significant digits.
 
-    In a pipe the table is as wide as it needs to be. In a terminal long texts are folded between words; where even
-    the longest words do not fit beside each other, every row becomes a block of lines.
+    In a pipe the table is as wide as it needs to be. In a terminal long texts are folded between words; where the
+    longest words do not fit beside each other between borders, there are none; where they do not fit at all, every row
+    becomes a block of lines.
 
     Args:
         title: above the table; empty for none.
@@ -38,18 +39,30 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     console = Console(width=None if sys.stdout.isatty() or os.environ.get("COLUMNS") else _NO_EDGE)
     names = [shown(column) for column in columns]
     cells = [[shown(_cell(cell)) for cell in row] for row in rows]
-    widths = [max(cell_len(word) for text in (name, *(row[i] for row in cells)) for word in (*text.split(), ""))
-              for i, name in enumerate(names)]
+    texts = [[name, *(row[i] for row in cells)] for i, name in enumerate(names)]
+    least = [max(cell_len(word) for text in column for word in (*text.split(), "")) for column in texts]
     # Text, not str: rich would take a name such as [/red] for its own markup.
-    if sum(widths) + 3 * len(widths) + 1 > console.width:
+    if sum(least) + len(least) > console.width:
         _show_blocks(console, title, names, cells)
         return
-    table = Table(title=Text(shown(title)) if title else None, title_justify="left")
-    for name, width in zip(names, widths, strict=True):
-        table.add_column(Text(name), overflow="fold", min_width=width)
+    bordered = sum(least) + 3 * len(least) + 1 <= console.width
+    room = console.width - (3 * len(least) + 1 if bordered else len(least))
+    table = Table(title=Text(shown(title)) if title else None, title_justify="left",
+                  **{} if bordered else {"box": None, "padding": (0, 1, 0, 0)})
+    for name, width in zip(names, _widths(least, [max(map(cell_len, column)) for column in texts], room), strict=True):
+        table.add_column(Text(name), overflow="fold", width=width)
     for row in cells:
         table.add_row(*map(Text, row))
     console.print(table)
+
+
+def _widths(least: list[int], wanted: list[int], room: int) -> list[int]:
+    """Widths of a table's columns: their longest words at least, the rest of the room to those that lack most of it."""
+    widths = list(least)
+    for _ in range(min(room, sum(wanted)) - sum(least)):
+        lacking = [want - width for want, width in zip(wanted, widths, strict=True)]
+        widths[lacking.index(max(lacking))] += 1
+    return widths
 
 
 def _cell(cell: Any) -> str:
@@ -79,7 +92,11 @@ def closed(run: result.RunResult) -> None:
 
 
 def length(text: str, option: str) -> float:
-    """A length in metres from ``0.2mm``, ``200um`` or ``0.0002``."""
+    """A length in metres from ``0.2mm``, ``200um`` or ``0.0002``.
+
+    >>> length("2.5mm", "--tolerance")
+    0.0025
+    """
     found = re.fullmatch(r"\s*([0-9.eE+-]+)\s*(mm|um|µm|m|)\s*", text)
     value = _number(found[1], float, option, text) if found else math.nan
     if found is None or not (math.isfinite(value) and value > 0):
@@ -96,7 +113,11 @@ def numbers(text: str, option: str) -> list[float]:
 
 
 def whole_numbers(text: str, option: str) -> list[int]:
-    """Numbers of 0 and above from ``1,2,5`` or ``1-10`` (both ends included); empty text gives none."""
+    """Numbers of 0 and above from ``1,2,5`` or ``1-10`` (both ends included); empty text gives none.
+
+    >>> whole_numbers("1-3,7", "--seeds")
+    [1, 2, 3, 7]
+    """
     found: list[int] = []
     for piece in (piece.strip() for piece in text.split(",") if piece.strip()):
         first, dash, last = piece.partition("-")

@@ -87,10 +87,10 @@ def _parameters(page: Report, model: Model) -> None:
     gravitational = dict(zip(model.base.names, model.base.gravitational, strict=True))
     rows = [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit,
              ("p_g" if gravitational[p.name] else "p_m") if p.name in gravitational else "friction",
-             p.meaning] for p in model.parameters]
+             p.meaning] for p in sorted(model.parameters, key=lambda p: p.std_percent)]
     page.table(["name", "joint", "value", "σ", "σ [%]", "unit", "group", "stands for"], rows,
                "σ counts correlated residuals, so it is wider than the usual one. p_g act through gravity too, p_m "
-               "through inertia only ([G] (6)).")
+               "through inertia only ([G] (6)).", folded=f"All {len(rows)} parameters, the surest first")
 
 
 def _friction_choice(page: Report, analysis: IdentificationResult) -> None:
@@ -242,10 +242,11 @@ def drift_figure(found: ControllerIdentification) -> Figure:
     figure = Figure(figsize=(3.7 * columns, 2.6 * int(np.ceil(n / columns))), layout="constrained")
     axes = figure.subplots(int(np.ceil(n / columns)), columns, sharex=True, squeeze=False).ravel()
     for j, axis in enumerate(axes[:n]):
+        # Every sample of every joint: only axes and letters are drawn as vectors.
         axis.plot(found.t, found.drifting[:, j] - found.measured[:, j], color=MEASURED, linewidth=0.8,
-                  label="k_I estimated directly")
+                  label="k_I estimated directly", rasterized=True)
         axis.plot(found.t, found.simulated[:, j] - found.measured[:, j], color=PREDICTED, linewidth=0.8,
-                  label="k_I by simulation")
+                  label="k_I by simulation", rasterized=True)
         axis.set_title(f"joint {j + 1}", fontsize=9)
         axis.grid(alpha=0.25)
     for axis in axes[n:]:

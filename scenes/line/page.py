@@ -76,8 +76,9 @@ def run_page(result: LineResult) -> Report:
                      f"[G] (14), (21); aligned after removing {path['delay_ms']:.2f} ms. All three directions, from "
                      "rest to rest: also what the camera cannot see.")
     report.heading("The cell")
-    report.figure(_cell(result), "The arm at the middle of the path, and the surface from above with the "
-                  "drawn line, the reference path and where the tool truly went.")
+    report.figure(_cell(result), "The arm at the middle of the path.")
+    report.figure(_from_above(result), "The surface from above with the drawn line, the reference path and where the "
+                  "tool truly went.")
     report.heading("What the camera saw")
     if result.shown:
         report.figure(_fields(result.shown), "Camera fields along the way: search windows (blue), detected line "
@@ -93,7 +94,7 @@ def run_page(result: LineResult) -> Report:
             f"camera as mounted by hand, and {1e3 * calibrated.residual_after:.3f} mm with the camera as calibrated.")
         units = {"roll": ("°", 57.2958), "pitch": ("°", 57.2958), "yaw": ("°", 57.2958), "height": ("mm", 1e3),
                  "lateral": ("mm", 1e3), "forward": ("mm", 1e3), "focal": ("%", 100.0), "principal_u": ("px", 1.0),
-                 "principal_v": ("px", 1.0), "k1": ("", 1.0)}
+                 "principal_v": ("px", 1.0), "k1": ("1", 1.0)}
         report.table(["correction found", "value", "± σ", "unit"],
                      [[name, calibrated.parameters[name] * scale, calibrated.sigma[name] * scale, unit]
                       for name, (unit, scale) in units.items()])
@@ -173,27 +174,34 @@ def _in_plane(points: Array, plane: pin.SE3) -> Array:
 
 
 def _cell(result: LineResult) -> Figure:
-    figure = Figure(figsize=(11, 8.2))
-    left, right = figure.subplots(2, 1, height_ratios=[2.6, 1])
-    robot = Robot.load(result.scene.robot)
+    # No wider than a phone shows whole: there are no letters in it.
+    figure = Figure(figsize=(6.8, 5.1))
+    axes = figure.subplots()
     q = result.recording.joints("q")
-    left.imshow(picture(robot, q[len(q) // 2], lines=(result.geometry.drawn,),
+    axes.imshow(picture(Robot.load(result.scene.robot), q[len(q) // 2], lines=(result.geometry.drawn,),
                         surface=surface_corners(result)))
-    left.set_axis_off()
+    axes.set_axis_off()
+    figure.tight_layout()
+    return figure
+
+
+def _from_above(result: LineResult) -> Figure:
+    figure = Figure(figsize=(11, 2.8))
+    axes = figure.subplots()
     plane = result.geometry.plane
     drawn, reference = (1e3 * _in_plane(points, plane) for points in (result.geometry.drawn, result.geometry.reference))
-    right.plot(*reference.T, "--", color=BLUE, lw=1.2, label="reference path x_r")
-    right.plot(*drawn.T, color=INK, lw=3.5, alpha=0.75, label="drawn line")
+    axes.plot(*reference.T, "--", color=BLUE, lw=1.2, label="reference path x_r")
+    axes.plot(*drawn.T, color=INK, lw=3.5, alpha=0.75, label="drawn line")
     if all(name in result.recording.columns for name in "xyz"):
         tcp = np.column_stack([result.recording.columns[name] for name in "xyz"])
     else:
-        pose = robot.fk()
-        tcp = np.array([pose(row).translation for row in q[::5]])
-    right.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
-    right.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
-    right.margins(y=0.25)
-    right.grid(alpha=0.25)
-    right.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.02))
+        pose = Robot.load(result.scene.robot).fk()
+        tcp = np.array([pose(row).translation for row in result.recording.joints("q")[::5]])
+    axes.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
+    axes.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
+    axes.margins(y=0.25)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.02))
     figure.tight_layout()
     return figure
 

@@ -47,6 +47,10 @@ def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
         x_d: distorted normalised coordinate to the right, 1.
         y_d: the same downwards, 1.
         k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+
+    >>> k = np.array([-0.2, 0.05, 1e-3, -5e-4, 0.0])
+    >>> [round(value, 9) for value in undistort(*distort(0.3, -0.2, k), k)]
+    [0.3, -0.2]
     """
     x, y = x_d, y_d
     for _ in range(20):
@@ -76,6 +80,12 @@ def project_points(points: Array, K: Array, k: Array) -> Array:
         points: ``(m, 3)`` [m].
         K: camera matrix ``(3, 3)`` [px].
         k: distortion k1, k2, p1, p2, k3 ``(5,)``.
+
+    >>> K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+    >>> project_points(np.array([[0.0, 0.0, 0.5], [0.01, 0.0, 0.5], [0.0, 0.0, -0.5]]), K, np.zeros(5))
+    array([[320., 240.],
+           [330., 240.],
+           [ nan,  nan]])
     """
     pixels = np.full((points.shape[0], 2), np.nan)
     for i in range(points.shape[0]):

@@ -74,6 +74,15 @@ def fit_line_polynomial(
 
     Raises:
         SensingError: fewer than two usable points.
+
+    Five points of a straight line, one of which is not on it:
+
+    >>> s = np.linspace(0.0, 0.1, 5)
+    >>> line = fit_line_polynomial(s, 0.001 + 0.2 * s + [0, 0, 0.005, 0, 0], np.full(5, 1e-4), degree=1)
+    >>> line.used
+    array([ True,  True, False,  True,  True])
+    >>> line.slope([0.05]).round(6)
+    array([0.2])
     """
     s, deviation = np.asarray(s, dtype=float), np.asarray(deviation, dtype=float)
     variance = np.asarray(sigma, dtype=float) ** 2 + shape_noise**2

@@ -171,6 +171,9 @@ class World:
 
         Raises:
             InputError: there is no such robot.
+
+        >>> World.default("kr6").replace(encoder_increments=4096).encoder_increments
+        4096.0
         """
         return cls(robot=robot if isinstance(robot, str) else robot.name, **_table(robot))
 

@@ -66,3 +66,18 @@ def test_robot_means_the_same_in_every_verb(verb: str) -> None:
         assert kind in (str, str | None)
         assert {"--robot", "--urdf"} <= {option.default, *option.param_decls}
         assert "name of a shipped robot, or path of a URDF" in option.help
+
+
+@pytest.mark.parametrize("width", [60, 70])
+def test_a_parameter_is_a_line_where_its_longest_words_fit(width: int, monkeypatch: pytest.MonkeyPatch,
+                                                           capsys: pytest.CaptureFixture[str]) -> None:
+    """Without borders at 60 columns; at 70 with borders, none of which is cut off."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    show_table("", ["name", "joint", "value", "σ", "σ [%]", "unit"],
+               [["presliding_4", 4, 0.000346, 130.0, 3.77e7, "rad"], ["a4_1", 1, 300.0, 2891.0, 962.0, "1 / (rad/s)"]])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    found = next(line for line in lines if "presliding_4" in line)
+    assert all(word in found for word in ("4", "0.000346", "130", "3.77e+07", "rad"))
+    assert ("│" in found) == (width == 70)
+    assert found.rstrip().endswith("│") == (width == 70)

@@ -14,7 +14,11 @@ from ideal_robot.effects.signals import Signals
 
 @numba.njit(cache=True)
 def play(q: Array, half_gap: float) -> Array:
-    """Play operator: the output follows ``q (N,)`` only when it is half a gap away from it."""
+    """Play operator: the output follows ``q (N,)`` only when it is half a gap away from it.
+
+    >>> play(np.array([0.0, 1.0, 2.0, 1.8, 1.0]), 0.25)
+    array([0.  , 0.75, 1.75, 1.75, 1.25])
+    """
     follower = np.empty(len(q))
     state = q[0]
     for k in range(len(q)):
