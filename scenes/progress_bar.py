@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Column
 
 from scenes import result
 from scenes.terminal import shown
@@ -15,9 +16,18 @@ from scenes.terminal import shown
 @contextmanager
 def progress_bar(title: str) -> Iterator[result.Progress]:
     """A bar on standard error while the block runs; yields the function that moves it."""
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-               TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    # Where there is no room for all, the text is cut; never the numbers.
+    def fixed(width: int) -> Column:
+        return Column(min_width=width, width=width, no_wrap=True)
+
+    console = Console(stderr=True)
+    bar_width = min(40, max(6, console.width // 4))
+    text = Column(no_wrap=True, overflow="ellipsis", max_width=max(8, console.width - bar_width - 26))
+    columns = (TextColumn("{task.description}", markup=False, table_column=text),
+               BarColumn(bar_width, table_column=fixed(bar_width)),
+               TextColumn("{task.percentage:>3.0f} %", table_column=fixed(5)),
+               TimeElapsedColumn(table_column=fixed(7)), TimeRemainingColumn(table_column=fixed(7)))
+    with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task(shown(title), total=1.0)
 
         def move(fraction: float, text: str) -> None:

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from scenes.cli import VERBS, _register, app
 from scenes.commands.common import show_table
+from scenes.progress_bar import progress_bar
 
 COLUMNS = ["channel", "before", "after", "noise", "depends on"]
 ROWS = [["torque of joint_with_a_long_name", 12.345, 0.06789, None, "position and velocity of that joint"],
@@ -81,3 +82,17 @@ def test_a_parameter_is_a_line_where_its_longest_words_fit(width: int, monkeypat
     assert all(word in found for word in ("4", "0.000346", "130", "3.77e+07", "rad"))
     assert ("│" in found) == (width == 70)
     assert found.rstrip().endswith("│") == (width == 70)
+
+
+@pytest.mark.parametrize("width", [40, 60, 120])
+def test_the_bar_keeps_its_numbers_whatever_its_text(width: int, monkeypatch: pytest.MonkeyPatch,
+                                                     capsys: pytest.CaptureFixture[str]) -> None:
+    for name, value in {"COLUMNS": str(width), "TTY_COMPATIBLE": "1", "FORCE_COLOR": "1", "TERM": "xterm"}.items():
+        monkeypatch.setenv(name, value)
+    with progress_bar("line") as move:
+        move(0.42, "searching the gain at which direct feedback overshoots, in words for which there is no room anywhere")
+    said = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().err)
+    line = next(one for one in re.split(r"[\r\n]+", said) if "42 %" in one)
+    assert line.startswith("line: s")
+    assert re.search(r"42 % \d:\d\d:\d\d ", line)
+    assert len(line) <= width

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from scenes.report.page import Report
 from scenes.report.world_table import UNITS, world_rows
 from sim.arm.world import TABLE_KEYS, World
+from tests.browser import chromium, needs_chromium
 
 WITHOUT_UNIT = {"elasticity", "friction", "friction_scale", "friction_asymmetry", "load_friction", "thermal",
                 "lubrication", "time_compression", "quantisation", "torque_limits", "correction_delay",
@@ -66,3 +67,27 @@ def test_the_same_figure_makes_the_same_page(tmp_path: Path) -> None:
         report.write(tmp_path / name)
         pages.append((tmp_path / name).read_bytes())
     assert pages[0] == pages[1]
+
+
+@needs_chromium
+def test_a_page_is_no_wider_than_a_phone_and_what_is_wide_moves_sideways(tmp_path: Path) -> None:
+    page = Report("A_title_of_one_word_that_is_longer_than_a_phone_is_wide", "said in words " * 20)
+    for name in ("one", "two", "three", "four"):
+        page.heading(name)
+    page.figures([("a label", "0.123 mm")] * 5)
+    page.warning("a warning of many words " * 10)
+    page.table([f"column {i}" for i in range(14)],
+               [["a long text of more than forty letters, which folds", *range(13)]])
+    figure = Figure(figsize=(11.0, 3.0))
+    figure.add_subplot().plot([0, 1], [0, 1])
+    page.figure(figure, "a wide figure")
+    page.write(tmp_path / "page.html")
+    with chromium(tmp_path) as browser:
+        browser.open((tmp_path / "page.html").as_uri(), 400, 800)
+        assert browser.value("document.documentElement.scrollWidth") == 400
+        assert browser.value("document.querySelector('figure img').getBoundingClientRect().width") == 720
+        assert browser.value("document.querySelector('td.long').getBoundingClientRect().width") > 150
+        # On a wide page the figure is as wide as the text.
+        browser.open((tmp_path / "page.html").as_uri(), 1200, 800)
+        assert browser.value("document.documentElement.scrollWidth") == 1200
+        assert browser.value("document.querySelector('figure img').getBoundingClientRect().width") > 760
