@@ -57,7 +57,7 @@ def write_close_clamped(result: CloseClampedResult, extended: Model, recordings:
 
 
 def _deviations(result: CloseClampedResult) -> Figure:
-    figure = Figure(figsize=(6.8, 3.0), layout="constrained")
+    figure = Figure(figsize=(5.4, 3.0), layout="constrained")
     axes = figure.subplots()
     for name, colour in (("before", "#b0413e"), ("tracker", "#8893a1"), ("after", "#2f6690")):
         deviation = 1e3 * result.errors[name].aligned.deviation

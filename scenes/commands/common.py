@@ -9,6 +9,7 @@ import sys
 from typing import Any, TypeVar
 
 import typer
+from rich.box import HEAVY_HEAD
 from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
@@ -48,7 +49,7 @@ def show_table(title: str, columns: list[str], rows: list[list[Any]]) -> None:
     bordered = sum(least) + 3 * len(least) + 1 <= console.width
     room = console.width - (3 * len(least) + 1 if bordered else len(least))
     table = Table(title=Text(shown(title)) if title else None, title_justify="left",
-                  **{} if bordered else {"box": None, "padding": (0, 1, 0, 0)})
+                  box=HEAVY_HEAD if bordered else None, padding=(0, 1) if bordered else (0, 1, 0, 0))
     for name, width in zip(names, _widths(least, [max(map(cell_len, column)) for column in texts], room), strict=True):
         table.add_column(Text(name), overflow="fold", width=width)
     for row in cells:

@@ -23,7 +23,7 @@ def ladder_figure(diagnosis: Diagnosis) -> Figure:
     found = in_order([*diagnosis.effects, *diagnosis.unknown])
     channels = list(dict.fromkeys(e.fitted.channel for e in found))[:6]
     rows = {name: [e for e in found if e.fitted.channel == name] for name in channels}
-    figure = Figure(figsize=(6.8, 0.7 + sum(0.75 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
+    figure = Figure(figsize=(5.4, 0.7 + sum(0.75 + 0.32 * len(rows[name]) for name in channels)), layout="constrained")
     panels = figure.subplots(len(channels), 1, squeeze=False,
                              height_ratios=[1.6 + len(rows[name]) for name in channels])[:, 0]
     for axes, name in zip(panels, channels, strict=True):
@@ -106,7 +106,7 @@ def effect_figure(effect: FoundEffect, name: str, unit: str, traces: Traces, j: 
     x = signals[label] if curve else added
     # What the model would leave if only this effect were taken out again.
     without = traces.residual_after[:, j] + added
-    figure = Figure(figsize=(6.8, 3.9), layout="constrained")
+    figure = Figure(figsize=(5.4, 3.4), layout="constrained")
     axes = figure.subplots()
     axes.plot(x[mask], without[mask], ".", ms=2, color=_SOFT, alpha=0.35, rasterized=True, label="residual without it")
     centre, mean, error = binned(x[mask], without[mask], 30)

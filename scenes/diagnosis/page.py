@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
@@ -56,7 +58,7 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     page.text(f"Held out: {diagnosis.held_out_how}.")
     page.table(["channel", "measured, rms", "before", "parameters refitted", "after", "noise of the measurement",
                 "unit", "before %", "after %", "samples that counted %"],
-               [[c.channel, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit,
+               [[c.channel, *_told(c.unit, c.rms_signal, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor),
                  *_relative(c), 100.0 * c.counted] for c in diagnosis.channels],
                "Relative errors are 100·‖y − ŷ‖/‖y‖; positions are deviations already, of which there is no share. "
                "Samples count where a joint moves, apart from reversals, rests and the ends of the recording.")
@@ -71,9 +73,10 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
     _effects(page, diagnosis)
     if diagnosis.not_transferred:
         page.heading("What competed and lost")
-        page.table(["effect", "where", "channel", "p-value", "error without", "error with", "why not"],
+        page.table(["effect", "where", "channel", "p-value", "error without", "error with", "unit", "why not"],
                    [[d.effect, f"joint {d.joint}" if d.joint else "the whole arm", d.channel, d.p_value,
-                     d.rms_without, d.rms_with, d.reason] for d in diagnosis.not_transferred],
+                     *_told(_unit(diagnosis, d.channel), d.rms_without, d.rms_with), d.reason]
+                    for d in diagnosis.not_transferred],
                    "Found, but not added: these lower the error of the data they were found in, but not that of data "
                    "that had no part in it (a phase that starts anew, or a habit of the motion), or are not what "
                    "physics allows.")
@@ -84,8 +87,8 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
 
 def summary(diagnosis: Diagnosis) -> str:
     """The result in a sentence or two."""
-    named = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects if _lowers(e)]
-    doubtful = [f"{e.fitted.name.replace('_', ' ')} in {_where(e)}" for e in diagnosis.effects if not _lowers(e)]
+    named = _named([e for e in diagnosis.effects if _lowers(e)])
+    doubtful = _named([e for e in diagnosis.effects if not _lowers(e)])
     unknown = [f"a dependence of {_where(u)} on {' and '.join(u.depends_on)}" for u in diagnosis.unknown]
     words = diagnosis.verdict
     if words == "unknown" and not unknown:
@@ -145,6 +148,21 @@ def _where(e: FoundEffect) -> str:
     return f"joint {e.fitted.joint}" if e.fitted.joint else nowhere
 
 
+def _named(effects: list[FoundEffect]) -> list[str]:
+    """Each effect once, with all the joints it is in."""
+    joints: dict[str, list[int]] = {}
+    words: dict[str, str] = {}
+    for e in effects:
+        name = e.fitted.name.replace("_", " ")
+        if e.fitted.joint:
+            joints.setdefault(name, []).append(e.fitted.joint)
+            found = sorted(joints[name])
+            words[name] = f"{name} in joint{'s' if len(found) > 1 else ''} {_listed(list(map(str, found)))}"
+        else:
+            words[f"{name}, {_where(e)}"] = f"{name} in {_where(e)}"
+    return list(words.values())
+
+
 def _listed(parts: list[str]) -> str:
     return parts[0] if len(parts) == 1 else ", ".join(parts[:-1]) + " and " + parts[-1] if parts else ""
 
@@ -158,9 +176,10 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
         name = e.fitted.name + (f" ({', '.join(e.depends_on)})" if e.depends_on else "")
         numbers = "; ".join(map(_amount, e.fitted.parameters))
         told = {None: "–", True: "yes", False: "no"}[e.transfers]
-        rows.append([name, _where(e), e.fitted.channel, e.rms_before, e.rms_after, e.p_value, numbers,
+        rows.append([name, _where(e), e.fitted.channel,
+                     *_told(_unit(diagnosis, e.fitted.channel), e.rms_before, e.rms_after), e.p_value, numbers,
                      ", ".join(e.indistinguishable_from) or "–", told])
-    page.table(["effect", "where", "channel", "error without", "error with", "p-value", "parameters",
+    page.table(["effect", "where", "channel", "error without", "error with", "unit", "p-value", "parameters",
                 "these data cannot tell it from", "lowers the error of the other recording"], rows,
                "Errors are on held-out data, each effect with those before it in the model. The p-value is paid for "
                "all values of nonlinear parameters that were tried.")
@@ -179,14 +198,23 @@ def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: 
     if not touched:
         touched = [j for j, c in enumerate(names) if any(d.channel == c for d in diagnosis.channels)][:1]
     page.heading(f"Measured, and what remained: {', '.join(names)}")
-    for j in touched[:7]:
+    for place, j in enumerate(touched[:7]):
+        # The first is an example of how to read them; many make a page that nobody gets to the end of.
+        folded = (f"{names[j]} over time", f"{names[j]} over position, velocity and time") if place else ("", "")
         page.figure(over_time(traces, j, names[j], _unit(diagnosis, names[j])),
                     f"{names[j]}: the measurement (grey) and what the model leaves of it before (red) and after "
-                    "(blue). Shaded: held-out stretches.")
+                    "(blue). Shaded: held-out stretches.", folded[0])
         if j < traces.q.shape[1]:
             page.figure(over_signals(traces, j, names[j], _unit(diagnosis, names[j])),
                         f"{names[j]}: the residual over position, velocity and time. Lines are means of equally filled "
-                        "bins with their standard errors; a flat line at zero is what nothing missing looks like.")
+                        "bins with their standard errors; a flat line at zero is what nothing missing looks like.",
+                        folded[1])
+
+
+def _told(unit: str, *values: float) -> list[Any]:
+    """Values as a person reads them, and their unit behind them."""
+    scale, unit = _MILLI.get(unit, (1.0, unit))
+    return [*(scale * value for value in values), unit]
 
 
 def _unit(diagnosis: Diagnosis, channel: str) -> str:

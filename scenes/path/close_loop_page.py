@@ -58,7 +58,7 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
 
 
 def _deviations(result: CloseLoopResult) -> Figure:
-    figure = Figure(figsize=(6.8, 3.0), layout="constrained")
+    figure = Figure(figsize=(5.4, 3.0), layout="constrained")
     axes = figure.subplots()
     for name, errors, colour in (("before", result.before, "#b0413e"), ("oracle", result.oracle, "#8893a1"),
                                  ("after", result.after, "#2f6690")):

@@ -108,7 +108,8 @@ def _chosen(runs: dict[str, PathResult], methods: tuple[str, ...], suffix: str) 
 
 def path_figure(results: list[PathResult]) -> Figure:
     """Desired path and magnified deviations in the plane of the path."""
-    figure = Figure(figsize=(6.4, 5.6))
+    # Small enough for its letters to be read on a phone's width.
+    figure = Figure(figsize=(5.4, 5.6), layout="constrained")
     axes = figure.add_subplot()
     path = results[0].path
     x_d, t = path.x_d[path.counts], path.t[path.counts]
@@ -125,9 +126,9 @@ def path_figure(results: list[PathResult]) -> Figure:
         drawn = flat + MAGNIFIED * (actual - x_d) @ plane.T
         axes.plot(*(1e3 * drawn.T), color=_colour(result), lw=1, label=result.method)
     axes.set_aspect("equal")
-    axes.set_xlabel("mm")
-    axes.set_ylabel("mm")
-    axes.legend(fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    axes.set_xlabel("in the plane of the path, to the right [mm]")
+    axes.set_ylabel("across [mm]")
+    axes.legend(fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
     _plain(axes)
     return figure
 
@@ -152,7 +153,7 @@ def deviation_figure(results: list[PathResult], kind: str) -> Figure:
 
 def learning_figure(comparison: PathComparison) -> Figure:
     """Error of each play of learning, beside what the model-based methods reach without any."""
-    figure = Figure(figsize=(6.4, 3.2))
+    figure = Figure(figsize=(5.4, 3.2))
     axes = figure.add_subplot()
     plays = ["none", *(f"learned_{p}" for p in range(1, 5))]
     values = [1e3 * comparison.runs[method].errors.time_matched.E_car for method in plays if method in comparison.runs]

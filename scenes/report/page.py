@@ -73,12 +73,13 @@ class Report:
         self._blocks.append({"kind": "table", "columns": columns, "rows": cells, "caption": caption,
                              "raw": rows, "folded": folded})
 
-    def figure(self, figure: Figure, caption: str = "") -> None:
+    def figure(self, figure: Figure, caption: str = "", folded: str = "") -> None:
         """A matplotlib figure with the sentence that says what to see in it: as SVG, as PNG where it holds pictures.
 
         Args:
             figure: to embed.
             caption: the sentence.
+            folded: title under which it is folded away until it is asked for; empty: it is shown.
         """
         from matplotlib import rc_context
 
@@ -89,11 +90,11 @@ class Report:
             with rc_context({"svg.hashsalt": "ideal-robot"}):
                 figure.savefig(svg, format="svg", bbox_inches="tight", metadata={"Date": None})
             if len(svg.getvalue()) <= _SVG_MAX:
-                self._embed(svg.getvalue(), "svg+xml", caption, wide)
+                self._embed(svg.getvalue(), "svg+xml", caption, wide, folded)
                 return
         png = io.BytesIO()
         figure.savefig(png, format="png", dpi=130, bbox_inches="tight")
-        self.image(png.getvalue(), caption, wide=wide)
+        self._embed(png.getvalue(), "png", caption, wide, folded)
 
     def image(self, png: bytes, caption: str = "", *, wide: bool = False) -> None:
         """A PNG image.
@@ -105,9 +106,9 @@ class Report:
         """
         self._embed(png, "png", caption, wide)
 
-    def _embed(self, data: bytes, kind: str, caption: str, wide: bool) -> None:
+    def _embed(self, data: bytes, kind: str, caption: str, wide: bool, folded: str = "") -> None:
         self._blocks.append({"kind": "image", "data": base64.b64encode(data).decode("ascii"), "type": kind,
-                             "caption": caption, "wide": wide})
+                             "caption": caption, "wide": wide, "folded": folded})
 
     def replay(self, replay: Replay, caption: str = "") -> None:
         """A replay that moves in the page.

@@ -90,7 +90,7 @@ def test_the_bar_keeps_its_numbers_whatever_its_text(width: int, monkeypatch: py
     for name, value in {"COLUMNS": str(width), "TTY_COMPATIBLE": "1", "FORCE_COLOR": "1", "TERM": "xterm"}.items():
         monkeypatch.setenv(name, value)
     with progress_bar("line") as move:
-        move(0.42, "searching the gain at which direct feedback overshoots, in words for which there is no room anywhere")
+        move(0.42, "searching the gain at which direct feedback overshoots, in words for which there is no room")
     said = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().err)
     line = next(one for one in re.split(r"[\r\n]+", said) if "42 %" in one)
     assert line.startswith("line: s")
