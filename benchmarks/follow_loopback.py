@@ -15,7 +15,7 @@ import json
 import os
 import subprocess
 import tempfile
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ import numpy as np
 
 from scenes import run_scene
 from scenes.scene_file import library, load_scene
-from tests.scenes.follow.pair import children, served
+from tests.scenes.follow.pair import Cell, served
 
 UNKIND = ("--loss", "0.02", "--late", "0.003", "--late-by", "30", "--drift", "50")
 
@@ -87,70 +87,90 @@ def in_process(case: Case, scene: str) -> float:
     return float(result.figures.rms)
 
 
-def memory(pid: int) -> float:
-    """Largest resident memory of a process so far [MiB]; NaN where the system does not tell."""
-    try:
-        text = Path(f"/proc/{pid}/status").read_text()
-        return next(float(line.split()[1]) / 1024 for line in text.splitlines() if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        return float("nan")
-
-
-def finished(follower: subprocess.Popen[str]) -> tuple[int, str, dict[str, float]]:
-    """Waits for a follower; exit code, what it said, and memory of its processes [MiB]."""
-    most = {"follower": 0.0, "camera": 0.0}
-    while follower.poll() is None:
-        own = memory(follower.pid)
-        below = max((memory(child) for child in children(follower.pid)), default=0.0)
-        most = {"follower": max(most["follower"], own if own == own else 0.0),
-                "camera": max(most["camera"], below if below == below else 0.0)}
-        time.sleep(0.25)
-    return follower.returncode, follower.communicate()[1], most
-
-
 def calibrated(folder: Path) -> Path:
     """File of the line's camera, calibrated by moving over the wires."""
     file = folder / "camera.json"
     with served("line", folder) as cell:
         follower = cell.follow("line", "--calibration", str(file))
-        follower.communicate(timeout=400.0)
+        _, said = follower.communicate(timeout=400.0)
+        if follower.returncode:
+            raise SystemExit(f"calibration: {said[-400:]}")
     return file
 
 
-def measured(case: Case, runs: int, camera: Path | None, folder: Path) -> dict[str, Any]:
-    """All runs of a case against one served cell."""
-    scene = scene_of(case, folder)
-    options = (*case.follow, *(("--calibration", str(camera)) if camera is not None and case.scene == "line" else ()))
-    rows: list[dict[str, Any]] = []
-    with served(scene, folder, *case.simulate) as cell:
-        for session in range(1, runs + 1):
-            code, said, most = finished(cell.follow(case.scene if scene == case.scene else scene, *options))
-            try:
-                truth = cell.truth(session, 30.0)
-            except TimeoutError:
-                rows.append({"failure": said[-300:], "code": code})
-                break
-            figures = cell.figures() if (folder / "follow.json").exists() else {}
-            link, timing = figures.get("devices", {}).get("arm", {}).get("link", {}), figures.get("timing", {})
-            rows.append({"code": code, "error": error_of(truth), "share": truth["largest_acceleration_share"],
-                         "late": link.get("late", 0), "lost": link.get("lost", 0), "cycles": figures.get("cycles", 0),
-                         "processor": timing.get("processor_share", np.nan), "memory": most,
-                         "answer_p99_ms": timing.get("answer_ms", {}).get("p99", np.nan),
-                         "slipped": truth["slipped"], "failure": figures.get("failure")})
-    own = in_process(case, scene)
-    errors = np.array([row["error"] for row in rows if "error" in row])
-    errors = errors[np.isfinite(errors)]
-    mean = float(errors.mean()) if len(errors) else float("nan")
-    answered = sum(row.get("cycles", 0) for row in rows)
-    return {"case": case.name, "runs": rows, "in_process": own, "mean": mean,
+def played(cell: Cell, case: Case, scene: str, options: tuple[str, ...], session: int) -> dict[str, Any]:
+    """One run: what really happened, by the simulated cell, and what the follower said of itself."""
+    follower = cell.follow(scene, *options)
+    try:
+        _, said = follower.communicate(timeout=400.0)
+        truth = cell.truth(session, 30.0)
+    except (subprocess.TimeoutExpired, TimeoutError) as error:
+        follower.kill()
+        return {"code": -1, "failure": str(error)[-300:]}
+    figures = cell.figures() if (cell.folder / "follow.json").exists() else {}
+    link, timing = figures.get("devices", {}).get("arm", {}).get("link", {}), figures.get("timing", {})
+    return {"code": follower.returncode, "failure": figures.get("failure", said[-300:] if follower.returncode else None),
+            "error": error_of(truth), "share": truth["largest_acceleration_share"], "slipped": truth["slipped"],
+            "held_up": truth["held_up"], "late": link.get("late", 0), "lost": link.get("lost", 0),
+            "cycles": figures.get("cycles", 0), "answer_ms": timing.get("answer_ms", {}),
+            "processor": timing.get("processor_share", {}), "memory": timing.get("peak_memory_MB", {}),
+            "together": timing.get("memory_together_MB"), "at_start": timing.get("memory_at_start_MB")}
+
+
+def summed_up(case: Case, rows: list[dict[str, Any]], own: float) -> dict[str, Any]:
+    """What the runs of a case say together."""
+    def all_of(key: str) -> list[float]:
+        return [row[key] for row in rows if row.get(key) is not None]
+
+    errors = np.array([value for value in all_of("error") if np.isfinite(value)])
+    processor = [sum(row["processor"].values()) for row in rows if row.get("processor")]
+    answered = sum(all_of("cycles"))
+    return {"case": case.name, "in_process": own, "mean": float(errors.mean()) if len(errors) else float("nan"),
             "worst": float(errors.max()) if len(errors) else float("nan"),
             "allowed": case.allowed if case.absolute else case.allowed * own,
-            "ended_early": sum(row["code"] != 0 for row in rows),
-            "late_share": sum(row.get("late", 0) for row in rows) / max(answered, 1),
-            "largest_acceleration_share": max((row.get("share", np.nan) for row in rows), default=np.nan),
-            "processor_share": float(np.mean([row.get("processor", np.nan) for row in rows])),
-            "memory_MiB": {key: max((row["memory"][key] for row in rows if "memory" in row), default=np.nan)
-                           for key in ("follower", "camera")}}
+            "ended_early": sum(row["code"] != 0 for row in rows), "late_share": sum(all_of("late")) / max(answered, 1),
+            "largest_acceleration_share": max(all_of("share"), default=float("nan")),
+            "processor_share": max(processor, default=float("nan")),
+            "memory_MB": {key: max((row["memory"][key] for row in rows if key in row.get("memory", {})),
+                                   default=float("nan")) for key in ("follower", "camera")},
+            "together_MB": max(all_of("together"), default=float("nan")), "runs": rows}
+
+
+HEAD = (f"{'case':12} {'runs':>4} {'wires':>7} {'worst':>7} {'process':>7} {'allowed':>7} {'early':>5} {'late %':>7} "
+        f"{'acc.':>5} {'cpu %':>6} {'arm MB':>6} {'camera':>6} {'both':>5}")
+
+
+def line_of(found: dict[str, Any]) -> str:
+    """A case as a row of the table."""
+    memory = found["memory_MB"]
+    return (f"{found['case']:12} {len(found['runs']):4d} {found['mean']:7.3f} {found['worst']:7.3f} "
+            f"{found['in_process']:7.3f} {found['allowed']:7.3f} {found['ended_early']:5d} {1e2 * found['late_share']:7.3f} "
+            f"{found['largest_acceleration_share']:5.2f} {1e2 * found['processor_share']:6.1f} "
+            f"{memory['follower']:6.0f} {memory['camera']:6.0f} {found['together_MB']:5.0f}")
+
+
+def measured(case: Case, runs: int, camera: Path | None, folder: Path, keep: Callable[[dict[str, Any]], None]
+             ) -> dict[str, Any]:
+    """All runs of a case against one served cell; what there is so far is kept after each."""
+    scene = scene_of(case, folder)
+    options = (*case.follow, *(("--calibration", str(camera)) if camera is not None and case.scene == "line" else ()))
+    own = in_process(case, scene)
+    rows: list[dict[str, Any]] = []
+    session = 0
+    while len(rows) < runs:
+        with served(scene, folder, *case.simulate) as cell:
+            (folder / "truth.json").unlink(missing_ok=True)
+            for session in range(1, runs - len(rows) + 1):
+                row = played(cell, case, scene, options, session)
+                rows.append(row)
+                keep(summed_up(case, rows, own))
+                print(f"    {case.name} {len(rows):2d}: error {row.get('error', np.nan):.3f}, late {row.get('late', 0)} of "
+                      f"{row.get('cycles', 0)}, held up by the cell {row.get('held_up', 0)}"
+                      + (f", exit code {row['code']}: {row['failure']}" if row["code"] else ""), flush=True)
+                if row["code"] == -1:
+                    # Whatever it is that hangs, the next run begins with a fresh cell.
+                    break
+    return summed_up(case, rows, own)
 
 
 def main() -> None:
@@ -159,10 +179,13 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(case.name for case in CASES))
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
-    found = []
-    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {given.runs} runs each")
-    print(f"{'case':12} {'wires':>8} {'worst':>8} {'process':>8} {'allowed':>8} {'early':>5} {'late %':>7} {'acc.':>5} "
-          f"{'cpu %':>6} {'MiB':>5} {'camera':>6}")
+    found: list[dict[str, Any]] = []
+
+    def keep(row: dict[str, Any]) -> None:
+        if given.json is not None:
+            given.json.write_text(json.dumps([*found, row], indent=2), encoding="utf-8")
+
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {given.runs} runs each", flush=True)
     with tempfile.TemporaryDirectory(prefix="follow_loopback_") as name:
         folder = Path(name)
         wanted = [case for case in CASES if case.name in given.only.split(",")]
@@ -170,18 +193,12 @@ def main() -> None:
         for case in wanted:
             own = folder / case.name
             own.mkdir()
-            row = measured(case, given.runs, camera, own)
+            row = measured(case, given.runs, camera, own, keep)
             found.append(row)
-            print(f"{case.name:12} {row['mean']:8.3f} {row['worst']:8.3f} {row['in_process']:8.3f} "
-                  f"{row['allowed']:8.3f} {row['ended_early']:5d} {1e2 * row['late_share']:7.3f} "
-                  f"{row['largest_acceleration_share']:5.2f} "
-                  f"{1e2 * row['processor_share']:6.1f} {row['memory_MiB']['follower']:5.0f} "
-                  f"{row['memory_MiB']['camera']:6.0f}", flush=True)
-            for run in row["runs"]:
-                if run["code"] != 0:
-                    print(f"    exit code {run['code']}: {run['failure']}", flush=True)
-    if given.json is not None:
-        given.json.write_text(json.dumps(found, indent=2), encoding="utf-8")
+            print(HEAD, line_of(row), sep="\n", flush=True)
+    print(f"\nload {os.getloadavg()[0]:.1f}; error: mm or N; late: answers the controller did not get in time; acc.: largest "
+          "commanded acceleration as a share of the limits;\ncpu: both processes, of one core; MB: largest while following",
+          HEAD, *map(line_of, found), sep="\n")
 
 
 if __name__ == "__main__":

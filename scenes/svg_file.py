@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Any
 from xml.parsers.expat import ExpatError
 
-import svgpathtools
-
 from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
 
@@ -52,6 +50,8 @@ def first_path(name: str, folder: Path) -> Any:
         if d is not None:
             return parsed_path(d)
         # No path element: svgpathtools makes paths of lines, polygons and ellipses.
+        import svgpathtools
+
         paths, _ = svgpathtools.svg2paths(io.StringIO(text))
     except (ET.ParseError, ExpatError, ValueError, KeyError, IndexError, RecursionError) as error:
         raise InputError(f"not a readable SVG file ({type(error).__name__}: {error})", file=file) from error
@@ -84,6 +84,8 @@ def parsed_path(d: str) -> Any:
     """
     if len(d) > MAX_PATH:
         raise InputError(f"SVG path longer than {MAX_PATH} characters", field="line.svg", value=d[:30])
+    import svgpathtools
+
     try:
         path = svgpathtools.parse_path(d)
     except Exception as error:  # svgpathtools raises whatever its tokens lead to

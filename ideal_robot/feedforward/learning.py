@@ -17,7 +17,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import butter, sosfiltfilt
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -49,6 +48,8 @@ class LearningLaw:
         self.length = length
         self._filter = None
         if inverse == "butterworth":
+            from scipy.signal import butter
+
             smoothness *= 0.1
             self._filter = butter(3, min(0.95, 2 * cutoff * loop.t_ipo), output="sos")
         second = np.diff(np.eye(length), 2, axis=0)
@@ -62,6 +63,8 @@ class LearningLaw:
                  for i, (G, factor) in enumerate(zip(self._G, self._factors, strict=True))]
         correction = np.column_stack(steps)
         if self._filter is not None:
+            from scipy.signal import sosfiltfilt
+
             correction = sosfiltfilt(self._filter, correction, axis=0)
         return np.asarray(correction)
 

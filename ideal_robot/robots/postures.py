@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import qmc
 
 from ideal_robot.arrays import Array
 
@@ -17,4 +16,24 @@ def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
         count: how many.
     """
     low, high = np.clip(q_min, -np.pi, np.pi), np.clip(q_max, -np.pi, np.pi)
-    return np.asarray(low + qmc.Halton(len(low), scramble=False).random(count) * (high - low))
+    spread = np.column_stack([_radical_inverse(count, base) for base in _primes(len(low))])
+    return np.asarray(low + spread * (high - low))
+
+
+def _radical_inverse(count: int, base: int) -> Array:
+    """The numbers from 0 on, their digits in a base written behind the point ``(count,)``."""
+    left, digit, found = np.arange(count), 1.0 / base, np.zeros(count)
+    while left.any():
+        found += (left % base) * digit
+        left, digit = left // base, digit / base
+    return found
+
+
+def _primes(count: int) -> list[int]:
+    found: list[int] = []
+    candidate = 2
+    while len(found) < count:
+        if all(candidate % prime for prime in found):
+            found.append(candidate)
+        candidate += 1
+    return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
-from scipy import interpolate, signal
+import scipy
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -166,7 +166,7 @@ def resampled(t: Array, values: Array, grid: Array, smooth: bool = False) -> Arr
     if len(t) == len(grid) and np.allclose(t, grid, atol=1e-3 * (grid[1] - grid[0]), rtol=0.0):
         return np.array(values, dtype=float)
     if smooth:
-        return np.asarray(interpolate.CubicSpline(t, values, axis=0)(grid))
+        return np.asarray(scipy.interpolate.CubicSpline(t, values, axis=0)(grid))
     return np.column_stack([np.interp(grid, t, values[:, j]) for j in range(values.shape[1])])
 
 
@@ -178,10 +178,10 @@ def lowpass(values: Array, dt: float, cutoff: float) -> Array:
         dt: time step [s].
         cutoff: [Hz].
     """
-    sos = signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
+    sos = scipy.signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
     # Padding as long as the filter remembers; the default is too short for low cut-offs.
     pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
-    return _column_by_column(values, lambda rows: signal.sosfiltfilt(sos, rows, axis=1, padlen=pad))
+    return _column_by_column(values, lambda rows: scipy.signal.sosfiltfilt(sos, rows, axis=1, padlen=pad))
 
 
 def decimated(values: Array, factor: int) -> Array:
@@ -226,7 +226,7 @@ def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Arra
 @cache
 def decimation_taps(factor: int) -> Array:
     """Hamming-windowed low-pass with half power at the new half sampling rate: what ``scipy.signal.decimate`` uses."""
-    return np.asarray(signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
+    return np.asarray(scipy.signal.firwin(20 * factor + 1, 1.0 / factor, window="hamming"))
 
 
 def chosen_cutoff(q: Array, dt: float) -> float:
@@ -238,7 +238,7 @@ def chosen_cutoff(q: Array, dt: float) -> float:
     """
     rate = 1.0 / dt
     qd = np.gradient(q, dt, axis=0)
-    f, power = signal.welch(qd, fs=rate, nperseg=min(len(q), max(256, int(4.0 * rate))), axis=0)
+    f, power = scipy.signal.welch(qd, fs=rate, nperseg=min(len(q), max(256, int(4.0 * rate))), axis=0)
     moves = np.std(qd, axis=0) > 1e-2 * np.max(np.std(qd, axis=0))
     share = np.cumsum(power[:, moves], axis=0) / np.sum(power[:, moves], axis=0)
     bandwidth = float(np.median(f[np.argmax(share > 0.999, axis=0)]))

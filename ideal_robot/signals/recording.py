@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -23,6 +20,8 @@ from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import whole_file
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from ideal_robot.plots import Figure
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
@@ -179,6 +178,8 @@ class Recording(Summarised):
         Raises:
             InputError: no DataFrame, no column ``t``, or a column that is not numeric.
         """
+        import pandas as pd
+
         if not isinstance(frame, pd.DataFrame):
             raise InputError("expected a pandas DataFrame", field="frame", value=type(frame).__name__)
         columns = {}
@@ -196,6 +197,10 @@ class Recording(Summarised):
         Raises:
             InputError: another ending.
         """
+        import pandas as pd
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
         path = Path(path)
         if path.suffix not in WRITTEN:
             raise InputError(f"recordings are written as {' or '.join(WRITTEN)}; give the file one of these endings",

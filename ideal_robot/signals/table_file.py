@@ -6,15 +6,15 @@ import csv
 import json
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAX_VALUES = 400_000_000
 """Most numbers in a table (3.2 GB): four hours of 50 columns at 500 Hz."""
@@ -57,6 +57,9 @@ def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
 
 
 def _parquet(path: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     with pq.ParquetFile(path) as file:
         schema = file.schema_arrow
         _check_size(file.metadata.num_rows, schema.names, path)
@@ -83,6 +86,8 @@ def _metadata(raw: bytes, path: Path) -> dict[str, Any]:
 
 
 def _csv(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
     with path.open(encoding="utf-8-sig", newline="") as text:
         names = next(csv.reader([text.readline(10_000_000)]), [])
     _check_size(path.stat().st_size // max(2 * len(names), 1), names, path)

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from filterpy.kalman import KalmanFilter
-from scipy.stats import chi2
+from numpy.typing import NDArray
+from scipy.special import gammaincinv
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import DeviationModel
+from planning.line.kalman import KalmanFilter
 
 DOUBT = 1e-3
 """Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""
@@ -135,7 +136,7 @@ class DeviationFilter:
             size += len(sigmas)
             variances += [sigma**2 for sigma in sigmas]
         self._size, self._bias_variances = size, variances
-        self._bounds = np.concatenate([[0.0], chi2.ppf(1.0 - significance, np.arange(1, 65))])
+        self._bounds = np.concatenate([[0.0], _chi2(1.0 - significance, np.arange(1, 65))])
         self._track = self._fresh()
         self._rival: _Track | None = None
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
@@ -145,10 +146,8 @@ class DeviationFilter:
         """Instant up to which the state has drifted [s]."""
 
     def _fresh(self) -> _Track:
-        kf = KalmanFilter(dim_x=self._size, dim_z=1)
         x, P = self.model.prior()
-        kf.x = np.concatenate([x, np.zeros(len(self._bias_variances))])
-        kf.P = np.zeros((self._size, self._size))
+        kf = KalmanFilter(np.concatenate([x, np.zeros(len(self._bias_variances))]), np.zeros((self._size, self._size)))
         kf.P[: len(x), : len(x)] = P
         kf.P[len(x) :, len(x) :] = np.diag(self._bias_variances)
         return _Track(kf)
@@ -265,7 +264,7 @@ class DeviationFilter:
             return None
         nis, likelihood = self._likelihood(self._track, measurement, H)
         if self._shaken is None:
-            if nis <= chi2.ppf(1.0 - DOUBT, len(measurement.value)):
+            if nis <= float(_chi2(1.0 - DOUBT, len(measurement.value))):
                 return None
             self._shaken = self._begun_anew(measurement.sensor, sigmas)
         shaken = self._shaken
@@ -288,8 +287,7 @@ class DeviationFilter:
 
     def _begun_anew(self, sensor: str, sigmas: tuple[float, ...]) -> _Track:
         """The map as it is, with errors of the sensor that have nothing to do with those before."""
-        at, kf = self._bias_at[sensor], KalmanFilter(dim_x=self._size, dim_z=1)
-        kf.x, kf.P = self._track.kf.x.copy(), self._track.kf.P.copy()
+        at, kf = self._bias_at[sensor], KalmanFilter(self._track.kf.x.copy(), self._track.kf.P.copy())
         kf.P[at, :] = kf.P[:, at] = 0.0
         kf.P[at, at] = np.diag(np.square(sigmas))
         return _Track(kf)
@@ -308,7 +306,7 @@ class DeviationFilter:
         kf, R = track.kf, measurement.covariance
         innovation = measurement.value - H @ kf.x
         S = H @ kf.P @ H.T + R
-        used = innovation**2 <= self._gate**2 * np.diag(S)
+        used: Array = innovation**2 <= self._gate**2 * np.diag(S)
         if measurement.combination is not None and not used.all():
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate")
         if 2 * used.sum() < len(used):
@@ -321,10 +319,20 @@ class DeviationFilter:
         nis = float(left @ np.linalg.solve(S, left))
         dof = len(left)
         if nis > self._bounds[min(dof, 64)]:
-            return Fused(np.zeros(len(used), dtype=bool), innovation, nis, 0, "innovation beyond its bound")
+            return Fused(np.zeros_like(used), innovation, nis, 0, "innovation beyond its bound")
         kf.update(measurement.value[used], R=R, H=H)
         track.agreed += 1
         return Fused(used, innovation, nis, dof, reason)
+
+
+def _chi2(probability: float, dof: NDArray[np.integer] | int) -> Array:
+    """Quantiles of chi-square; ``scipy.stats``, which has them too, is large.
+
+    Args:
+        probability: below the quantile.
+        dof: degrees of freedom.
+    """
+    return np.asarray(2.0 * gammaincinv(0.5 * np.asarray(dof), probability))
 
 
 def _check(measurement: Measurement, directions: int) -> None:

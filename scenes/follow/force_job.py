@@ -17,6 +17,7 @@ from scenes.cycle import Task
 from scenes.drawn_line import reference_points
 from scenes.follow.camera_file import CalibratedCamera
 from scenes.follow.force_calibration import elasticity_by_pressing, tool_by_turning
+from scenes.follow.line_calibration import Piece, calibrated_by_moving
 from scenes.follow.live_arm import LiveArm
 from scenes.follow.live_camera import FoundBefore, LiveCamera
 from scenes.follow.live_force import LiveForce
@@ -34,6 +35,8 @@ from sensing.force.force_calibration import ContactElasticity, ToolLoad
 
 BRAKING = 2.0
 """Deceleration of a stop on the path [m/s²]."""
+CLEAR = 0.03
+"""Distance from the surface's nominal place that the tip keeps while the camera is calibrated [m]."""
 LONGEST = 120.0
 """A run that has not ended by then is stuck [s]."""
 SILENCE = 0.1
@@ -124,6 +127,19 @@ class ForceJob:
         except PlanningError:
             # What is felt fits no surface: that is no matter here, the code is loaded.
             return
+
+    def calibrate(self, arm: LiveArm, camera: LiveCamera) -> CalibratedCamera:
+        """See ``Job``; the tip keeps away from the surface. Where that lies the force tells later.
+
+        Args:
+            arm: connected, at the start.
+            camera: on the arm.
+        """
+        reference = self._known.reference
+        piece = Piece(reference, 0.5 * (self.scene.reference.run_up + reference.length - self.scene.reference.run_out),
+                      self.q_start, CLEAR)
+        return self.calibration.found(
+            calibrated_by_moving(piece, self.calibration.camera, self.model, arm, camera))
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
         """See ``Job``: bias and weight of the tool by turning it, the elasticity by pressing.

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from scenes.cycle import CycleLog, Task
+from scenes.follow.camera_file import CalibratedCamera
 from scenes.follow.live_arm import LiveArm
 from scenes.follow.live_camera import LiveCamera
 from scenes.follow.live_force import LiveForce
@@ -24,6 +25,7 @@ class Job(Protocol):
         longest: time after which a run is stuck [s].
         expected: usual length of a run [s].
         detection: how the line looks.
+        calibration: of the camera, and whether it is to be made by moving.
     """
 
     robot: Robot
@@ -32,6 +34,7 @@ class Job(Protocol):
     longest: float
     expected: float
     detection: DetectionSettings
+    calibration: CalibratedCamera
 
     @property
     def log(self) -> CycleLog:
@@ -50,6 +53,15 @@ class Job(Protocol):
 
     def rehearse(self) -> None:
         """Loads what is compiled: nothing of it may fall into a cycle."""
+        ...
+
+    def calibrate(self, arm: LiveArm, camera: LiveCamera) -> CalibratedCamera:
+        """Calibrates the camera by moving, and keeps it in its file.
+
+        Args:
+            arm: connected, at ``q_start``; it is left there.
+            camera: on the arm.
+        """
         ...
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:

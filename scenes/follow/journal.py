@@ -14,34 +14,37 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
 
-_ROWS, _META = "journal.npy", "journal.json"
+ROWS, META = "journal.rows", "journal.json"
 _QUANTITIES = ("q_d", "q_c", "q", "tau")
 
 
 class Journal:
-    """Rows in a file that is memory to this program: the system writes it out, whatever becomes of the program.
+    """Rows of 64-bit numbers at the end of a file: the system has each as soon as it is written, whatever comes next.
+
+    Nothing of it is held in memory, however long the run.
 
     Args:
         folder: of the run; made if it is not there.
-        rows: cycles it holds; further ones are dropped.
         robot: the arm.
         meta: what the recording's metadata shall hold.
+
+    Attributes:
+        unwritten: cycles that the disk did not take.
     """
 
-    def __init__(self, folder: Path, rows: int, robot: Robot, meta: dict[str, Any]) -> None:
+    def __init__(self, folder: Path, robot: Robot, meta: dict[str, Any]) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self._files = folder / _ROWS, folder / _META
-        self._robot, self._count = robot, 0
-        self.meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
-                     "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta}
-        write_text(self._files[1], json.dumps({**self.meta, "gain": robot.drive_gain.tolist()}) + "\n")
-        self._rows = np.lib.format.open_memmap(
-            self._files[0], mode="w+", dtype=np.float64, shape=(rows, 2 + len(_QUANTITIES) * robot.n))
-        # Written once here: pages that are only promised would be fetched while a controller waits.
-        self._rows[:] = np.nan
+        self._folder, self._robot = folder, robot
+        meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
+                "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta}
+        write_text(folder / META, json.dumps({**meta, "gain": robot.drive_gain.tolist()}) + "\n")
+        self._row = np.zeros(2 + len(_QUANTITIES) * robot.n)
+        self._each = self._row[2:].reshape(len(_QUANTITIES), robot.n)
+        self.unwritten = 0
+        self._file = (folder / ROWS).open("wb", buffering=0)
 
     def add(self, t: float, state: RobotState, q_d: Array, q_c: Array) -> None:
-        """One cycle.
+        """One cycle; what the disk does not take is missing.
 
         Args:
             t: time of the run at its end [s].
@@ -49,51 +52,70 @@ class Journal:
             q_d: desired position of the cycle ``(n,)`` [rad].
             q_c: commanded position of the cycle ``(n,)`` [rad].
         """
-        if self._count >= len(self._rows):
-            return
-        row, n = self._rows[self._count], self._robot.n
-        row[1] = state.t
-        for i, values in enumerate((q_d, q_c, state.q, state.tau)):
-            row[2 + i * n : 2 + (i + 1) * n] = values
-        # Last: a row whose time is a number is whole.
-        row[0] = t
-        self._count += 1
+        self._row[0], self._row[1] = t, state.t
+        for values, row in zip((q_d, q_c, state.q, state.tau), self._each, strict=True):
+            row[:] = values
+        try:
+            self._file.write(self._row.data)
+        except OSError:
+            self.unwritten += 1
 
     def recording(self) -> Recording:
         """The rows so far."""
-        return _recording(self._rows, self.meta, self._robot.drive_gain)
+        return _read(self._folder)
 
     def close(self) -> None:
-        """The run has ended as it should, its recording is written: the journal goes."""
-        del self._rows
-        for file in self._files:
-            file.unlink(missing_ok=True)
+        """No more rows; the file stays."""
+        self._file.close()
+
+
+def lies_there(folder: Path) -> bool:
+    """Whether a journal is in a folder."""
+    return (folder / ROWS).is_file() and (folder / META).is_file()
+
+
+def remove(folder: Path) -> None:
+    """The recording of a run is written: its journal goes."""
+    (folder / ROWS).unlink(missing_ok=True)
+    (folder / META).unlink(missing_ok=True)
 
 
 def left_behind(folder: Path) -> Recording | None:
     """What a run that was killed has left in its folder; None where there is nothing. It is removed there."""
-    rows, meta = folder / _ROWS, folder / _META
-    if not (rows.is_file() and meta.is_file()):
+    if not lies_there(folder):
         return None
     try:
-        known = json.loads(meta.read_text(encoding="utf-8"))
-        gain = np.array(known.pop("gain"), dtype=float)
-        found = _recording(np.load(rows, mmap_mode="r", allow_pickle=False), known, gain)
+        found = _read(folder)
     except (OSError, ValueError, KeyError, TypeError):
         return None
     finally:
-        rows.unlink(missing_ok=True)
-        meta.unlink(missing_ok=True)
+        remove(folder)
     return found if len(found.t) else None
 
 
-def _recording(rows: Array, meta: dict[str, Any], gain: Array) -> Recording:
-    # The time of a cycle's end is positive; rows not reached yet hold NaN, or zeros for a moment at the beginning.
-    filled = rows[rows[:, 0] > 0.0]
-    n = (rows.shape[1] - 2) // len(_QUANTITIES)
-    columns = {name: np.array(filled[:, 2 + i * n : 2 + (i + 1) * n]) for i, name in enumerate(_QUANTITIES)}
+def journal_rows(folder: Path) -> tuple[Array, dict[str, Any]]:
+    """Rows of a journal ``(N, 2 + 4 n)`` and its metadata, also while it is being written.
+
+    A row holds the time of the run and that of the controller [s], then ``q_d``, ``q_c``, ``q`` and ``tau``.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError: there is none, or it is no journal.
+    """
+    meta = json.loads((folder / META).read_text(encoding="utf-8"))
+    n = len(meta["gain"])
+    values = np.fromfile(folder / ROWS, dtype=np.float64)
+    size = 2 + len(_QUANTITIES) * n
+    # A row that is only half there is none.
+    return values[: len(values) // size * size].reshape(-1, size), meta
+
+
+def _read(folder: Path) -> Recording:
+    rows, meta = journal_rows(folder)
+    gain = np.array(meta.pop("gain"), dtype=float)
+    n = len(gain)
+    columns = {name: rows[:, 2 + i * n : 2 + (i + 1) * n] for i, name in enumerate(_QUANTITIES)}
     tau = columns.pop("tau")
     if np.isfinite(tau).all():
         columns |= {"current": tau / gain, "tau": tau}
     # The controller's time goes on through calibration and run; that of the run begins anew.
-    return Recording.from_arrays(np.array(filled[:, 1]), meta=meta, source="follow", **columns)
+    return Recording.from_arrays(rows[:, 1], meta=meta, source="follow", **columns)

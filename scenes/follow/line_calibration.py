@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.model.model import Model
+from planning.path.reference import ReferencePath
 from scenes.follow.live_arm import LiveArm, moves
-from scenes.follow.live_camera import LiveCamera
+from scenes.follow.live_camera import FoundBefore, LiveCamera
 from scenes.line.calibration_view import CalibrationView, calibration_postures
-from scenes.line.known import Known
 from scenes.scene_error import SceneError
+from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
 
 REST = 0.16
@@ -22,25 +26,42 @@ _PATIENCE = 60.0
 """How long the computation may take; the arm is held meanwhile [s]."""
 
 
-def calibrated_by_moving(known: Known, model: Model, arm: LiveArm, camera: LiveCamera, at: float) -> HandEye:
+@dataclass(frozen=True)
+class Piece:
+    """The piece of the line that is looked at.
+
+    Attributes:
+        reference: the reference path.
+        at: arc length of it around which the piece lies [m].
+        start: where the arm is, and is again afterwards ``(n,)`` [rad].
+        clear: how far the tip keeps away from the reference at least [m].
+    """
+
+    reference: ReferencePath
+    at: float
+    start: Array
+    clear: float = 0.0
+
+
+def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: LiveArm, camera: LiveCamera) -> HandEye:
     """Moves from the start over the piece of the line and back; returns the camera that explains what was seen.
 
     Args:
-        known: what is known of the scene; its camera is the one mounted by hand.
+        piece: of the line.
+        by_hand: the camera as mounted by hand.
         model: of the arm, for the gears' deflection.
-        arm: at the start of the reference, and again when this returns.
+        arm: at the start, and again when this returns.
         camera: on the arm.
-        at: arc length of the reference around which the piece lies [m].
 
     Raises:
         SceneError: too few of the poses can be reached, or of the fields show the line.
         FollowStoppedError: the arm has to stop, or is gone.
     """
-    robot, reference, start = known.robot, known.reference, known.follower.q_start
-    postures = calibration_postures(robot, reference, known.camera, at)
+    robot, reference, start, at = arm.robot, piece.reference, piece.start, piece.at
+    postures = calibration_postures(robot, reference, by_hand, at, piece.clear)
     commands = moves(robot, [start, *postures, start], REST)
     sag = GearDeflection(model, robot.t_ipo).along(commands)
-    view = CalibrationView(robot, reference, known.camera, camera.detection, known.detector, start)
+    view = CalibrationView(robot, reference, by_hand, camera.detection, FoundBefore(), start)
     arm.begin()
     camera.predict = view.predicted
     fields = 0
@@ -58,7 +79,7 @@ def calibrated_by_moving(known: Known, model: Model, arm: LiveArm, camera: LiveC
         raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {looked} fields showed "
                          "the line; check where the line is, how it looks (line.gray, line.width_mm), and the camera")
     near = reference.position(np.arange(at - _PIECE, at + _PIECE, _STEP))
-    camera.calibrate(known.camera, view.observations, near, reference.frames(np.array([at])).up[0])
+    camera.calibrate(by_hand, view.observations, near, reference.frames(np.array([at])).up[0])
     for _ in range(int(_PATIENCE / robot.t_ipo)):
         if camera.hand_eye is not None:
             break

@@ -15,7 +15,7 @@ from planning.line.line_follower import FollowerSettings
 from scenes.cycle import Task
 from scenes.drawn_line import reference_points
 from scenes.follow.camera_file import CalibratedCamera
-from scenes.follow.line_calibration import calibrated_by_moving
+from scenes.follow.line_calibration import Piece, calibrated_by_moving
 from scenes.follow.live_arm import LiveArm
 from scenes.follow.live_camera import FoundBefore, LiveCamera
 from scenes.follow.live_force import LiveForce
@@ -134,7 +134,8 @@ class LineJob:
             FollowStoppedError: the arm had to stop, or is gone.
         """
         middle = 0.5 * sum(span_of(self.scene, self._known.reference))
-        return self.calibration.found(calibrated_by_moving(self._known, self.model, arm, camera, middle))
+        piece = Piece(self._known.reference, middle, self.q_start)
+        return self.calibration.found(calibrated_by_moving(piece, self._known.camera, self.model, arm, camera))
 
     def columns(self, t: Array) -> dict[str, Array]:
         """See ``Job``: ``cam_t`` and the line points of each field, as in recordings of line scenes."""

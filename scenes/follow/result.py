@@ -60,6 +60,11 @@ class FollowResult(ShownRun):
             rows.append(("fields used", f"{self.figures['fields']['used']} of {self.figures['fields']['seen']}"))
         if "force_N" in self.figures:
             rows.append(("felt force, RMS error", f"{self.figures['force_N']['rms_error']:.2f} N"))
+        shares, peaks = self.timing["processor_share"], self.timing["peak_memory_MB"]
+        rows += [(f"{name}'s process", f"{1e2 * share:.0f} % of a core, {peaks[name]:.0f} MB at most")
+                 for name, share in shares.items()]
+        if len(peaks) > 1:
+            rows.append(("both together", f"{self.timing['memory_together_MB']:.0f} MB"))
         for name, device in self.devices.items():
             clock = device.get("clock", {})
             if clock.get("drift_ppm") is not None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -21,14 +22,16 @@ from scenes.follow.camera_file import calibrated_camera
 from scenes.follow.camera_process import CameraProcess
 from scenes.follow.devices import Devices, opened_arm
 from scenes.follow.force_job import ForceJob
+from scenes.follow.given_back import give_back
 from scenes.follow.job import Job
-from scenes.follow.journal import Journal, left_behind
+from scenes.follow.journal import Journal, remove
 from scenes.follow.line_job import LineJob
 from scenes.follow.live_arm import LiveArm
 from scenes.follow.live_camera import LiveCamera
 from scenes.follow.live_force import LiveForce
-from scenes.follow.page import write_run
 from scenes.follow.result import FollowResult
+from scenes.follow.usage import memory_together, peak_memory, processor_seconds
+from scenes.follow.written import rescued, written
 from scenes.force.scene import ForceScene
 from scenes.line.scene import LineScene
 from scenes.methods import following_methods, method_of
@@ -42,8 +45,6 @@ from sensing.force.sensors import open_force
 
 REST = 0.3
 """Rest behind a stop [s]."""
-_LONGEST = 900.0
-"""Length of the journal [s]."""
 
 
 def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibration: Path | None = None,
@@ -64,24 +65,33 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
         IdealRobotError: the arm did not come, or does not stand at the start.
     """
     folder = out or Path("out") / "follow" / scene.name
+    name = method or str(getattr(scene, "method", "ideal"))
     job = _job(scene, devices, method, calibration)
     _check_devices(job, devices)
-    found = left_behind(folder)
-    before = None
-    if found is not None:
-        before = folder / "recording_killed.parquet"
-        found.write(before)
-    if isinstance(job, LineJob) and job.calibration.wanted:
-        with _opened(scene, job, devices, folder, "calibration", progress) as (opened, _):
-            if opened.camera is not None:
-                opened.arm.approach(job.q_start)
-                job.calibrate(opened.arm, opened.camera)
+    before = rescued(folder)
+    at_start = give_back()
+    if job.calibration.wanted:
+        moved = _played(scene, job, devices, folder, "calibration", progress, _calibrate)
+        if moved.failure is not None:
+            return _kept(replace(moved, left_behind=before), folder)
+        remove(folder)
         # Planned on the surface that was found; the controller has to begin RSI anew.
         job = _job(scene, devices, method, calibration)
     progress(0.0, "rehearsing")
     job.rehearse()
-    result = _followed(scene, job, devices, folder, method or str(getattr(scene, "method", "ideal")), progress)
-    return write_run(replace(result, left_behind=before), folder)
+    at_start = max(at_start, give_back())
+    # What a cycle needs is there again before the first packet.
+    job.rehearse()
+    result = _played(scene, job, devices, folder, name, progress, _follow)
+    timing = {**result.timing, "memory_at_start_MB": at_start}
+    return _kept(replace(result, left_behind=before, timing=timing), folder)
+
+
+def _kept(result: FollowResult, folder: Path) -> FollowResult:
+    """Recording and page written; only then the journal goes."""
+    result = written(result, folder)
+    remove(folder)
+    return result
 
 
 def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path | None) -> Job:
@@ -133,8 +143,7 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
         source = None
         if "force" in job.needs() and devices.force is not None:
             source = open_force(devices.force, devices.force_delay)
-        journal = Journal(folder, round(_LONGEST / job.robot.t_ipo), job.robot, {"scene": scene.name, "method": method,
-                                                                                 "model": scene.model})
+        journal = Journal(folder, job.robot, {"scene": scene.name, "method": method, "model": scene.model})
         stack.callback(journal.close)
         progress(0.0, "waiting for the arm")
         granted = stack.enter_context(undisturbed(devices.core))
@@ -148,31 +157,53 @@ def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
         yield _Opened(arm, journal, process, camera, force), granted
 
 
-def _followed(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress) -> FollowResult:
+Work = Callable[[_Opened, Job, CycleSettings, Progress], None]
+"""What is done with the devices; what comes of it is in the job."""
+
+
+def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
+    if opened.camera is None:
+        raise InputError("calibrating by moving needs a camera", field="--camera")
+    opened.arm.approach(job.q_start)
+    job.calibrate(opened.arm, opened.camera)
+
+
+def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
+    opened.arm.approach(job.q_start)
+    task = job.ready(opened.arm, opened.camera, opened.force)
+    opened.arm.begin()
+    play_cycles(opened.arm, job.robot, task, job.log, settings, progress)
+
+
+def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress, work: Work
+            ) -> FollowResult:
+    """Opens the devices, does the work and tells what came of it, however it ended."""
     with _opened(scene, job, devices, folder, method, progress) as (opened, granted):
         arm = opened.arm
-        begun, used = time.perf_counter(), time.process_time()
+        pids = [os.getpid()] + ([opened.process.pid] if opened.process is not None and opened.process.pid else [])
+        begun, used = time.perf_counter(), [processor_seconds(pid) for pid in pids]
         try:
-            arm.approach(job.q_start)
-            task = job.ready(arm, opened.camera, opened.force)
-            arm.begin()
-            play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, REST, job.longest, job.expected,
-                                                                     method), progress)
+            work(opened, job, CycleSettings(job.braking, REST, job.longest, job.expected, method), progress)
             failure = job.log.failure
         except IdealRobotError as error:
             if not arm.cycles:
                 raise
             failure = str(error)
-        wall, used = time.perf_counter() - begun, time.process_time() - used
+        wall = max(time.perf_counter() - begun, 1e-9)
+        shares = [(processor_seconds(pid) - before) / wall for pid, before in zip(pids, used, strict=True)]
         timing = {"answer_ms": _spread(np.array(arm.link.answer_times)),
-                  "computing_ms": _spread(np.array(job.log.cycles)), "processor_share": used / max(wall, 1e-9),
-                  "seconds": wall, "granted": granted}
+                  "computing_ms": _spread(np.array(job.log.cycles)),
+                  "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
+                  "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
+                  "memory_together_MB": memory_together(pids), "seconds": wall, "granted": granted}
+        opened.journal.close()
         recording = opened.journal.recording()
         if job.log.t:
             # The run's own time begins behind approach and calibration.
             begin = recording.t[-1] - arm.t
             recording = replace(recording, columns={**recording.columns, **job.columns(recording.t - begin)},
-                                meta={**recording.meta, "stopped_because": failure, "run_begins_at": float(begin)})
+                                meta={**recording.meta, "run_begins_at": float(begin)})
+        recording = replace(recording, meta={**recording.meta, "stopped_because": failure})
         return FollowResult(scene, method, failure, recording, job.figures(), _told(opened, devices), timing,
                             job.planned())
 

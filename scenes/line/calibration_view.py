@@ -87,7 +87,8 @@ def _middle_of_view(camera: CameraModel) -> Array:
     return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
 
 
-def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float) -> list[Array]:
+def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0
+                         ) -> list[Array]:
     """Joint angles of the poses that the arm reaches, each near the one before.
 
     Args:
@@ -95,6 +96,7 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
         reference: the reference path.
         camera: as mounted by hand.
         at: arc length of the reference around which the piece lies [m].
+        clear: how far the tip keeps away from the reference at least [m].
 
     Raises:
         SceneError: fewer than half of the poses can be reached.
@@ -102,7 +104,8 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
     frames = reference.frames(np.array([at]))
     kinematics = InverseKinematics(robot)
     q = kinematics.search(reference.pose(at), robot.home)
-    wanted = calibration_poses(frames.position[0], frames.tangent[0], frames.up[0], float(_middle_of_view(camera)[0]))
+    centre = frames.position[0] + clear * frames.up[0]
+    wanted = calibration_poses(centre, frames.tangent[0], frames.up[0], float(_middle_of_view(camera)[0]))
     postures: list[Array] = []
     for pose in wanted:
         try:

@@ -10,7 +10,6 @@ from ideal_robot.registry import Registry
 from sensing.camera.frame_source import FrameSource
 from sensing.camera.genicam import GenICamCamera
 from sensing.camera.stream_camera import StreamCamera
-from sensing.camera.video_capture import VideoCapture
 from sensing.stream.address import host_and_port
 
 Opener = Callable[[str, float], FrameSource]
@@ -20,13 +19,13 @@ Opener = Callable[[str, float], FrameSource]
 def _usb(rest: str, least_delay: float) -> FrameSource:
     if not rest.isdigit():
         raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)
-    return VideoCapture(int(rest), least_delay)
+    return _captured(int(rest), least_delay)
 
 
 def _file(rest: str, least_delay: float) -> FrameSource:
     if not Path(rest).is_file():
         raise InputError("no such film", field="camera", value=rest)
-    return VideoCapture(rest, least_delay, pace=True)
+    return _captured(rest, least_delay, pace=True)
 
 
 def _genicam(rest: str, least_delay: float) -> FrameSource:
@@ -39,7 +38,14 @@ def _stream(rest: str, least_delay: float) -> FrameSource:
 
 
 def _address(scheme: str) -> Opener:
-    return lambda rest, least_delay: VideoCapture(f"{scheme}:{rest}", least_delay)
+    return lambda rest, least_delay: _captured(f"{scheme}:{rest}", least_delay)
+
+
+def _captured(source: int | str, least_delay: float, pace: bool = False) -> FrameSource:
+    """By OpenCV, which is loaded where it is needed."""
+    from sensing.camera.video_capture import VideoCapture
+
+    return VideoCapture(source, least_delay, pace=pace)
 
 
 CAMERAS: Registry[Opener] = Registry("camera", "ideal_robot.cameras", {

@@ -35,7 +35,7 @@ def _link() -> Tame:
 
 @pytest.fixture(name="arm")
 def _arm(link: Tame, tmp_path: Path) -> LiveArm:
-    return LiveArm(link, Journal(tmp_path, 1000, link.robot, {"scene": "x"}))
+    return LiveArm(link, Journal(tmp_path, link.robot, {"scene": "x"}))
 
 
 def test_the_followers_process_knows_no_simulator() -> None:
@@ -43,6 +43,18 @@ def test_the_followers_process_knows_no_simulator() -> None:
                "scenes.follow.camera_process, scenes.options, scenes.outputs;"
                "s.load_cell('line'), s.load_cell('glue');"
                "found = sorted(m for m in sys.modules if m.split('.')[0] in ('sim', 'pybullet'));"
+               "raise SystemExit(f'imported: {found}' if found else 0)")
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None:
+    program = ("import sys, scenes.commands.follow; from scenes.follow.run import _job; "
+               "from scenes.follow.devices import Devices; from scenes.follow.scene_of_cell import load_cell; "
+               "from scenes.commands.common import closed; from scenes.progress_bar import progress_bar; "
+               "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"
+               "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.stats', 'scipy.signal', 'cv2', 'filterpy', 'plotly');"
+               "found = [m for m in large if m in sys.modules];"
                "raise SystemExit(f'imported: {found}' if found else 0)")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -89,7 +101,7 @@ def test_moves_keep_their_share_of_the_limits(link: Tame) -> None:
 def test_a_journal_survives_its_program(tmp_path: Path) -> None:
     program = (f"import os, numpy as np; from pathlib import Path; from tests.scenes.follow.parts import Tame;"
                f"from scenes.follow.journal import Journal; from scenes.follow.live_arm import LiveArm;"
-               f"link = Tame(); journal = Journal(Path({str(tmp_path)!r}), 500, link.robot, dict(scene='x'));"
+               f"link = Tame(); journal = Journal(Path({str(tmp_path)!r}), link.robot, dict(scene='x'));"
                "arm = LiveArm(link, journal);"
                "[arm.cycle(link.robot.home + 0.001 * k) for k in range(50)];"
                "os.kill(os.getpid(), 9)")
@@ -104,7 +116,7 @@ def test_a_journal_survives_its_program(tmp_path: Path) -> None:
 
 
 def test_a_broken_journal_is_taken_away_and_no_reason_to_fail(tmp_path: Path) -> None:
-    (tmp_path / "journal.npy").write_bytes(b"nothing")
+    (tmp_path / "journal.rows").write_bytes(b"nothing")
     (tmp_path / "journal.json").write_text("{")
     assert left_behind(tmp_path) is None
     assert not list(tmp_path.iterdir())
