@@ -109,9 +109,10 @@ def played(cell: Cell, case: Case, scene: str, options: tuple[str, ...], session
         return {"code": -1, "failure": str(error)[-300:]}
     figures = cell.figures() if (cell.folder / "follow.json").exists() else {}
     link, timing = figures.get("devices", {}).get("arm", {}).get("link", {}), figures.get("timing", {})
-    return {"code": follower.returncode, "failure": figures.get("failure", said[-300:] if follower.returncode else None),
+    code = follower.returncode
+    return {"code": code, "failure": figures.get("failure", said[-300:] if code else None),
             "error": error_of(truth), "share": truth["largest_acceleration_share"], "slipped": truth["slipped"],
-            "held_up": truth["held_up"], "late": link.get("late", 0), "lost": link.get("lost", 0),
+            "held_up": truth.get("held_up", 0), "late": link.get("late", 0), "lost": link.get("lost", 0),
             "cycles": figures.get("cycles", 0), "answer_ms": timing.get("answer_ms", {}),
             "processor": timing.get("processor_share", {}), "memory": timing.get("peak_memory_MB", {}),
             "together": timing.get("memory_together_MB"), "at_start": timing.get("memory_at_start_MB")}
@@ -144,9 +145,10 @@ def line_of(found: dict[str, Any]) -> str:
     """A case as a row of the table."""
     memory = found["memory_MB"]
     return (f"{found['case']:12} {len(found['runs']):4d} {found['mean']:7.3f} {found['worst']:7.3f} "
-            f"{found['in_process']:7.3f} {found['allowed']:7.3f} {found['ended_early']:5d} {1e2 * found['late_share']:7.3f} "
-            f"{found['largest_acceleration_share']:5.2f} {1e2 * found['processor_share']:6.1f} "
-            f"{memory['follower']:6.0f} {memory['camera']:6.0f} {found['together_MB']:5.0f}")
+            f"{found['in_process']:7.3f} {found['allowed']:7.3f} {found['ended_early']:5d} "
+            f"{1e2 * found['late_share']:7.3f} {found['largest_acceleration_share']:5.2f} "
+            f"{1e2 * found['processor_share']:6.1f} {memory['follower']:6.0f} {memory['camera']:6.0f} "
+            f"{found['together_MB']:5.0f}")
 
 
 def measured(case: Case, runs: int, camera: Path | None, folder: Path, keep: Callable[[dict[str, Any]], None]
@@ -164,8 +166,9 @@ def measured(case: Case, runs: int, camera: Path | None, folder: Path, keep: Cal
                 row = played(cell, case, scene, options, session)
                 rows.append(row)
                 keep(summed_up(case, rows, own))
-                print(f"    {case.name} {len(rows):2d}: error {row.get('error', np.nan):.3f}, late {row.get('late', 0)} of "
-                      f"{row.get('cycles', 0)}, held up by the cell {row.get('held_up', 0)}"
+                print(f"    {case.name} {len(rows):2d}: error {row.get('error', np.nan):.3f}, "
+                      f"late {row.get('late', 0)} of {row.get('cycles', 0)}, "
+                      f"held up by the cell {row.get('held_up', 0)}"
                       + (f", exit code {row['code']}: {row['failure']}" if row["code"] else ""), flush=True)
                 if row["code"] == -1:
                     # Whatever it is that hangs, the next run begins with a fresh cell.
@@ -196,8 +199,9 @@ def main() -> None:
             row = measured(case, given.runs, camera, own, keep)
             found.append(row)
             print(HEAD, line_of(row), sep="\n", flush=True)
-    print(f"\nload {os.getloadavg()[0]:.1f}; error: mm or N; late: answers the controller did not get in time; acc.: largest "
-          "commanded acceleration as a share of the limits;\ncpu: both processes, of one core; MB: largest while following",
+    print(f"\nload {os.getloadavg()[0]:.1f}; error: mm or N; late: answers the controller did not get in time; "
+          "acc.: largest commanded\nacceleration as a share of the limits; cpu: both processes, of one core; MB: "
+          "largest while following",
           HEAD, *map(line_of, found), sep="\n")
 
 

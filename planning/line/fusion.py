@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -306,7 +307,7 @@ class DeviationFilter:
         kf, R = track.kf, measurement.covariance
         innovation = measurement.value - H @ kf.x
         S = H @ kf.P @ H.T + R
-        used: Array = innovation**2 <= self._gate**2 * np.diag(S)
+        used: Any = innovation**2 <= self._gate**2 * np.diag(S)
         if measurement.combination is not None and not used.all():
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate")
         if 2 * used.sum() < len(used):
@@ -319,7 +320,7 @@ class DeviationFilter:
         nis = float(left @ np.linalg.solve(S, left))
         dof = len(left)
         if nis > self._bounds[min(dof, 64)]:
-            return Fused(np.zeros_like(used), innovation, nis, 0, "innovation beyond its bound")
+            return Fused(np.zeros(len(used), dtype=bool), innovation, nis, 0, "innovation beyond its bound")
         kf.update(measurement.value[used], R=R, H=H)
         track.agreed += 1
         return Fused(used, innovation, nis, dof, reason)

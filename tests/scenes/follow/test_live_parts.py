@@ -53,7 +53,7 @@ def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None
                "from scenes.follow.devices import Devices; from scenes.follow.scene_of_cell import load_cell; "
                "from scenes.commands.common import closed; from scenes.progress_bar import progress_bar; "
                "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"
-               "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.stats', 'scipy.signal', 'cv2', 'filterpy', 'plotly');"
+               "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.stats', 'scipy.signal', 'cv2', 'filterpy');"
                "found = [m for m in large if m in sys.modules];"
                "raise SystemExit(f'imported: {found}' if found else 0)")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
