@@ -16,8 +16,9 @@ IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pi
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
 """Where files import without circles, and at their top."""
-IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters"}
-"""Heavy packages that few users need, imported where they are used."""
+IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters", "pandas",
+                 "pyarrow"}
+"""Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
 STARTS_FAST = "scenes.commands."
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",

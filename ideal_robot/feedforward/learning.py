@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
 
 from ideal_robot.arrays import Array
@@ -48,10 +49,8 @@ class LearningLaw:
         self.length = length
         self._filter = None
         if inverse == "butterworth":
-            from scipy.signal import butter
-
             smoothness *= 0.1
-            self._filter = butter(3, min(0.95, 2 * cutoff * loop.t_ipo), output="sos")
+            self._filter = scipy.signal.butter(3, min(0.95, 2 * cutoff * loop.t_ipo), output="sos")
         second = np.diff(np.eye(length), 2, axis=0)
         penalty = smoothness**2 * second.T @ second + 1e-8 * np.eye(length)
         self._G = [loop.matrix(i, length, length) for i in range(loop.n)]
@@ -63,9 +62,7 @@ class LearningLaw:
                  for i, (G, factor) in enumerate(zip(self._G, self._factors, strict=True))]
         correction = np.column_stack(steps)
         if self._filter is not None:
-            from scipy.signal import sosfiltfilt
-
-            correction = sosfiltfilt(self._filter, correction, axis=0)
+            correction = scipy.signal.sosfiltfilt(self._filter, correction, axis=0)
         return np.asarray(correction)
 
 

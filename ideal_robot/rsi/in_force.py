@@ -18,11 +18,12 @@ class InForce:
     Attributes:
         position: sum of the corrections in force ``(n,)`` [deg].
         step: change in the last cycle ``(n,)`` [deg].
+        repeats: see above.
     """
 
     def __init__(self, n: int, repeats: bool) -> None:
         self.position = self.step = np.zeros(n)
-        self._repeats = repeats
+        self.repeats = repeats
         self._sent: Array | None = None
 
     def send(self, position: Array) -> None:
@@ -39,7 +40,7 @@ class InForce:
         else:
             missed += 1
         self._sent = None
-        if missed and self._repeats:
+        if missed and self.repeats:
             self.position = self.position + missed * self.step
         elif missed:
             self.step = np.zeros_like(self.step)

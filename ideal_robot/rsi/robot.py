@@ -77,6 +77,7 @@ class RsiRobot:
         answer_times: from reading each packet to its answer [s].
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         stamps: how the controller's time stamps rise.
+        gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
         too_fast: times the expected pace at which packets count as those of another cycle, where stamps do not tell it.
     """
 
@@ -108,6 +109,7 @@ class RsiRobot:
         self._first: RobMessage | None = None
         self._elapsed = self._ahead = self._still = self._late = 0
         self._missed = self._in_doubt = False
+        self.gone_on = 0
         self._answer: bytes | None = None
 
     @property
@@ -195,6 +197,15 @@ class RsiRobot:
         self.commanded = q_c
         self._answer_with(correction)
 
+    def skip(self, q_c: Array) -> None:
+        """What was wanted in a cycle in which the controller went on by itself: from there on the next command leads.
+
+        Raises:
+            InputError, LimitError: as ``cycle``.
+        """
+        self._wanted = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
+        self._missed = True
+
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next packet.
 
@@ -273,6 +284,7 @@ class RsiRobot:
         self.counts.lost += lost
         self._elapsed += 1 + lost
         self._ahead = 0
+        self.gone_on = lost if self._in_force.repeats else 0
         late = 0 if newest.late is None else max(newest.late - self._late, 0)
         self._late = self._late if newest.late is None else newest.late
         self.counts.late += late

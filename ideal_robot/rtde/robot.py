@@ -76,6 +76,7 @@ class RtdeRobot:
         answer_times: from reading each data package to its command [s].
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         version: the controller's version, once connected.
+        gone_on: 0: without a command this controller holds the arm.
         arrived: when the last data package was read, by ``time.perf_counter`` [s].
     """
 
@@ -104,6 +105,7 @@ class RtdeRobot:
         self._connection: RtdeConnection | None = None
         self._number = 0
         self._missed = False
+        self.gone_on = 0
 
     def connect(self) -> RobotState:
         """Agrees with the controller on what is exchanged; the program there may run already or be started afterwards.
@@ -157,6 +159,15 @@ class RtdeRobot:
         self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
         self.answer_times.append(time.perf_counter() - self.arrived)
         self.commanded = q_c
+
+    def skip(self, q_c: Array) -> None:
+        """What was wanted in a cycle that is not commanded: from there on the next command leads.
+
+        Raises:
+            InputError, LimitError: as ``cycle``.
+        """
+        self._wanted = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
+        self._missed = True
 
     def receive(self) -> RobotState:
         """The second half of ``cycle``: waits for the next data package.

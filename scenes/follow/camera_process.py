@@ -4,35 +4,16 @@ from __future__ import annotations
 
 import multiprocessing
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 from ideal_robot.errors import InputError
+from scenes.follow.camera_messages import Evaluated, Header
+from scenes.follow.elsewhere import called
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.field import Gray, Window
-from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 _ASKED = 3
 """Predictions under way at most: who does not answer is not asked further."""
-
-
-@dataclass(frozen=True)
-class Header:
-    """A picture has come: when it was taken and read, by this computer's clock [s]."""
-
-    number: int
-    taken: float
-    read: float
-
-
-@dataclass(frozen=True)
-class Evaluated:
-    """What was found in a picture, and its windows."""
-
-    seen: LineField
-    windows: tuple[Window, ...]
-    patches: tuple[Gray, ...]
 
 
 class CameraProcess:
@@ -62,8 +43,8 @@ class CameraProcess:
         self.stamps, self.left_out, self._asked = "", 0, 0
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_work, args=(address, least_delay, camera, detector, theirs),
-                                        daemon=True)
+        self._process = context.Process(target=called, args=("scenes.follow.camera_worker:work", address, least_delay,
+                                                             camera, detector, theirs), daemon=True)
         self._process.start()
         theirs.close()
         try:
@@ -149,10 +130,3 @@ class CameraProcess:
             self.ended = self.ended or "the camera's process has ended"
             return False
         return True
-
-
-def _work(*given: Any) -> None:
-    """The process; what it needs is loaded there alone."""
-    from scenes.follow.camera_worker import work
-
-    work(*given)

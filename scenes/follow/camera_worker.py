@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import IdealRobotError, InputError
-from scenes.follow.camera_process import Evaluated, Header
+from scenes.follow.camera_messages import Evaluated, Header
 from scenes.follow.given_back import give_back
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.cameras import open_camera
 from sensing.camera.detector import DETECTORS
 from sensing.camera.field import Field
 from sensing.camera.frame_source import Frame, FrameSource
+from sensing.camera.hand_eye import calibrate
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 
@@ -105,8 +106,6 @@ class _Worker:
         if kind == "camera":
             self.camera = content
         elif kind == "calibrate":
-            from sensing.camera.hand_eye import calibrate
-
             try:
                 self._send("calibrated", calibrate(*content))
             except IdealRobotError as error:

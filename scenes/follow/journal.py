@@ -109,6 +109,12 @@ def journal_rows(folder: Path) -> tuple[Array, dict[str, Any]]:
     return values[: len(values) // size * size].reshape(-1, size), meta
 
 
+def rescue(folder: Path) -> Path | None:
+    """Makes a recording of what was left behind; returns its place."""
+    found = left_behind(folder)
+    return None if found is None else found.write(folder / "recording_killed.parquet")
+
+
 def _read(folder: Path) -> Recording:
     rows, meta = journal_rows(folder)
     gain = np.array(meta.pop("gain"), dtype=float)

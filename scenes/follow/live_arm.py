@@ -25,6 +25,8 @@ _APPROACH = 0.3
 """Rest at the start [s]."""
 _REMEMBERED = 256
 """Cycles whose times are remembered."""
+_RECENT, _FOR_LOST = 20, 0.3
+"""Answers whose usual time tells how many lost cycles are made good in one, and the share of it that may take."""
 _SLOWEST, _SHARE = 0.35, 0.25
 """Shares of the limits of speed and acceleration that moves between postures take."""
 
@@ -42,6 +44,7 @@ class Link(Protocol):
     fault: str | None
     counts: Any
     answer_times: Any
+    gone_on: int
 
     @property
     def arrived(self) -> float:
@@ -56,12 +59,20 @@ class Link(Protocol):
         """Waits for the next packet."""
         ...
 
+    def skip(self, q_c: Array) -> None:
+        """A command ``(n,)`` [rad] of a cycle in which the controller went on by itself."""
+        ...
+
 
 class LiveArm:
     """A ``RobotInterface`` to a connected arm.
 
-    Its time, which planning and sensors share, counts the cycles since ``begin``. A cycle that was lost on the wire is
-    none of it: the path waits, and so does its time. ``play_time`` says which of it belongs to a time of this computer.
+    Its time, which planning and sensors share, counts the cycles since ``begin``. Where a cycle was lost on the wire
+    and the controller held the arm meanwhile, the path waits, and so does its time. Where the controller went on as
+    before (increments that are held on), so does the path: what was lost is planned, but not commanded, and the arm is
+    led from where it has come to, which is near the path, instead of waiting beside it. Only so many cycles are made
+    good in one as leave time for the answer; for the rest the path waits. ``play_time`` says which of the path's time
+    belongs to a time of this computer.
 
     Args:
         link: the arm, connected.
@@ -83,8 +94,10 @@ class LiveArm:
         self.stop_reason: str | None = None
         self.cycles = 0
         self._k = 0
+        self._last: RobotState | None = None
         self._told: deque[float] = deque(maxlen=_REMEMBERED)
         self._played: deque[float] = deque(maxlen=_REMEMBERED)
+        self._passed: deque[RobotState] = deque()
 
     def stop(self, reason: str) -> None:
         """The arm is to come to rest on its path; to be called from anywhere."""
@@ -100,6 +113,7 @@ class LiveArm:
     def begin(self) -> None:
         """Time begins anew: the next cycle is the first."""
         self._k = 0
+        self._passed.clear()
         self._told.clear()
         self._played.clear()
 
@@ -115,8 +129,13 @@ class LiveArm:
             InputError, LimitError: a command that cannot be.
             FollowStoppedError: the arm is gone.
         """
+        if self._passed:
+            # The answer that waits is the one to the last packet: this cycle is over already.
+            self.link.skip(q_c)
+            return self._counted(self._passed.popleft())
         try:
             self.link.send(q_c)
+            sent = self.link.commanded
             for work in self.between:
                 work()
             state = self.link.receive()
@@ -124,13 +143,33 @@ class LiveArm:
             if isinstance(error, PlanningError):
                 raise
             raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}") from error
-        self._k += 1
         self.cycles += 1
         self.clock.add(state.t, self.link.arrived)
+        self._journal.add(self.t + self.t_ipo, state, self.q_d, sent)
+        return self._counted(self._made_good(state))
+
+    def _counted(self, state: RobotState) -> RobotState:
+        """One cycle further."""
+        self._k += 1
         self._told.append(state.t)
         self._played.append(self.t)
-        self._journal.add(self.t, state, self.q_d, q_c)
+        self._last = state
         return RobotState(self.t, state.q, state.tau)
+
+    def _made_good(self, state: RobotState) -> RobotState:
+        """The state to go on with: the first of those unheard of, which lie between the last two."""
+        if not self.link.gone_on or self._last is None:
+            return state
+        times = self.link.answer_times[-_RECENT:]
+        usual = sum(times) / max(len(times), 1)
+        count = min(self.link.gone_on, max(int(_FOR_LOST * self.t_ipo / max(usual, 1e-6)), 1))
+        first, steps = self._last, self.link.gone_on + 1
+        for i in range(self.link.gone_on + 1 - count, steps):
+            share = i / steps
+            self._passed.append(RobotState(first.t + share * (state.t - first.t), first.q + share * (state.q - first.q),
+                                           state.tau))
+        self._passed.append(state)
+        return self._passed.popleft()
 
     def play_time(self, host: float) -> float:
         """Time since ``begin`` that belongs to this computer's time ``host`` [s]; NaN before the first cycle."""

@@ -10,7 +10,8 @@ from typing import ClassVar
 import numpy as np
 
 from ideal_robot.arrays import Array
-from scenes.follow.camera_process import CameraProcess, Evaluated, Header
+from scenes.follow.camera_messages import Evaluated, Header
+from scenes.follow.camera_process import CameraProcess
 from scenes.follow.live_arm import LiveArm
 from sensing.camera.camera_device import WindowsAt
 from sensing.camera.camera_model import CameraModel

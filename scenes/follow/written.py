@@ -6,14 +6,14 @@ Tables and plots take more memory than all the rest: the process that leads an a
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
 from ideal_robot.whole_file import OutputError
-from scenes.follow.journal import left_behind, lies_there
+from scenes.follow.elsewhere import called
+from scenes.follow.journal import lies_there
 from scenes.follow.result import FollowResult
 
 
@@ -23,7 +23,7 @@ def written(result: FollowResult, folder: Path) -> FollowResult:
     Raises:
         OutputError: they cannot be written; the journal of the run is kept.
     """
-    found: FollowResult = _elsewhere(_write, result, folder)
+    found: FollowResult = _elsewhere("scenes.follow.page:write_run", result, folder)
     return found
 
 
@@ -31,25 +31,15 @@ def rescued(folder: Path) -> Path | None:
     """Makes a recording of what a run that was killed has left in its folder; None where there is nothing."""
     if not lies_there(folder):
         return None
-    found: Path | None = _elsewhere(_rescue, folder)
+    found: Path | None = _elsewhere("scenes.follow.journal:rescue", folder)
     return found
 
 
-def _elsewhere(work: Callable[..., Any], *given: Any) -> Any:
+def _elsewhere(work: str, *given: Any) -> Any:
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
-            return pool.submit(work, *given).result()
+            return pool.submit(called, work, *given).result()
         except BrokenProcessPool as error:
             raise OutputError(f"{given[-1]}: the process that writes recording and page was ended; the next run makes "
                               "a recording of the journal in this folder") from error
 
-
-def _write(result: FollowResult, folder: Path) -> FollowResult:
-    from scenes.follow.page import write_run
-
-    return write_run(result, folder)
-
-
-def _rescue(folder: Path) -> Path | None:
-    found = left_behind(folder)
-    return None if found is None else found.write(folder / "recording_killed.parquet")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -77,3 +78,35 @@ class VideoCapture:
     def close(self) -> None:
         """See ``FrameSource.close``."""
         self._capture.release()
+
+
+def opened_usb(rest: str, least_delay: float) -> VideoCapture:
+    """``usb:0``.
+
+    Raises:
+        InputError: no number of a camera, or it cannot be opened.
+    """
+    if not rest.isdigit():
+        raise InputError("expected the number of a camera, as in usb:0", field="camera", value=rest)
+    return VideoCapture(int(rest), least_delay)
+
+
+def opened_file(rest: str, least_delay: float) -> VideoCapture:
+    """``file:film.mp4``, at its own pace.
+
+    Raises:
+        InputError: no such film.
+    """
+    if not Path(rest).is_file():
+        raise InputError("no such film", field="camera", value=rest)
+    return VideoCapture(rest, least_delay, pace=True)
+
+
+def opened_rtsp(rest: str, least_delay: float) -> VideoCapture:
+    """``rtsp://…``; raises InputError where it cannot be opened."""
+    return VideoCapture(f"rtsp:{rest}", least_delay)
+
+
+def opened_http(rest: str, least_delay: float) -> VideoCapture:
+    """``http://…``, MJPEG; raises InputError where it cannot be opened."""
+    return VideoCapture(f"http:{rest}", least_delay)

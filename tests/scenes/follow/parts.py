@@ -25,6 +25,7 @@ class Tame:
     fault: str | None = None
     lost: tuple[int, ...] = ()
     raises: Exception | None = None
+    repeats: bool = False
 
     def __post_init__(self) -> None:
         self.t_ipo = self.robot.t_ipo
@@ -32,14 +33,21 @@ class Tame:
         self.counts, self.answer_times = Counts(), []
         self.arrived, self._k, self._begun = time.perf_counter(), 0, time.perf_counter()
         self.taken: list[Array] = []
+        self.skipped: list[Array] = []
+        self.gone_on = 0
 
     def send(self, q_c: Array) -> None:
         self.commanded = q_c
         self.taken.append(q_c)
 
+    def skip(self, q_c: Array) -> None:
+        self.skipped.append(q_c)
+
     def receive(self) -> RobotState:
         if self.raises is not None:
             raise self.raises
-        self._k += 1 + (self._k + 1 in self.lost)
+        lost = self._k + 1 in self.lost
+        self._k += 1 + lost
+        self.gone_on = lost if self.repeats else 0
         self.arrived = self._begun + self._k * self.t_ipo
         return RobotState(self._k * self.t_ipo, self.commanded.copy(), np.zeros(self.robot.n))

@@ -15,7 +15,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.rsi.rsi_error import RsiError
 from scenes.camera_table import CameraTable, believed_camera
 from scenes.follow.camera_file import CalibratedCamera, calibrated_camera
-from scenes.follow.camera_process import Header
+from scenes.follow.camera_messages import Header
 from scenes.follow.journal import Journal, left_behind
 from scenes.follow.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.follow.live_camera import LiveCamera
@@ -70,6 +70,19 @@ def test_a_lost_cycle_is_none_of_the_paths_time(link: Tame, arm: LiveArm) -> Non
     host = [link.arrived - k * T for k in (0, 10, 30, 50)]
     np.testing.assert_allclose([arm.play_time(h) for h in host], [60 * T, 50 * T, 31 * T, 12 * T], atol=1e-6)
     assert arm.play_time(link.arrived + 0.004) == pytest.approx(60 * T + 0.004, abs=1e-6)
+
+
+def test_where_the_controller_went_on_the_path_goes_on_with_it(link: Tame, arm: LiveArm) -> None:
+    link.lost, link.repeats = (20, 40), True
+    for k in range(60):
+        state = arm.cycle(link.robot.home + 0.001 * k)
+    # Two cycles are planned for what was lost and are not commanded; the path's time is the controller's.
+    assert (len(link.taken), len(link.skipped)) == (58, 2)
+    assert arm.t == pytest.approx(link._k * arm.t_ipo)
+    assert state.t == arm.t
+    T = arm.t_ipo
+    host = [link.arrived - k * T for k in (0, 10, 30, 50)]
+    np.testing.assert_allclose([arm.play_time(h) for h in host], [60 * T, 50 * T, 30 * T, 10 * T], atol=1e-6)
 
 
 def test_a_fault_and_a_gone_arm_end_following(link: Tame, arm: LiveArm) -> None:
