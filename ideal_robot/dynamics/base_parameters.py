@@ -5,6 +5,7 @@ Found numerically from the QR decomposition of the regressor at random states, f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,7 +89,7 @@ class BaseParameters:
         return start + step
 
 
-def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
+def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequence[int] | None = None) -> Array:
     """Regressor ``(N, n, 12 n)`` of links, rotor inertias and offsets, in the order of ``BaseParameters``.
 
     Args:
@@ -96,14 +97,17 @@ def full_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
         q: joint positions ``(N, n)`` [rad].
         qd: joint velocities ``(N, n)`` [rad/s].
         qdd: joint accelerations ``(N, n)`` [rad/s²].
+        columns: those wanted of the ``12 n``, in their order; zeros for any beyond; all if None.
+
+    Raises:
+        InputError: the model branches, or a joint has more than one degree of freedom.
     """
     n = model.nv
-    count = len(q)
-    result = np.zeros((count, n, 12 * n))
-    result[:, :, : 10 * n] = regressor(model, q, qd, qdd)
-    joints = np.arange(n)
-    result[:, joints, 10 * n + joints] = qdd
-    result[:, joints, 11 * n + joints] = 1.0
+    wanted = np.arange(12 * n) if columns is None else np.asarray(columns, dtype=int)
+    result = regressor(model, q, qd, qdd, wanted.tolist())
+    for place in np.flatnonzero((wanted >= 10 * n) & (wanted < 12 * n)):
+        kind, joint = divmod(int(wanted[place]) - 10 * n, n)
+        result[:, joint, place] = 1.0 if kind else qdd[:, joint]
     return result
 
 

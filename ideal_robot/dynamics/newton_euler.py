@@ -135,55 +135,65 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
         tau: result ``(n,)`` [N m], written to.
     """
     n = len(qd)
-    force, moment = np.zeros((n, 3)), np.zeros((n, 3))
-    w, wd, a = np.zeros(3), np.zeros(3), np.empty(3)
-    for r in range(3):
-        a[r] = -gravity * chain.gravity[r]
-    w_new, wd_new, a_new = np.empty(3), np.empty(3), np.empty(3)
-    x, y, z = np.empty(3), np.empty(3), np.empty(3)
+    force, moment = np.empty((n, 3)), np.empty((n, 3))
+    # Numbers by themselves rather than vectors: the compiler keeps them in registers.
+    w0, w1, w2, d0, d1, d2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    a0, a1, a2 = -gravity * chain.gravity[0], -gravity * chain.gravity[1], -gravity * chain.gravity[2]
     for i in range(n):
-        axis = chain.axis[i]
-        _turned_back(R[i], w, w_new)
-        _turned_back(R[i], wd, wd_new)
-        _cross(wd, p[i], x)
-        _cross(w, p[i], y)
-        _cross(w, y, z)
-        for r in range(3):
-            x[r] += a[r] + z[r]
-        _turned_back(R[i], x, a_new)
-        _cross(w_new, axis, x)
+        E, r0, r1, r2 = R[i], p[i, 0], p[i, 1], p[i, 2]
+        # Acceleration of the frame's origin: a + ẇ × p + w × (w × p).
+        y0, y1, y2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
+        x0 = d1 * r2 - d2 * r1 + (a0 + (w1 * y2 - w2 * y1))
+        x1 = d2 * r0 - d0 * r2 + (a1 + (w2 * y0 - w0 * y2))
+        x2 = d0 * r1 - d1 * r0 + (a2 + (w0 * y1 - w1 * y0))
+        a0, a1, a2 = (E[0, 0] * x0 + E[1, 0] * x1 + E[2, 0] * x2, E[0, 1] * x0 + E[1, 1] * x1 + E[2, 1] * x2,
+                      E[0, 2] * x0 + E[1, 2] * x1 + E[2, 2] * x2)
+        w0, w1, w2 = (E[0, 0] * w0 + E[1, 0] * w1 + E[2, 0] * w2, E[0, 1] * w0 + E[1, 1] * w1 + E[2, 1] * w2,
+                      E[0, 2] * w0 + E[1, 2] * w1 + E[2, 2] * w2)
+        d0, d1, d2 = (E[0, 0] * d0 + E[1, 0] * d1 + E[2, 0] * d2, E[0, 1] * d0 + E[1, 1] * d1 + E[2, 1] * d2,
+                      E[0, 2] * d0 + E[1, 2] * d1 + E[2, 2] * d2)
+        z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
+        x0, x1, x2 = w1 * z2 - w2 * z1, w2 * z0 - w0 * z2, w0 * z1 - w1 * z0
         if chain.prismatic[i] > 0.5:
-            for r in range(3):
-                a_new[r] += 2.0 * x[r] * qd[i] + axis[r] * qdd[i]
+            a0 += 2.0 * x0 * qd[i] + z0 * qdd[i]
+            a1 += 2.0 * x1 * qd[i] + z1 * qdd[i]
+            a2 += 2.0 * x2 * qd[i] + z2 * qdd[i]
         else:
-            for r in range(3):
-                wd_new[r] += x[r] * qd[i] + axis[r] * qdd[i]
-                w_new[r] += axis[r] * qd[i]
-        for r in range(3):
-            w[r], wd[r], a[r] = w_new[r], wd_new[r], a_new[r]
-        com = chain.com[i]
-        _cross(wd, com, x)
-        _cross(w, com, y)
-        _cross(w, y, z)
-        for r in range(3):
-            force[i, r] = chain.mass[i] * (a[r] + x[r] + z[r])
-        _turned(chain.inertia[i], w, x)
-        _cross(w, x, y)
-        _turned(chain.inertia[i], wd, x)
-        _cross(com, force[i], z)
-        for r in range(3):
-            moment[i, r] = x[r] + y[r] + z[r]
+            d0 += x0 * qd[i] + z0 * qdd[i]
+            d1 += x1 * qd[i] + z1 * qdd[i]
+            d2 += x2 * qd[i] + z2 * qdd[i]
+            w0 += z0 * qd[i]
+            w1 += z1 * qd[i]
+            w2 += z2 * qd[i]
+        # Force on the body and moment about the frame's origin.
+        c0, c1, c2 = chain.com[i, 0], chain.com[i, 1], chain.com[i, 2]
+        y0, y1, y2 = w1 * c2 - w2 * c1, w2 * c0 - w0 * c2, w0 * c1 - w1 * c0
+        f0 = chain.mass[i] * (a0 + (d1 * c2 - d2 * c1) + (w1 * y2 - w2 * y1))
+        f1 = chain.mass[i] * (a1 + (d2 * c0 - d0 * c2) + (w2 * y0 - w0 * y2))
+        f2 = chain.mass[i] * (a2 + (d0 * c1 - d1 * c0) + (w0 * y1 - w1 * y0))
+        force[i, 0], force[i, 1], force[i, 2] = f0, f1, f2
+        J = chain.inertia[i]
+        x0, x1, x2 = (J[0, 0] * w0 + J[0, 1] * w1 + J[0, 2] * w2, J[1, 0] * w0 + J[1, 1] * w1 + J[1, 2] * w2,
+                      J[2, 0] * w0 + J[2, 1] * w1 + J[2, 2] * w2)
+        moment[i, 0] = (J[0, 0] * d0 + J[0, 1] * d1 + J[0, 2] * d2) + (w1 * x2 - w2 * x1) + (c1 * f2 - c2 * f1)
+        moment[i, 1] = (J[1, 0] * d0 + J[1, 1] * d1 + J[1, 2] * d2) + (w2 * x0 - w0 * x2) + (c2 * f0 - c0 * f2)
+        moment[i, 2] = (J[2, 0] * d0 + J[2, 1] * d1 + J[2, 2] * d2) + (w0 * x1 - w1 * x0) + (c0 * f1 - c1 * f0)
     for i in range(n - 1, -1, -1):
         load = force[i] if chain.prismatic[i] > 0.5 else moment[i]
         tau[i] = (chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1] + chain.axis[i, 2] * load[2]
                   + chain.armature[i] * qdd[i])
         if i > 0:
-            _turned(R[i], force[i], x)
-            _turned(R[i], moment[i], y)
-            _cross(p[i], x, z)
-            for r in range(3):
-                force[i - 1, r] += x[r]
-                moment[i - 1, r] += y[r] + z[r]
+            E, f0, f1, f2, x0, x1, x2 = (R[i], force[i, 0], force[i, 1], force[i, 2], moment[i, 0], moment[i, 1],
+                                         moment[i, 2])
+            y0, y1, y2 = (E[0, 0] * f0 + E[0, 1] * f1 + E[0, 2] * f2, E[1, 0] * f0 + E[1, 1] * f1 + E[1, 2] * f2,
+                          E[2, 0] * f0 + E[2, 1] * f1 + E[2, 2] * f2)
+            r0, r1, r2 = p[i, 0], p[i, 1], p[i, 2]
+            force[i - 1, 0] += y0
+            force[i - 1, 1] += y1
+            force[i - 1, 2] += y2
+            moment[i - 1, 0] += (E[0, 0] * x0 + E[0, 1] * x1 + E[0, 2] * x2) + (r1 * y2 - r2 * y1)
+            moment[i - 1, 1] += (E[1, 0] * x0 + E[1, 1] * x1 + E[1, 2] * x2) + (r2 * y0 - r0 * y2)
+            moment[i - 1, 2] += (E[2, 0] * x0 + E[2, 1] * x1 + E[2, 2] * x2) + (r0 * y1 - r1 * y0)
 
 
 @numba.njit(cache=True)

@@ -6,36 +6,44 @@ m [kg], mx my mz [kg m], Ixx Ixy Iyy Ixz Iyz Izz [kg m²] about the joint frame'
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics
+from ideal_robot.dynamics.serial_regressor import fill_columns
 
 LINK_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 LINK_UNITS = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
 
 
-def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> Array:
+def regressor(model: pin.Model, q: Array, qd: Array, qdd: Array, columns: Sequence[int] | None = None) -> Array:
     """Regressor of the joint torques, [G] (5), for many samples.
 
     Args:
-        model: the kinematics; its inertias do not matter.
+        model: the kinematics, a serial chain; its inertias do not matter.
         q: joint positions ``(N, n)`` [rad; m for prismatic].
         qd: joint velocities ``(N, n)`` [rad/s].
         qdd: joint accelerations ``(N, n)`` [rad/s²].
+        columns: those wanted of the ``10 n``, zeros for any beyond; all if None.
 
     Returns:
-        ``A`` of shape ``(N, n, 10 n)`` so that ``A @ link_parameters(model)`` are the torques ``(N, n)`` [N m].
+        ``A`` of shape ``(N, n, 10 n)`` so that ``A @ link_parameters(model)`` are the torques ``(N, n)`` [N m]. In
+        memory the samples of an element are neighbours: filters along time find them so.
+
+    Raises:
+        InputError: the model branches, or a joint has more than one degree of freedom.
     """
-    data = model.createData()
-    compute = pin.computeJointTorqueRegressor
+    wanted = np.arange(10 * model.nv) if columns is None else np.asarray(columns, dtype=int)
+    place = np.full(10 * model.nv, -1)
+    links = np.flatnonzero(wanted < 10 * model.nv)
+    place[wanted[links]] = links
+    result = np.zeros((model.nv, len(wanted), len(q)))
     q, qd, qdd = (np.ascontiguousarray(values, dtype=float) for values in (q, qd, qdd))
-    result = np.empty((len(q), model.nv, 10 * (model.njoints - 1)))
-    # One compiled call a sample (about 10 µs); everything around it works on whole arrays.
-    for k, (q_k, qd_k, qdd_k) in enumerate(zip(q, qd, qdd, strict=True)):
-        result[k] = compute(model, data, q_k, qd_k, qdd_k)
-    return result
+    fill_columns(chain_of(model), q, qd, qdd, place, result)
+    return result.transpose(2, 0, 1)
 
 
 def split_regressor(model: pin.Model, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:

@@ -53,5 +53,7 @@ def _follow(q: Array, start: Array, distance: Array) -> Array:
             step = max(away - band, 0.0) + min(away + band, 0.0)
             last += step
             s = np.sign(step)
-            z[k, j] = s + (z[k - 1, j] - s) * np.exp(-abs(step) / distance[j])
+            behind = z[k - 1, j] - s
+            # In gross sliding nothing is behind, and the exponential is what costs time.
+            z[k, j] = s + behind * np.exp(-abs(step) / distance[j]) if behind != 0.0 else s
     return z

@@ -177,7 +177,7 @@ def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: A
         qdd: its acceleration ``(N, n)`` [rad/s²].
     """
     n = robot.n
-    W = full_regressor(robot.pinocchio, q, qd, qdd)[:, :, independent]
+    W = full_regressor(robot.pinocchio, q, qd, qdd, independent)
     friction = np.zeros((len(q), n, 2 * n))
     joints = np.arange(n)
     friction[:, joints, joints] = qd

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics import base_parameters, full_regressor
+from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.identification.prior import prior_of
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.cutoff import CutoffChoice, choose_cutoff
-from ideal_robot.signals.preprocess import FilteredSignals, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, decimated, preprocess
 from ideal_robot.signals.recording import Recording
 
 _PROBE = 8.0
@@ -20,24 +20,27 @@ _TURNS = 0.003
 """Dry friction turns over within this share of a joint's top speed."""
 
 
-def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bool = False) -> CutoffChoice:
+def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bool = False,
+                   base: BaseParameters | None = None) -> CutoffChoice:
     """Cut-offs by held-out error of the rigid body with dry and viscous friction.
 
     Args:
         recordings: checked ones, with ``tau_i``; a dead channel's torque is NaN.
         robot: kinematics and nominal inertias.
         amperes: torques are currents with unknown gains.
+        base: grouping of the robot's parameters, where the caller has it already.
     """
-    base = base_parameters(robot.pinocchio)
-    independent, n = list(base.independent), robot.n
+    base = base_parameters(robot.pinocchio) if base is None else base
+    n = robot.n
 
-    def columns(s: FilteredSignals) -> Array:
-        W = np.zeros((len(s.t), n, base.count + 2 * n))
-        W[:, :, : base.count] = full_regressor(robot.pinocchio, s.q, s.qd, s.qdd)[:, :, independent]
+    def columns(s: FilteredSignals, stride: int) -> Array:
+        q, qd, qdd = s.q[::stride], s.qd[::stride], s.qdd[::stride]
+        W = full_regressor(robot.pinocchio, q, qd, qdd, [*base.independent, *range(12 * n, 14 * n)])
         joints = np.arange(n)
-        W[:, joints, base.count + joints] = s.qd
+        W[:, joints, base.count + joints] = qd
+        # Its jumps have all frequencies, unlike the rest.
         slow = _TURNS * np.maximum(np.max(np.abs(s.qd), axis=0), 1e-9)
-        W[:, joints, base.count + n + joints] = np.tanh(s.qd / slow)
+        W[:, joints, base.count + n + joints] = decimated(np.tanh((s.qd / slow).astype(np.float32)), stride)
         return W
 
     probes = [preprocess(r, cutoff=min(_PROBE, 0.1 * len(r.t) / float(r.t[-1] - r.t[0]))) for r in recordings]

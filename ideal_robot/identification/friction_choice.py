@@ -16,6 +16,7 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.friction import Arctan, CubeRoot, FrictionModel, PerJointFriction, ViscousCoulomb
 from ideal_robot.friction.laws import Asymmetric
+from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.signals.preprocess import FilteredSignals
 
 AUTO: tuple[type[FrictionModel], ...] = (ViscousCoulomb, CubeRoot, Arctan, Asymmetric)
@@ -30,6 +31,8 @@ _CLEARLY = 0.9
 _VARIES = 0.1
 """Least share of its size by which a load must vary; else its friction is dry friction by another name."""
 _RIDGE = 1e-9
+_KEPT = 16
+"""Directions of sliding kept at a time: they are as long as the recordings."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,8 @@ class FrictionChoice:
         self._load_varies[list(barred)] = False
         self._folds = np.arange(len(y)) * _FOLDS // len(y)
         self._motions: dict[int, list[tuple[Array, Array, Array]]] = {}
-        self._filtered: dict[tuple[int, int], Array] = {}
+        self._filtered: dict[tuple[int, float, int], Array] = {}
+        self._directed: dict[tuple[int, float], list[Array]] = {}
         self._cache: dict[tuple[int, Candidate, tuple[float, ...]], Array] = {}
         self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
         self._rigid /= self._size
@@ -129,8 +133,11 @@ class FrictionChoice:
         key = (joint, candidate, shape)
         if key not in self._cache:
             law = candidate.make(shape)
-            parts = [self._decimated(i, law.regressor(qd, load, q)[:, 0])
-                     for i, (qd, load, q) in enumerate(self._motion(joint))]
+            directions = self._directions(joint, shape[-1]) if candidate.presliding else None
+            parts = []
+            for i, (qd, load, _) in enumerate(self._motion(joint)):
+                direction = None if directions is None else directions[i]
+                parts.append(self._decimated(i, law.regressor(qd, load, None, direction)[:, 0]))
             self._cache[key] = np.concatenate(parts) / self._noise[joint]
         return self._cache[key]
 
@@ -141,11 +148,21 @@ class FrictionChoice:
                                     for s, load in zip(self._signals, self._load, strict=True)]
         return self._motions[joint]
 
+    def _directions(self, joint: int, distance: float) -> list[Array]:
+        """Direction of sliding of one joint in each recording ``(N, 1)``: the laws share it."""
+        key = joint, distance
+        if key not in self._directed:
+            if len(self._directed) >= _KEPT:
+                self._directed.clear()
+            self._directed[key] = [sliding_direction(q, qd, np.array([distance])) for qd, _, q in self._motion(joint)]
+        return self._directed[key]
+
     def _decimated(self, recording: int, columns: Array) -> Array:
         """Decimated columns; most laws share most of theirs, so each is filtered once."""
         result = []
-        for column in columns.T:
-            key = recording, hash(column.tobytes())
+        for column in np.ascontiguousarray(columns.T):
+            # Columns with the same sum that are the same at many samples are the same.
+            key = recording, float(column.sum()), hash(column[:: 1 + len(column) // 500].tobytes())
             if key not in self._filtered:
                 self._filtered[key] = self._signals[recording].decimate(column)
             result.append(self._filtered[key])

@@ -87,12 +87,12 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
         alive, found = without_dead_channels(recording)
         live.append(on_its_clock(alive))
         warnings += [f"{finding.warning} [{recording.source}]" for finding in found]
-    filters = None if cutoff is not None else chosen_filters(live, robot, amperes=amperes)
+    base = base_parameters(robot.pinocchio)
+    filters = None if cutoff is not None else chosen_filters(live, robot, amperes=amperes, base=base)
     if filters is not None:
         cutoff = filters.cutoff
         warnings += [filters.warning] * bool(filters.warning)
     signals = [preprocess(r, cutoff=cutoff, cutoff_decimation=cutoff_decimation) for r in live]
-    base = base_parameters(robot.pinocchio)
     prior = prior_of(robot, base, signals, amperes=amperes)
     budgets = [error_budget(r, s) for r, s in zip(usable, signals, strict=True)]
     fit = JointProblem(robot, base, prior, signals, budgets).fit(friction)

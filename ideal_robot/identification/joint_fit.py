@@ -65,9 +65,8 @@ class JointProblem:
     def __init__(self, robot: Robot, base: BaseParameters, prior: Prior, signals: Sequence[FilteredSignals],
                  budgets: Sequence[ErrorBudget]) -> None:
         self._robot, self._base, self._prior, self._signals = robot, base, prior, signals
-        independent = list(base.independent)
-        self._W = np.concatenate([s.decimate_of(lambda rows, s=s: full_regressor(  # type: ignore[misc]
-            robot.pinocchio, s.q[rows], s.qd[rows], s.qdd[rows])[:, :, independent]) for s in signals])
+        self._W = np.concatenate([s.decimate_motion(lambda rows, s=s: full_regressor(  # type: ignore[misc]
+            robot.pinocchio, s.q[rows], s.qd[rows], s.qdd[rows], base.independent)) for s in signals])
         self._y = np.concatenate([s.decimate(s.tau) for s in signals])
         self._segments = np.concatenate([np.full(s.keep.sum(), i) for i, s in enumerate(signals)])
         self._velocity, self._sigma_v, self._sigma_a = (np.concatenate(parts) for parts in (
@@ -78,7 +77,9 @@ class JointProblem:
         """Fits with a friction law for all joints, or with ``auto`` the best one for each."""
         rough = self._rough()
         values = rough.value[: self._base.count]
-        load = self._load(self._base.nearest_full(values, self._prior.nominal))
+        # Only a choice among laws asks for the load: a law that is given does not follow it.
+        load = ([np.zeros_like(s.q) for s in self._signals] if wanted != "auto"
+                else self._load(self._base.nearest_full(values, self._prior.nominal)))
         variance = self._variance(rough)
         barred: set[int] = set()
         for _ in range(_ATTEMPTS):
@@ -88,6 +89,8 @@ class JointProblem:
             b = self._base.count
             consistency = consistent_parameters(self._base, base_values, solution.covariance[:b, :b],
                                                 self._prior.nominal)
+            if not any(law.loaded for law in laws):
+                break
             known = self._load(self._base.nearest_full(base_values, consistency.full))
             vague = self._follows_a_guess(laws, load, known)
             load = known

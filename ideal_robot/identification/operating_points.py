@@ -70,7 +70,7 @@ def rows_of(s: FilteredSignals, robot: Robot, base: BaseParameters, index: np.nd
         with_acceleration: otherwise it counts as zero.
     """
     qdd = s.qdd[index] if with_acceleration else np.zeros_like(s.qdd[index])
-    return full_regressor(robot.pinocchio, s.q[index], s.qd[index], qdd)[:, :, list(base.independent)]
+    return full_regressor(robot.pinocchio, s.q[index], s.qd[index], qdd, base.independent)
 
 
 def gravity_measurements(s: FilteredSignals, robot: Robot, base: BaseParameters) -> list[Measurement]:

@@ -128,7 +128,7 @@ def _solve(W: Array, y: Array, information: Array) -> tuple[Array, Array, tuple[
     # R of the QR decomposition has the singular values of W but only P rows.
     R, rhs = _triangular(flat[:, seen] / size[seen], y.reshape(-1))
     raw = np.linalg.svd(R * size[seen], compute_uv=False)
-    data = np.linalg.svd(R, compute_uv=False)
+    _, data, directions = np.linalg.svd(R)
     root = _root(information[np.ix_(seen, seen)]) / size[seen]
     u, s, vt = np.linalg.svd(np.vstack([R, root]), full_matrices=False)
     strong = s > _RANK * s[0]
@@ -139,9 +139,8 @@ def _solve(W: Array, y: Array, information: Array) -> tuple[Array, Array, tuple[
     scaled = (vt.T * inverse_s**2) @ vt / np.outer(size[seen], size[seen])
     inverse[np.ix_(seen, seen)] = scaled
     # A parameter with a visible share of a direction that the data leave open cannot be told.
-    _, s, vt = np.linalg.svd(R)
     unexcited = ~seen
-    unexcited[np.flatnonzero(seen)[np.sum(vt[s <= _RANK * s[0]] ** 2, axis=0) > 1e-3]] = True
+    unexcited[np.flatnonzero(seen)[np.sum(directions[data <= _RANK * data[0]] ** 2, axis=0) > 1e-3]] = True
     return value, inverse, (float(raw[0] / max(raw[-1], 1e-300)), float(data[0] / max(data[-1], 1e-300))), unexcited
 
 

@@ -33,7 +33,7 @@ from ideal_robot.model.urdf_export import urdf_with_inertials
 from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import model_of
-from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import write_text
@@ -166,7 +166,7 @@ class Model(Summarised):
         q, qd, qdd = (np.atleast_2d(np.asarray(values, dtype=float)) for values in (q, qd, qdd))
         load = self.rigid_body(q, qd, qdd)
         friction = self.friction.torque(qd, load, q)
-        tau = load + self._exact[10 * self.n : 11 * self.n] * qdd + self.offset + friction
+        tau = load + self._own_torque(qdd) + friction
         acting = [effect for effect in self.effects if effect.domain == MOTOR_TORQUE]
         if acting:
             cycle = self.controller.t_cycle if self.controller else 0.012
@@ -179,6 +179,20 @@ class Model(Summarised):
                               gravity_across=lambda at: gravity_across(chain_of(self._exact_model), at))
             tau = tau + np.sum([effect.contribution(signals) for effect in acting], axis=0)
         return tau
+
+    def _own_torque(self, qdd: Array) -> Array:
+        """What rotors and offsets ask of the motors ``(N, n)`` [N m]."""
+        return self._exact[10 * self.n : 11 * self.n] * qdd + self.offset
+
+    def _decimated_torque(self, s: FilteredSignals) -> Array:
+        """``inverse_dynamics`` of filtered signals, decimated ``(M, n)`` [N m]."""
+        if any(law.loaded for law in self.friction.laws) or any(e.domain == MOTOR_TORQUE for e in self.effects):
+            return s.decimate(self.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0], temperature=s.temperature,
+                                                    cutoff=s.cutoff))
+        # Friction needs all samples; the bodies' torque is as smooth as the motion.
+        smooth = s.decimate_motion(lambda rows: self.rigid_body(s.q[rows], s.qd[rows], s.qdd[rows])
+                                   + self._own_torque(s.qdd[rows]))
+        return smooth + s.decimate(self.friction.torque(s.qd, None, s.q))
 
     def _body_on(self, link: int, q: Array, qd: Array, qdd: Array) -> Array:
         """Regressor ``(N, n, 10)`` of a body rigidly on a link (from 1)."""
@@ -195,14 +209,12 @@ class Model(Summarised):
                              file=recording.source, field="q_i")
         used = self.provenance.get("filters", {})
         signals = preprocess(recording, cutoff=used.get("cutoff"), cutoff_decimation=used.get("cutoff_decimation"))
-        tau = self.inverse_dynamics(signals.q, signals.qd, signals.qdd, t=signals.t - signals.t[0],
-                                    temperature=signals.temperature, cutoff=signals.cutoff)
         # The spread of the parameters needs no filtering: it is taken at the decimated instants.
         q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
         columns = sensitivity(self.kinematics, self.base, self.friction, q, qd, qdd, self.rigid_body(q, qd, qdd))
         of_parameters = np.einsum("knp,pr,knr->kn", columns, self.covariance, columns, optimize=True)
         std = np.sqrt(np.maximum(of_parameters, 0.0) + self.noise_std**2)
-        return Prediction(signals.t_decimated, signals.decimate(tau), std, signals.decimate(signals.tau))
+        return Prediction(signals.t_decimated, self._decimated_torque(signals), std, signals.decimate(signals.tau))
 
     @classmethod
     def nominal(cls, robot: Robot) -> Model:

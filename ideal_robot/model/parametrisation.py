@@ -89,7 +89,7 @@ def sensitivity(model: pin.Model, base: BaseParameters, friction: PerJointFricti
         load: torque that the gears transmit ``(N, n)`` [N m].
     """
     n = model.nv
-    blocks = [full_regressor(model, q, qd, qdd)[:, :, list(base.independent)]]
+    blocks = [full_regressor(model, q, qd, qdd, base.independent)]
     for columns in (coefficient_columns, shape_columns):
         for j, law in enumerate(friction.laws):
             own = columns(law, qd[:, [j]], None if load is None else load[:, [j]], q[:, [j]])

@@ -16,12 +16,15 @@ import scipy
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.signals.filtered_at import filtered_at, not_zero
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.stamps import on_its_clock
 
 ORDER = 4
 """Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
 
+_FINE = 10.0
+"""Samples a period of the cut-off that are enough for motion below it."""
 _MINIMUM_SAMPLES = 100
 _GAP = 5.0
 """A pause longer than this many sampling steps is a hole; nothing near it is trusted."""
@@ -64,22 +67,30 @@ class FilteredSignals:
         """Filters and decimates ``(N, …)`` along the first axis and drops edges: ``(M, …)``, all columns alike."""
         return decimated(values, self.factor)[self.keep]
 
-    def decimate_of(self, columns: Callable[[slice], Array], block: int = 20_000) -> Array:
-        """As ``decimate``, of columns made piece by piece: long recordings need little more memory than short ones.
+    @property
+    def stride(self) -> int:
+        """Samples from one to the next that are enough for the motion: it has nothing above its cut-off."""
+        return max(1, min(int(1.0 / (self.dt * _FINE * self.cutoff)), self.factor // 5))
+
+    def decimate_motion(self, columns: Callable[[slice], Array], block: int = 20_000) -> Array:
+        """As ``decimate``, of smooth functions of the motion made piece by piece at every ``stride``-th sample alone.
+
+        Long recordings need little more memory than short ones.
 
         Args:
             columns: makes the rows of a slice of samples ``(k, …)``.
             block: samples a piece.
         """
-        count, overlap = len(self.t), 12 * self.factor
-        block = max(1, block // self.factor) * self.factor
-        parts = []
-        for start in range(0, count, block):
-            first, last = max(0, start - overlap), min(count, start + block + overlap)
-            piece = decimated(columns(slice(first, last)), self.factor)
-            skip = (start - first) // self.factor
-            parts.append(piece[skip: skip + -(-(min(start + block, count) - start) // self.factor)])
-        return np.concatenate(parts)[self.keep]
+        if self.factor == 1:
+            return columns(slice(None))[self.keep]
+        stride, reach = self.stride, 10 * self.factor
+        outputs = np.arange(0, len(self.t), self.factor)
+        pieces = []
+        for some in np.array_split(outputs, -(-len(self.t) // block)):
+            first = max(0, some[0] - reach) // stride * stride
+            rows = columns(slice(first, min(len(self.t), some[-1] + reach + 1), stride))
+            pieces.append(filtered_at(rows, (some - first) / stride, decimation_taps(self.factor), fine=stride))
+        return np.concatenate(pieces)[self.keep]
 
     @property
     def temperature(self) -> Array | None:
@@ -96,6 +107,71 @@ class FilteredSignals:
         return self.t[:: self.factor][self.keep]
 
 
+@dataclass(frozen=True)
+class EvenSignals:
+    """A recording brought to evenly spaced instants, not yet filtered.
+
+    Attributes:
+        t: ``(N,)`` [s].
+        hole: mask ``(N,)`` of the instants at which nothing was recorded.
+        q: positions ``(N, n)`` [rad].
+        tau: motor torque ``(N, n)`` [N m]; NaN where the recording has none.
+        source: where the recording came from.
+        columns: further columns, ``(N,)`` each.
+    """
+
+    t: Array
+    hole: np.ndarray
+    q: Array
+    tau: Array
+    source: str
+    columns: dict[str, Array] = field(default_factory=dict, repr=False)
+
+    def filtered(self, cutoff: float | None = None, cutoff_decimation: float | None = None) -> FilteredSignals:
+        """Filters and differentiates; arguments and errors as for ``preprocess``."""
+        dt = float(self.t[1] - self.t[0])
+        rate = 1.0 / dt
+        cutoff = chosen_cutoff(self.q, dt) if cutoff is None else float(cutoff)
+        if not 0 < cutoff < 0.5 * rate:
+            raise InputError(f"cut-off must lie between 0 and {0.5 * rate:.4g} Hz, half the sampling rate",
+                             file=self.source, field="cutoff", value=cutoff)
+        q = lowpass(self.q, dt, cutoff)
+        qd = np.gradient(q, dt, axis=0)
+        qdd = np.gradient(qd, dt, axis=0)
+        wanted = 0.5 * cutoff if cutoff_decimation is None else float(cutoff_decimation)
+        factor = max(1, round(0.5 * rate / wanted))
+        keep = _kept(self.hole, factor, edge=_edge_samples(rate, cutoff, factor))
+        if keep.sum() < 10:
+            raise InputError("too short: after filtering and removing the edges fewer than 10 samples are left",
+                             file=self.source, field="t", value=f"{self.t[-1] - self.t[0]:.3g} s")
+        return FilteredSignals(self.t, q, qd, qdd, self.tau, factor, cutoff, 0.5 * rate / factor, keep, self.source,
+                               self.columns)
+
+
+def evenly_sampled(recording: Recording, *, columns: bool = True) -> EvenSignals:
+    """A recording at evenly spaced instants.
+
+    Args:
+        recording: needs ``t`` and ``q_i``; ``tau_i`` may be missing.
+        columns: whether to take its other columns along.
+
+    Raises:
+        InputError: too few samples.
+    """
+    if len(recording.t) > 1 and np.all(np.diff(recording.t) > 0):
+        recording = on_its_clock(recording)
+    t, hole = uniform_time(recording)
+    if len(t) < _MINIMUM_SAMPLES:
+        raise InputError(f"too short: at least {_MINIMUM_SAMPLES} samples are needed", file=recording.source, field="t",
+                         value=len(t))
+    q = resampled(recording.t, recording.joints("q"), t, smooth=True)
+    tau = (resampled(recording.t, recording.joints("tau"), t) if recording.has("tau") else np.full_like(q, np.nan))
+    names = [name for name in recording.columns if name != "t" and columns]
+    others = (resampled(recording.t, np.array([recording.columns[name] for name in names]).T, t) if names
+              else np.empty((0, 0)))
+    return EvenSignals(t, hole, q, tau, recording.source, dict(zip(names, others.T, strict=True)))
+
+
 def preprocess(recording: Recording, *, cutoff: float | None = None,
                cutoff_decimation: float | None = None) -> FilteredSignals:
     """Filters and differentiates a recording.
@@ -108,34 +184,7 @@ def preprocess(recording: Recording, *, cutoff: float | None = None,
     Raises:
         InputError: too few samples, or a cut-off the sampling rate does not allow.
     """
-    if len(recording.t) > 1 and np.all(np.diff(recording.t) > 0):
-        recording = on_its_clock(recording)
-    t, hole = uniform_time(recording)
-    if len(t) < _MINIMUM_SAMPLES:
-        raise InputError(f"too short: at least {_MINIMUM_SAMPLES} samples are needed", file=recording.source, field="t",
-                         value=len(t))
-    dt = float(t[1] - t[0])
-    rate = 1.0 / dt
-    q_raw = resampled(recording.t, recording.joints("q"), t, smooth=True)
-    tau = (resampled(recording.t, recording.joints("tau"), t) if recording.has("tau")
-           else np.full_like(q_raw, np.nan))
-    cutoff = chosen_cutoff(q_raw, dt) if cutoff is None else float(cutoff)
-    if not 0 < cutoff < 0.5 * rate:
-        raise InputError(f"cut-off must lie between 0 and {0.5 * rate:.4g} Hz, half the sampling rate",
-                         file=recording.source, field="cutoff", value=cutoff)
-    q = lowpass(q_raw, dt, cutoff)
-    qd = np.gradient(q, dt, axis=0)
-    qdd = np.gradient(qd, dt, axis=0)
-    wanted = 0.5 * cutoff if cutoff_decimation is None else float(cutoff_decimation)
-    factor = max(1, round(0.5 * rate / wanted))
-    keep = _kept(hole, factor, edge=_edge_samples(rate, cutoff, factor))
-    if keep.sum() < 10:
-        raise InputError("too short: after filtering and removing the edges fewer than 10 samples are left",
-                         file=recording.source, field="t", value=f"{t[-1] - t[0]:.3g} s")
-    names = [name for name in recording.columns if name != "t"]
-    others = resampled(recording.t, np.array([recording.columns[name] for name in names]).T, t)
-    return FilteredSignals(t, q, qd, qdd, tau, factor, cutoff, 0.5 * rate / factor, keep, recording.source,
-                           dict(zip(names, others.T, strict=True)))
+    return evenly_sampled(recording).filtered(cutoff, cutoff_decimation)
 
 
 def uniform_time(recording: Recording) -> tuple[Array, np.ndarray]:
@@ -178,10 +227,16 @@ def lowpass(values: Array, dt: float, cutoff: float) -> Array:
         dt: time step [s].
         cutoff: [Hz].
     """
-    sos = scipy.signal.butter(ORDER, 2.0 * cutoff * dt, output="sos")
+    sos = _sections(2.0 * cutoff * dt)
     # Padding as long as the filter remembers; the default is too short for low cut-offs.
     pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
     return _column_by_column(values, lambda rows: scipy.signal.sosfiltfilt(sos, rows, axis=1, padlen=pad))
+
+
+@cache
+def _sections(share: float) -> Array:
+    """The low-pass in sections of second order; ``share`` is its cut-off over half the sampling rate."""
+    return np.asarray(scipy.signal.butter(ORDER, share, output="sos"))
 
 
 def decimated(values: Array, factor: int) -> Array:
@@ -214,10 +269,10 @@ def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Arra
     """
     if np.ndim(values) == 1:
         return filtered(np.asarray(values, dtype=float)[None])[0]
-    columns = np.asarray(values, dtype=float).reshape(len(values), -1)
-    live = columns.any(axis=0)
-    rows = filtered(np.ascontiguousarray(columns[:, live].T) if live.any() else np.zeros((1, len(values))))
-    result = np.zeros((rows.shape[1], columns.shape[1]))
+    columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
+    live = not_zero(columns)
+    rows = filtered(np.ascontiguousarray(columns[live]) if live.any() else np.zeros((1, len(values))))
+    result = np.zeros((rows.shape[1], len(columns)))
     if live.any():
         result[:, live] = rows.T
     return result.reshape(len(result), *np.shape(values)[1:])

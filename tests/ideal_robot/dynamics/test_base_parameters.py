@@ -52,6 +52,16 @@ def test_regressor_gives_the_torques_of_newton_and_euler(model: pin.Model) -> No
     np.testing.assert_allclose(parts, by_regressor, atol=1e-11)
 
 
+def test_regressor_is_pinocchios(model: pin.Model) -> None:
+    q, qd, qdd = motion(model)
+    data = model.createData()
+    theirs = np.array([pin.computeJointTorqueRegressor(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+    np.testing.assert_allclose(regressor(model, q, qd, qdd), theirs, atol=1e-11)
+    some = [3, 11, 12 * model.nv - 1, 10 * model.nv]
+    all_columns = full_regressor(model, q, qd, qdd)
+    np.testing.assert_array_equal(full_regressor(model, q, qd, qdd, some), all_columns[:, :, some])
+
+
 def test_grouped_parameters_give_the_same_torques(model: pin.Model) -> None:
     base = base_parameters(model)
     rng = np.random.default_rng(3)

@@ -12,8 +12,8 @@ from ideal_robot.signals.recording import Recording
 T = np.arange(0.0, 40.0, 0.002)
 
 
-def columns(s: FilteredSignals) -> Array:
-    return np.stack([s.qdd, s.qd, s.q], axis=-1)
+def columns(s: FilteredSignals, stride: int) -> Array:
+    return np.stack([s.qdd, s.qd, s.q], axis=-1)[::stride]
 
 
 def chosen(scale: float, frequency: float, rng: np.random.Generator) -> CutoffChoice:
