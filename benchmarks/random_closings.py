@@ -1,12 +1,13 @@
-"""Closings of arms drawn at random: never worse than before, and how close to an oracle.
+"""Closings of arms and cameras drawn at random: never worse than before, and how close to an oracle.
 
 ``python -m benchmarks.random_closings --count 100 --file closings.jsonl`` plays and appends one line a closing; what
-the file holds already is not played again. ``--table`` prints what a file says, as Markdown.
+the file holds already is not played again. Two processes share the work: ``--first 0 --step 2 --file even.jsonl`` and
+``--first 1 --step 2 --file odd.jsonl``. ``--table --file even.jsonl odd.jsonl`` prints what the files say, as Markdown.
 
-Drawn, by the seed: robot, individual, circle (place, size, speed), what the arm measures (half: motor angles and
-currents alone), and its misfit: a fifth have none, a fifth one outside the library, the others one or two effects of
-a random joint, two to ten times what can be seen at all (a quarter of 0.5 % of the torque limit, of 20 µrad of arm
-angle or of 20 µm of the tool).
+Drawn, by the seed: path or line (every fifth), robot, individual, place, size and speed, what the arm measures (half:
+motor angles and currents alone), and the misfit: a fifth have none, a fifth one outside the library, the others one or
+two effects, two to ten times what can be seen at all (of an arm: a quarter of 0.5 % of the torque limit, of 20 µrad of
+arm angle or of 20 µm of the tool; of a camera: see ``benchmarks.random_lines``).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.outside_library import close_outside, crossed_drag, place_friction, slack_at_first
-from ideal_robot.errors import IdealRobotError
+from benchmarks.random_lines import closed_line
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.models import model_for
@@ -96,23 +98,37 @@ def drawn_misfit(rng: np.random.Generator, robot: Robot, world: World, count: in
 
 
 def one_closing(seed: int, individuals: int, rounds: int) -> dict[str, Any]:
-    """Draws and closes one arm."""
+    """Draws and closes one arm, or one camera.
+
+    Args:
+        seed: of all that is drawn.
+        individuals: arms of each type.
+        rounds: of run and diagnosis, at most.
+    """
     rng = np.random.default_rng([seed, 14])
     kind = ("none", "outside", "library", "library", "library")[seed % 5]
     measured = "motor" if (seed // 5) % 2 == 0 else "tcp"
-    scene, begun, wall = drawn_scene(rng, individuals), time.process_time(), time.monotonic()
-    robot = Robot.load(scene.robot)
-    cell = set_up(scene, delay=False, model=model_for(scene, robot))
-    line: dict[str, Any] = {"seed": seed, "robot": scene.robot, "individual": cell.world.individual, "kind": kind,
-                            "measured": measured, "speed": scene.speed, "size_mm": scene.path.size_mm}
+    begun, wall = time.process_time(), time.monotonic()
+    line: dict[str, Any] = {"seed": seed, "kind": kind, "measured": measured}
     try:
-        result, line["misfit"] = _closed(rng, kind, scene, cell, robot, measured, rounds)
+        if (seed // 10) % 2 == 1 and seed % 5 in (0, 4):
+            line |= {"scene": "line", **closed_line(rng, kind == "none", measured)}
+        else:
+            line |= {"scene": "path", **_closed_path(rng, kind, measured, individuals, rounds)}
     except IdealRobotError as error:
         return {**line, "failed": str(error)}
+    return {**line, "cpu_s": time.process_time() - begun, "wall_s": time.monotonic() - wall}
+
+
+def _closed_path(rng: np.random.Generator, kind: str, measured: str, individuals: int, rounds: int) -> dict[str, Any]:
+    scene = drawn_scene(rng, individuals)
+    robot = Robot.load(scene.robot)
+    cell = set_up(scene, delay=False, model=model_for(scene, robot))
+    result, misfit = _closed(rng, kind, scene, cell, robot, measured, rounds)
     values = result.json()
-    return {**line, "E_car_aligned_mm": values["E_car_aligned_mm"],
-            "undeclared": values["undeclared"], "steps": values["steps"],
-            "cpu_s": time.process_time() - begun, "wall_s": time.monotonic() - wall}
+    return {"robot": scene.robot, "individual": cell.world.individual, "speed": scene.speed,
+            "size_mm": scene.path.size_mm, "misfit": misfit, "error_mm": values["E_car_aligned_mm"],
+            "undeclared": values["undeclared"], "steps": values["steps"]}
 
 
 def _closed(rng: np.random.Generator, kind: str, scene: PathScene, cell: PathCell, robot: Robot, measured: str,
@@ -134,25 +150,32 @@ def _closed(rng: np.random.Generator, kind: str, scene: PathScene, cell: PathCel
 
 
 def table(lines: list[dict[str, Any]]) -> str:
-    """What the closings say, as Markdown."""
+    """What the closings say, as Markdown.
+
+    Raises:
+        InputError: there are none.
+    """
     played = [one for one in lines if "failed" not in one]
-    errors = np.array([[one["E_car_aligned_mm"][name] for name in ("before", "after", "oracle")] for one in played])
-    rows = ["| what | " + " | ".join(("all", "motor", "tcp", "none", "outside", "library")) + " |",
-            "| --- |" + " --- |" * 6]
-    groups = [np.ones(len(played), dtype=bool), *[np.array([one["measured"] == m for one in played]) for m in
-                                                  ("motor", "tcp")],
-              *[np.array([one["kind"] == k for one in played]) for k in ("none", "outside", "library")]]
+    if not played:
+        raise InputError("no closing has been played yet", field="--file")
+    errors = np.array([[one["error_mm"][name] for name in ("before", "after", "oracle")] for one in played])
+    groups = {"all": np.ones(len(played), dtype=bool)}
+    for key, values in (("measured", ("motor", "tcp")), ("scene", ("path", "line")),
+                        ("kind", ("none", "outside", "library"))):
+        groups |= {value: np.array([one[key] == value for one in played]) for value in values}
+    rows = ["| what | " + " | ".join(groups) + " |", "| --- |" + " --- |" * len(groups)]
     worse = errors[:, 1] > errors[:, 0] + np.maximum(WORSE_SHARE * errors[:, 0], WORSE_LEAST)
     ratio = errors[:, 1] / errors[:, 2]
     taken = np.array([any(step["taken"] for step in one["steps"]) for one in played])
 
     def row(name: str, cell: Any) -> None:
-        rows.append(f"| {name} | " + " | ".join(cell(g) if g.any() else "" for g in groups) + " |")
+        rows.append(f"| {name} | " + " | ".join(cell(g) if g.any() else "" for g in groups.values()) + " |")
 
     row("closings", lambda g: str(int(g.sum())))
     row("worse than before by more than 5 % and 3 µm", lambda g: str(int(worse[g].sum())))
     row("model changed", lambda g: str(int(taken[g].sum())))
     row("median after / before", lambda g: f"{np.median(errors[g, 1] / errors[g, 0]):.2f}")
+    row("median oracle / before", lambda g: f"{np.median(errors[g, 2] / errors[g, 0]):.2f}")
     row("median after / oracle", lambda g: f"{np.median(ratio[g]):.2f}")
     row("after ≤ 1.5 × oracle", lambda g: f"{int(np.sum(ratio[g] <= 1.5))} of {int(g.sum())}")
     if len(played) < len(lines):
@@ -165,26 +188,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--step", type=int, default=1, help="of the seeds: 2 where another process plays the others")
     parser.add_argument("--individuals", type=int, default=3,
                         help="arms of each type; all but the first are identified")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--file", type=Path, default=Path("closings.jsonl"))
+    parser.add_argument("--file", type=Path, nargs="+", default=[Path("closings.jsonl")],
+                        help="the first one is appended to; what any of them holds is not played again")
     parser.add_argument("--table", action="store_true")
     given = parser.parse_args()
-    lines = [json.loads(line) for line in given.file.read_text(encoding="utf-8").splitlines()] if given.file.exists() \
-        else []
+    texts = [file.read_text(encoding="utf-8") for file in given.file if file.exists()]
+    lines = [json.loads(line) for text in texts for line in text.splitlines()]
     if given.table:
         print(table(lines))
         return
     done = {line["seed"] for line in lines}
-    for seed in range(given.first, given.first + given.count):
+    for seed in range(given.first, given.first + given.count, given.step):
         if seed in done:
             continue
         line = one_closing(seed, given.individuals, given.rounds)
-        with given.file.open("a", encoding="utf-8") as file:
+        with given.file[0].open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
-        print(json.dumps({key: line.get(key) for key in ("seed", "kind", "measured", "E_car_aligned_mm", "failed")}),
-              flush=True)
+        print(json.dumps({key: line.get(key) for key in ("seed", "scene", "kind", "measured", "error_mm", "cpu_s",
+                                                         "failed")}), flush=True)
 
 
 if __name__ == "__main__":

@@ -53,7 +53,20 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
     Raises:
         InputError: a scene whose camera is right.
     """
-    undeclared = undeclared_effects(scene)
+    return closed(scene, undeclared_effects(scene), measured=measured, out=out, progress=progress)
+
+
+def closed(scene: LineScene, undeclared: tuple[str, ...], *, measured: str = "tcp", out: Path | None = None,
+           progress: Progress = silent) -> CloseLineResult:
+    """The same with what an oracle is told, which may be nothing.
+
+    Args:
+        scene: what to play.
+        undeclared: names of the effects by which the camera differs from what its follower knows.
+        measured: what the arm measures.
+        out: folder for recording, model and report; nothing is written without.
+        progress: called with the fraction done.
+    """
     seen_by = checked_measured(measured)
     cell = set_up(scene)
     robot, model = cell.robot, model_for(scene, cell.robot)
@@ -90,8 +103,8 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
                 break
             extended, present, error = candidate, tried, reached
         progress(0.75, "oracle")
-        told = with_effects(model, named_camera_effects(run, robot, model, undeclared))
-        oracle = again(told)
+        told = with_effects(model, named_camera_effects(run, robot, model, undeclared)) if undeclared else model
+        oracle = again(told) if undeclared else before
         progress(0.9, "true")
         known = with_effects(model, _true_stamps(scene))
         right = dataclasses.replace(shared, believed=cell.true_camera) if not scene.calibration.by_moving else shared

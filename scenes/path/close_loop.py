@@ -84,8 +84,7 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
     seen_by = checked_measured(measured)
     progress(0.0, "before")
     known, before = cell.model, cell.play(cell.feedforward(IDEAL))
-    error = measured_error(before, cell.path, cell.robot, known, seen_by)
-    first = error
+    first = measured_error(before, cell.path, cell.robot, known, seen_by)
     steps: tuple[Step, ...] = ()
     present = before
     rounds: list[tuple[Diagnosis, Recording]] = []
@@ -99,19 +98,19 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
             # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
             diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=partial(_shifted, progress, share))
             rounds.append((diagnosis, moved))
-            model, error, tried = adopt_on_path(cell, diagnosis, present, known, seen_by, round_, error)
+            model, present, tried = adopt_on_path(cell, diagnosis, moved, present, known, seen_by, round_)
             steps += tried
             if ask and model is cell.model and plan is None:
                 # Before it gives up: what could not be told apart may be told by another motion.
                 plan = asked_motion(cell, diagnosis, moved, seen_by, round_, part_of(progress, share + 0.15, 0.1))
-                if plan is not None and plan.diagnosis is not None:
-                    model, error, tried = adopt_on_path(cell, plan.diagnosis, present, known, seen_by, round_, error)
+                if plan is not None and plan.diagnosis is not None and plan.recording is not None:
+                    model, present, tried = adopt_on_path(cell, plan.diagnosis, plan.recording, present, known,
+                                                          seen_by, round_)
                     steps += tried
             if model is cell.model:
                 break
             keep.model(model)
             cell = dataclasses.replace(cell, model=model)
-            present = cell.play(cell.feedforward(IDEAL))
         keep.round = 0
         progress(0.9, "oracle")
         found, recording = rounds[0]

@@ -13,7 +13,7 @@ from sim.arm.world import World
 EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
     "stribeck": ("stribeck",), "stribeck_velocity": ("stribeck",), "presliding": ("presliding_hysteresis",),
     "stiffness": ("joint_elasticity",), "viscous": ("viscous",), "coulomb": ("coulomb",),
-    "friction_asymmetry": ("asymmetric_friction",), "friction_scale": ("coulomb", "viscous"),
+    "friction_asymmetry": ("asymmetric_friction", "current_offset"), "friction_scale": ("coulomb", "viscous"),
     "backlash": ("backlash",), "degressive": ("degressive",), "degressive_velocity": ("degressive",),
     "load_friction": ("load_dependent_friction",), "extra_rotor_inertia": ("rotor_inertia",),
     "torque_ripple": ("torque_ripple",), "transmission_error": ("transmission_error",),

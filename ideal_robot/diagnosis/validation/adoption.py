@@ -38,7 +38,7 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
         run: another recording of the same arm; only what was measured is looked at.
         robot: the arm.
     """
-    kept = dataclasses.replace(known, effects=known.effects + _behind_gears(known, found, run, robot))
+    kept = dataclasses.replace(known, effects=known.effects + behind_gears(known, found, run, robot))
     fitted = found.model
     if fitted is None:
         return kept
@@ -72,8 +72,15 @@ def with_joint(model: Model, fitted: Model, joint: int, effects: tuple[FittedEff
     return dataclasses.replace(model, friction=PerJointFriction(laws), effects=model.effects + effects)
 
 
-def _behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> tuple[FittedEffect, ...]:
-    """Effects of the measured arm angles that also lower the error of those of the run."""
+def behind_gears(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> tuple[FittedEffect, ...]:
+    """Effects of the measured arm angles that also lower the error of those of the run.
+
+    Args:
+        known: the model that the diagnosis was given.
+        found: what it found in one recording.
+        run: another recording of the same arm.
+        robot: the arm.
+    """
     behind = [f.fitted for f in found.effects if f.fitted.domain == ARM_POSITION]
     arm = arm_angle_regression(run, robot, torque_regression(run, robot, known), known.stiffness) if behind else None
     if arm is None:

@@ -1,4 +1,4 @@
-"""An oracle: given the names and joints of effects, it estimates their size, and the model's parameters with them."""
+"""An oracle: given the names and joints of effects, it estimates their size."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
 from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
@@ -16,9 +15,8 @@ from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import fitted_effect
-from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
+from ideal_robot.diagnosis.validation.held_fit import held_problem
 from ideal_robot.effects import (
     ARM_POSITION,
     MOTOR_TORQUE,
@@ -39,12 +37,11 @@ from ideal_robot.signals.recording import Recording
 
 def with_named_effects(recording: Recording, robot: Robot, model: Model,
                        effects: tuple[tuple[str, int], ...]) -> Model:
-    """The model with the named effects, estimated jointly with its parameters.
+    """The model with the named effects, each kind of measurement's together, beside the model as it is.
 
-    An effect that shows in measured arm angles or at the measured tool is estimated there, else in the torque. Those of
-    the torque and the
-    parameters of the model are one fit, and the model returned is that of the fit: the effects on top of the
-    parameters of before would count twice what both describe.
+    An effect that shows in measured arm angles or at the measured tool is estimated there, else in the torque. The
+    model's parameters are held: they are right but for what is named, and what one recording tells badly of them would
+    bend another motion.
 
     Args:
         recording: as for ``diagnose``.
@@ -57,29 +54,24 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     """
     (recording,), _ = checked([recording], robot)
     torque = torque_regression(recording, robot, model, payload=True)
-    made = [(domain, build(recording, robot, torque, model.stiffness)) for domain, build in
-            ((ARM_POSITION, arm_angle_regression), (TCP_POSITION, tool_regression))]
-    found, result = [], model
+    made: list[tuple[Domain, Regression | None]] = [
+        (domain, build(recording, robot, torque, model.stiffness)) for domain, build in
+        ((ARM_POSITION, arm_angle_regression), (TCP_POSITION, tool_regression))]
+    made.append((MOTOR_TORQUE, torque))
+    wanted: dict[Domain, list[tuple[list[Effect], int]]] = {}
     for name, joint in effects:
-        places = [(regression, _named(name, domain)) for domain, regression in made if regression is not None]
-        behind = next(((regression, kinds) for regression, kinds in places if kinds), None)
-        if behind is not None:
-            found.append(_estimated(*behind, joint, None)[0])
-            continue
-        kinds = _named(name, MOTOR_TORQUE)
-        if not kinds:
-            if name in names():
-                # This arm measures nothing in which it shows.
-                continue
+        place = next((domain for domain, regression in made if regression is not None and _named(name, domain)), None)
+        if place is not None:
+            wanted.setdefault(place, []).append((_named(name, place), joint))
+        elif name not in names():
             raise InputError("no such effect", field="effect", value=name)
-        if kinds[0].absorbed_by_base:
-            # A change of parameters beside parameters that are free could be anything: those of before are held.
-            result = result.with_effects((_alone(recording, robot, result, kinds[0], joint),))
+    found: list[FittedEffect] = []
+    for domain, regression in made:
+        if regression is None or domain not in wanted:
             continue
-        # With what was estimated before in the model, as its parameters now are.
-        effect, change = _estimated(torque_regression(recording, robot, result, payload=True), kinds, joint, result)
-        result = with_parameters(result, change).with_effects((effect,))
-    return result.with_effects(tuple(found))
+        problem = held_problem(regression, model) if domain == MOTOR_TORQUE else _free_problem(regression)
+        found += _together(problem, wanted[domain])
+    return model.with_effects(tuple(found))
 
 
 def named_camera_effect(recording: Recording, robot: Robot, model: Model, name: str) -> FittedEffect:
@@ -145,41 +137,35 @@ def _named(name: str, domain: Domain) -> list[Effect]:
     return [effect for effect in library() if effect.name == name and effect.domain == domain]
 
 
-def _estimated(regression: Regression, kinds: Sequence[Effect], joint: int,
-               model: Model | None) -> tuple[FittedEffect, Array]:
-    """The form and start of an effect that leaves least, with the change of the model's parameters."""
+def _free_problem(regression: Regression) -> Problem:
     blocks = time_blocks(len(regression.t), float(regression.t[1] - regression.t[0]), held_out=False)
-    problem = Problem(regression, blocks.without_folds())
-    if model is not None and np.any(model.covariance):
-        problem = problem.with_prior(prior_precision(model, problem))
-    best: tuple[float, Candidate] | None = None
-    for effect in kinds:
-        for theta in _starts(problem, effect, joint):
-            candidate = Candidate(effect, joint, theta)
-            left = problem.fit([candidate]).residual(regression, [candidate])
-            loss = float(np.sum(np.log(np.mean(np.where(regression.use, left, 0.0) ** 2, axis=0) + 1e-300)))
-            if best is None or loss < best[0]:
-                best = loss, candidate
-    if best is None:
-        raise InputError("the effect has nothing to start from in this recording", field="effect", value=kinds[0].name)
-    final = problem.fit([best[1]], uncertainty=True)
-    return fitted_effect(best[1], final, 0), final.change
+    return Problem(regression, blocks.without_folds())
 
 
-def _starts(problem: Problem, effect: Effect, joint: int) -> Sequence[tuple[float, ...]]:
+def _together(problem: Problem, wanted: Sequence[tuple[Sequence[Effect], int]]) -> list[FittedEffect]:
+    """Effects in one fit; of each the form and start that leave least beside those before it."""
+    regression, chosen = problem.regression, list[Candidate]()
+    for kinds, joint in wanted:
+        best: tuple[float, Candidate] | None = None
+        for effect in kinds:
+            for theta in _starts(problem, effect, joint, chosen):
+                candidate = Candidate(effect, joint, theta)
+                left = problem.fit([*chosen, candidate]).residual(regression, [*chosen, candidate])
+                loss = float(np.sum(np.log(np.mean(np.where(regression.use, left, 0.0) ** 2, axis=0) + 1e-300)))
+                if best is None or loss < best[0]:
+                    best = loss, candidate
+        if best is None:
+            raise InputError("the effect has nothing to start from in this recording", field="effect",
+                             value=kinds[0].name)
+        chosen.append(best[1])
+    final = problem.fit(chosen, uncertainty=True)
+    return [fitted_effect(candidate, final, k) for k, candidate in enumerate(chosen)]
+
+
+def _starts(problem: Problem, effect: Effect, joint: int, beside: Sequence[Candidate]) -> Sequence[tuple[float, ...]]:
     """Values of theta to start from, of a scanned effect those that the residual suggests."""
     regression = problem.regression
     if not effect.scanned:
         return effect.starts(regression.signals, joint)
-    left = problem.fit([]).residual(regression, [])
+    left = problem.fit(beside).residual(regression, beside)
     return effect.starts_from_residual(regression.decimated_signals(), joint, left, regression.use)[0]
-
-
-def _alone(recording: Recording, robot: Robot, model: Model, effect: Effect, joint: int) -> FittedEffect:
-    """An effect of the torque without nonlinear parameters, beside a model whose parameters are held."""
-    made = torque_regression(recording, robot, model, payload=True)
-    columns = made.decimate(effect.columns(made.signals, joint, ()))
-    weight = np.where(made.use, 1.0 / np.maximum(made.noise_floor, 1e-12), 0.0)
-    rows = (weight[:, :, None] * columns).reshape(-1, columns.shape[2])
-    size = np.linalg.lstsq(rows, (weight * made.y).ravel(), rcond=1e-6)[0]
-    return FittedEffect(effect.name, joint, effect.channel(joint), tuple(float(value) for value in size))

@@ -73,8 +73,8 @@ def test_an_interrupted_closing_leaves_the_last_good_model(tmp_path: Path, monke
             raise KeyboardInterrupt
         return None
 
-    def adopt(cell: PathCell, found: object, before: object, known: Model, *rest: object) -> tuple:
-        return known.with_effects((FittedEffect("current_offset", 2, "tau_2", (3.0,)),)), 1e-4, ()
+    def adopt(cell: PathCell, found: object, moved: object, before: object, known: Model, *rest: object) -> tuple:
+        return known.with_effects((FittedEffect("current_offset", 2, "tau_2", (3.0,)),)), before, ()
 
     monkeypatch.setattr(module, "diagnose", diagnose)
     monkeypatch.setattr(module, "adopt_on_path", adopt)

@@ -1,0 +1,146 @@
+"""Changes of the model that a diagnosis suggests, in the forms in which they may be taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.diagnosis.validation.adoption import adopted, behind_gears, with_joint
+from ideal_robot.diagnosis.validation.held_fit import beside_held_model
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.measured import Measured
+
+_ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
+                "motor angles and currents do not")
+_HELD = "the model's parameters held"
+_REFITTED = "with the joint's friction fitted anew"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One form of a change.
+
+    Attributes:
+        label: what it is.
+        change: makes the changed model of the present one.
+        effects: that it adds.
+    """
+
+    label: str
+    change: Callable[[Model], Model]
+    effects: tuple[FittedEffect, ...]
+
+    @classmethod
+    def adding(cls, label: str, effects: tuple[FittedEffect, ...]) -> Candidate:
+        """Effects on top of the model."""
+        return cls(label, partial(_added, effects=effects), effects)
+
+    @property
+    def at_tool(self) -> bool:
+        """Whether it was seen at the tool."""
+        return all(effect.domain == TCP_POSITION for effect in self.effects)
+
+    @property
+    def shows_in_loop(self) -> bool:
+        """Whether joints move otherwise with it; where the tool is for given joints does not show there."""
+        changes = [effect.effect.loop_change(effect.coefficients, effect.theta) for effect in self.effects]
+        return not all(change.geometry is not None or change.zero for change in changes)
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """What is not tried.
+
+    Attributes:
+        label: what was found.
+        reason: why not.
+    """
+
+    label: str
+    reason: str
+
+
+Forms = tuple[Candidate, ...]
+
+
+def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording, robot: Robot,
+               measured: Measured) -> tuple[Forms, list[Forms], list[Refusal]]:
+    """Everything together, joint by joint, and what is not tried.
+
+    Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction that
+    their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb term.
+
+    Args:
+        model: that the diagnosis was given.
+        found: what it found.
+        moved: the recording it was found in.
+        run: the last play of the path, as far as it was measured.
+        robot: the arm.
+        measured: what the arm measures.
+    """
+    refused, torque, behind = _sorted(found, measured)
+    whole_behind = () if measured == "motor" else behind_gears(model, found, run, robot)
+    # What does not act on the path takes its share of the recording all the same.
+    of_torque = [one.fitted for one in (*found.effects, *found.unknown)]
+    sized = beside_held_model(moved, robot, model, of_torque)
+    held = tuple(effect for effect in sized if _place(effect) in {_place(one) for one in torque})
+    whole: list[Candidate] = []
+    if held or whole_behind:
+        whole.append(Candidate.adding(f"all that was found, {_HELD}", (*held, *whole_behind)))
+    predicting = adopted(model, found, run, robot)
+    more = predicting.effects[len(model.effects):]
+    if more and not (measured == "motor" and any(map(_behind_gear, more))):
+        whole.append(Candidate("all that predict the run better", lambda _: predicting, more))
+    apart: list[Forms] = [(Candidate.adding(_name(effect), (effect,)),) for effect in behind]
+    for joint in dict.fromkeys(effect.joint for effect in torque):
+        own = tuple(effect for effect in torque if effect.joint == joint)
+        of_held = tuple(effect for effect in held if effect.joint == joint)
+        label = " and ".join(effect.name for effect in own) + (f" in joint {joint}" if joint else "")
+        forms = [Candidate.adding(f"{label}, {_HELD}", of_held)] if of_held else []
+        if found.model is not None and joint:
+            forms.append(Candidate(f"{label}, {_REFITTED}", partial(with_joint, fitted=found.model, joint=joint,
+                                                                    effects=own), own))
+        if forms:
+            apart.append(tuple(forms))
+    return tuple(whole), apart, refused
+
+
+def _sorted(found: Diagnosis, measured: Measured) -> tuple[list[Refusal], list[FittedEffect], list[FittedEffect]]:
+    """What is not tried, effects of the torque, and those behind the gears."""
+    refused, torque, behind = list[Refusal](), list[FittedEffect](), list[FittedEffect]()
+    for one in (*found.effects, *found.unknown):
+        effect = one.fitted
+        nowhere = effect.effect.loop_change(effect.coefficients, effect.theta).nowhere
+        if effect.domain == SENSOR:
+            nowhere = "no sensor takes part in this path"
+        if nowhere:
+            refused.append(Refusal(_name(effect), f"does not act: {nowhere}"))
+        elif effect.domain != MOTOR_TORQUE:
+            behind.append(effect)
+        elif measured == "motor" and _behind_gear(effect):
+            refused.append(Refusal(_name(effect), _ONLY_BEHIND))
+        else:
+            torque.append(effect)
+    return refused, torque, behind
+
+
+def _added(model: Model, effects: tuple[FittedEffect, ...]) -> Model:
+    return model.with_effects(effects)
+
+
+def _place(effect: FittedEffect) -> tuple[str, str, tuple[float, ...]]:
+    return effect.name, f"{effect.channel}:{effect.joint}:{dict(effect.data)}", effect.theta
+
+
+def _name(effect: FittedEffect) -> str:
+    return f"{effect.name} in joint {effect.joint}" if effect.joint else effect.name
+
+
+def _behind_gear(effect: FittedEffect) -> bool:
+    change = effect.effect.loop_change(effect.coefficients, effect.theta)
+    return change.gear_compliance is not None or bool(change.half_gap) or bool(change.zero)
