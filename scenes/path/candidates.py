@@ -17,6 +17,7 @@ from scenes.measured import Measured
 
 _ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
                 "motor angles and currents do not")
+_SHOWN_BEHIND = "the arm angles, which are measured, show what a gear gives better than currents"
 _HELD = "the model's parameters held"
 _REFITTED = "with the joint's friction fitted anew"
 
@@ -94,7 +95,7 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
         whole.append(Candidate.adding(f"all that was found, {_HELD}", (*held, *whole_behind)))
     predicting = adopted(model, found, run, robot)
     more = predicting.effects[len(model.effects):]
-    if more and not (measured == "motor" and any(map(_behind_gear, more))):
+    if more and not any(_not_of_currents(effect, measured) for effect in more):
         whole.append(Candidate("all that predict the run better", lambda _: predicting, more))
     apart: list[Forms] = [(Candidate.adding(_name(effect), (effect,)),) for effect in behind]
     for joint in dict.fromkeys(effect.joint for effect in torque):
@@ -120,10 +121,10 @@ def _sorted(found: Diagnosis, measured: Measured) -> tuple[list[Refusal], list[F
             nowhere = "no sensor takes part in this path"
         if nowhere:
             refused.append(Refusal(_name(effect), f"does not act: {nowhere}"))
+        elif reason := _not_of_currents(effect, measured):
+            refused.append(Refusal(_name(effect), reason))
         elif effect.domain != MOTOR_TORQUE:
             behind.append(effect)
-        elif measured == "motor" and _behind_gear(effect):
-            refused.append(Refusal(_name(effect), _ONLY_BEHIND))
         else:
             torque.append(effect)
     return refused, torque, behind
@@ -141,6 +142,12 @@ def _name(effect: FittedEffect) -> str:
     return f"{effect.name} in joint {effect.joint}" if effect.joint else effect.name
 
 
-def _behind_gear(effect: FittedEffect) -> bool:
+def _not_of_currents(effect: FittedEffect, measured: Measured) -> str:
+    """Why what currents say of a gear or a joint's zero is not taken; empty where it may be, or they did not say it."""
     change = effect.effect.loop_change(effect.coefficients, effect.theta)
-    return change.gear_compliance is not None or bool(change.half_gap) or bool(change.zero)
+    gear = change.gear_compliance is not None or bool(change.half_gap)
+    if effect.domain != MOTOR_TORQUE or not (gear or change.zero):
+        return ""
+    if measured == "motor":
+        return _ONLY_BEHIND
+    return _SHOWN_BEHIND if gear else ""

@@ -20,7 +20,7 @@ from scenes.path.player import Play
 def left_unexplained(cell: PathCell, model: Model, played: Play, measured: Measured) -> float:
     """Root mean square distance between the measured joints and those of a model's loop on the same commands [m].
 
-    At the tool, without a constant difference, which says nothing of motion.
+    At the tool, as an aligned path error.
 
     Args:
         cell: path, arm and how commands reach it.
@@ -38,8 +38,12 @@ def left_unexplained(cell: PathCell, model: Model, played: Play, measured: Measu
     t = motion.t[: len(counts)][counts]
     seen = np.column_stack([np.interp(t, recording.t, column) for column in angles.T])
     expected = (motion.q_m if measured == "motor" else motion.q_a)[: len(counts)][counts]
-    apart = _tool(cell.robot, seen) - _tool(cell.robot, expected)
-    return float(np.sqrt(np.mean(np.sum((apart - apart.mean(axis=0)) ** 2, axis=1))))
+    at = _tool(cell.robot, expected)
+    apart = _tool(cell.robot, seen) - at
+    # As an aligned path error: without a constant difference and a constant delay.
+    apart, speed = apart - apart.mean(axis=0), np.gradient(at, axis=0)
+    apart -= speed * np.sum(apart * speed) / max(np.sum(speed**2), 1e-300)
+    return float(np.sqrt(np.mean(np.sum(apart**2, axis=1))))
 
 
 def _tool(robot: Robot, q: Array) -> Array:
