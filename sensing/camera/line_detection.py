@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel, pixel_rays
+from sensing.camera.confirmed_points import confirmed_points
 from sensing.camera.field import Field
 from sensing.camera.line_profile import MAX_CANDIDATES, find_sections
 from sensing.camera.line_search import DetectionSettings, PredictedLine, predict_image, search_windows
@@ -168,14 +169,18 @@ def _evaluate(
             square += (points[i, c] - points[i - 1, c]) ** 2
         along[i] = along[i - 1] + math.sqrt(square)
     chosen = _consensus(deviation, grade, owner[:n], along, smoothness, sigma, least)
+    agreeing = np.zeros(m)
+    for i in range(m):
+        if chosen[i] >= 0:
+            agreeing[i] = deviation[chosen[i]]
+    used = confirmed_points(along, agreeing, chosen >= 0, smoothness)
     at, lateral, spread = np.empty((m, 2)), np.empty(m), np.empty(m)
-    quality, used, any_found = np.zeros(m), np.zeros(m, dtype=np.bool_), 0
+    quality, any_found = np.zeros(m), 0
     for i in range(m):
         at[i, 0] = at[i, 1] = lateral[i] = spread[i] = np.nan
         if nearest[i] < 0:
             continue
         any_found += 1
-        used[i] = chosen[i] >= 0
         j = chosen[i] if used[i] else nearest[i]
         lateral[i], quality[i] = deviation[j], grade[j]
         spread[i] = math.hypot(s[j, 4] * max(s[j, 3], noise), SAMPLING) * abs(metres[i])

@@ -15,6 +15,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.confirmed_points import confirmed_points
 from sensing.camera.field import Field, Gray
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedImage, PredictedLine, predict_image
@@ -23,6 +24,8 @@ _FINER = 8
 """Samples a pixel in which edges are looked for."""
 _SAMPLING = 0.03
 """Error of a point that comes from sampling by pixels; standard deviation [px]."""
+_REACH = 4.0
+"""Standard deviations of the prediction beyond which a section is another line."""
 
 
 class _Section(NamedTuple):
@@ -60,7 +63,8 @@ class OpenCVProfiles:
         sections = [self._sections(patch, i, field, image, settings) for i, patch in enumerate(field.patches)]
         deviation = np.full(m, np.nan)
         expected = [float(image.pixels[i, image.axis[i]]) for i in range(m)]
-        chosen = [_nearest(found, at) for found, at in zip(sections, expected, strict=True)]
+        reach = _REACH * prediction.sigma / np.abs(image.metres)
+        chosen = [_nearest(found, at, px) for found, at, px in zip(sections, expected, reach.tolist(), strict=True)]
         for i, section in enumerate(chosen):
             if section is not None:
                 deviation[i] = (section.at - expected[i]) * image.metres[i]
@@ -77,6 +81,7 @@ class OpenCVProfiles:
             width = section.width * abs(image.metres[i]) / settings.line_width
             quality[i] = math.exp(-0.5 * ((width - 1.0) / 0.2) ** 2)
         used &= quality >= settings.min_quality
+        used = confirmed_points(along, deviation, used, settings.smoothness)
         points = np.full((m, 3), np.nan)
         normal = np.asarray(prediction.normal)
         for i in np.flatnonzero(np.isfinite(pixels[:, 0])).tolist():
@@ -114,10 +119,10 @@ class OpenCVProfiles:
                 width = (end - begin) / _FINER
                 if abs(width - expected) > s.width_tolerance * expected:
                     continue
-                inside = fine[0, round(begin) : round(end) + 1]
+                inside = fine[0, round(0.75 * begin + 0.25 * end) : round(0.25 * begin + 0.75 * end) + 1]
                 around = np.r_[fine[0, max(round(begin) - _FINER * 3, 0) : max(round(begin) - _FINER, 1)],
                                fine[0, round(end) + _FINER : round(end) + 3 * _FINER]]
-                depth = float(np.mean(around) - np.min(inside)) if around.size and inside.size else 0.0
+                depth = float(np.mean(around) - np.mean(inside)) if around.size and inside.size else 0.0
                 if depth < s.min_contrast:
                     continue
                 steep = 0.5 * (-slope[round(begin)] + slope[round(end)])
@@ -127,9 +132,10 @@ class OpenCVProfiles:
         return found
 
 
-def _nearest(sections: list[_Section], expected: float) -> _Section | None:
-    """The section nearest to where the line is expected [px]."""
-    return min(sections, key=lambda one: abs(one.at - expected), default=None)
+def _nearest(sections: list[_Section], expected: float, reach: float) -> _Section | None:
+    """The section nearest to where the line is expected, if it is within reach [px]."""
+    return min((one for one in sections if abs(one.at - expected) <= reach), key=lambda one: abs(one.at - expected),
+               default=None)
 
 
 def _peaks(slope: Array, threshold: float) -> list[float]:

@@ -19,6 +19,7 @@ from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.identification.models import identified_model
 from scenes.identification.plan import fourier_commands
 from sim.arm.arm import SimulatedArm
 from sim.arm.specimen import draw_specimen
@@ -104,6 +105,28 @@ def test_shipped_models_predict_their_arm() -> None:
         assert model.controller is not None
         assert np.all(model.predict(recording).relative_error_percent[:3] < 12.0)
         assert model.urdf_hash == robot.urdf_hash
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15"])
+def test_shipped_models_are_made_again(name: str) -> None:
+    """``make models`` on the default worlds: the same laws and effects, numbers to 0.1 %.
+
+    The tolerance is for other processors and versions of the linear algebra; on one machine the files are equal.
+    """
+    shipped = Model.load(Path(__file__).resolve().parents[3] / "scenes" / "models" / f"{name}.json")
+    made, recordings = identified_model(name)
+    assert [(one.key, one.loaded) for one in made.friction] == [(one.key, one.loaded) for one in shipped.friction]
+    assert [one.name for one in made.effects] == [one.name for one in shipped.effects]
+    assert made.controller is not None
+    assert shipped.controller is not None
+    for gain in ("k_p", "k_d", "k_i"):
+        np.testing.assert_allclose(getattr(made.controller, gain), getattr(shipped.controller, gain), rtol=1e-3)
+    np.testing.assert_allclose(made.stiffness, shipped.stiffness, rtol=1e-3)
+    for recording in recordings:
+        tau = shipped.predict(recording).tau
+        error = made.predict(recording).tau - tau
+        assert np.all(np.sqrt(np.mean(error**2, axis=0)) < 1e-3 * np.sqrt(np.mean(tau**2, axis=0)))
 
 
 def test_commands_from_plan_to_model(tmp_path: Path) -> None:

@@ -1,0 +1,70 @@
+"""The line in the workshop, ten arms, each with the model of its own identification motions, beside what is wanted.
+
+    python benchmarks/ten_arms.py runs.jsonl [--individuals 1-10] [--seeds 1-3] [--speeds 0.7,1.5,2] [--processes 2]
+
+Answers go to the file as they come; started again with the same file, it goes on where it was. About 20 s of processor
+time for an arm's model (kept in the user's cache folder) and 3 s for a run.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenes.commands.common import numbers, whole_numbers
+from scenes.sweep import jobs, sweep
+from scenes.sweep_file import SweepFile
+
+WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.2}, 2.0: {"mean": 0.3}}
+"""Bounds by speed [mm]: of the mean over all runs, of the worst run's mean, of each run's 95 %."""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("lines", type=Path)
+    parser.add_argument("--individuals", default="1-10")
+    parser.add_argument("--seeds", default="1-3")
+    parser.add_argument("--speeds", default="0.7,1.5,2")
+    parser.add_argument("--scene", default="line")
+    parser.add_argument("--processes", type=int, default=2)
+    options = parser.parse_args()
+    # Arm by arm, so that what is finished early is a whole row; two processes would identify one arm twice.
+    answers: list[dict[str, Any]] = []
+    speeds, seeds = numbers(options.speeds, "--speeds"), whole_numbers(options.seeds, "--seeds")
+    individuals = whole_numbers(options.individuals, "--individuals")
+    file = SweepFile(options.lines, resume=options.lines.exists())
+    for individual in individuals:
+        work = jobs([options.scene], speeds=speeds, seeds=seeds, individuals=[individual])
+        first = sweep(work[:1], processes=1, file=file)
+        answers += [*first, *sweep(work[1:], processes=options.processes, file=file)]
+    print(f"| individual | {' | '.join(f'{v:g} m/s, seed {s}' for v in speeds for s in seeds)} |")
+    print("| --- " * (1 + len(speeds) * len(seeds)) + "|")
+    for individual in individuals:
+        own = {(one["speed_m_s"], one["seed"]): one for one in answers if one["individual"] == individual}
+        cells = [_cell(own[v, s]) for v in speeds for s in seeds]
+        print(f"| {individual} | {' | '.join(cells)} |")
+    print("\n| m/s | runs | mean of the means | worst run's mean | largest 95 % | largest | failed | wanted |")
+    print("| --- | --- | --- | --- | --- | --- | --- | --- |")
+    for speed in speeds:
+        runs = [one for one in answers if one["speed_m_s"] == speed]
+        error = {key: np.array([one["control_error_mm"][key] for one in runs if not one["failure"]] or [np.nan])
+                 for key in ("mean", "p95", "max")}
+        wanted = ", ".join(f"{key} ≤ {bound:g}" for key, bound in WANTED.get(speed, {}).items())
+        failed = sum(bool(one["failure"]) for one in runs)
+        print(f"| {speed:g} | {len(runs)} | {error['mean'].mean():.3f} | {error['mean'].max():.3f} | "
+              f"{error['p95'].max():.3f} | {error['max'].max():.3f} | {failed} | {wanted} |")
+
+
+def _cell(answer: dict[str, Any]) -> str:
+    """Mean and 95 % of a run [mm], or that it failed."""
+    if answer["failure"]:
+        return "failed"
+    error = answer["control_error_mm"]
+    return f"{error['mean']:.3f} / {error['p95']:.3f}"
+
+
+if __name__ == "__main__":
+    main()
