@@ -67,7 +67,9 @@ def scene_of(case: Case, folder: Path) -> str:
         return case.scene
     file = folder / f"{case.name}.toml"
     text = (library() / f"{case.scene}.toml").read_text(encoding="utf-8")
-    file.write_text(f"{text}\n[camera]\nrate = {case.camera_rate}\n", encoding="utf-8")
+    # Two pictures in a row may be lost: three periods of travel without one.
+    gap = 3.5 * load_scene(case.scene).speed / case.camera_rate
+    file.write_text(f"max_gap = {gap:.3f}\n{text}\n[camera]\nrate = {case.camera_rate}\n", encoding="utf-8")
     return str(file)
 
 
