@@ -5,11 +5,13 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from sensing.camera.field import Gray
 from sim.camera.camera_settings import CameraSettings
 from sim.camera.live_camera import LiveCamera
 from sim.contact.force_sensor import ForceSensor
@@ -18,6 +20,7 @@ from sim.devices.stream_server import StreamServer, field_payload
 from sim.devices.unkind import DeviceClock, Outbox
 
 PoseAt = Callable[[float], pin.SE3]
+ShapeAt = Callable[[float], tuple[Array, Array]]
 ForceAt = Callable[[float], Array]
 _FIELD, _WRENCH = 2, 4
 _BEHIND = 4
@@ -31,19 +34,21 @@ class ServedCamera:
         camera: draws what the true camera sees.
         settings: rate, exposure, latency and what is wrong with the stamps.
         pose_at: true pose of the tool at a time of the session [s].
+        shape_at: what of the arm may stand in the lamp's way then.
         clock: of the camera.
         server: to whoever looks.
         outbox: sends when it is due.
         rng: of jitter, stamps and losses.
     """
 
-    def __init__(self, camera: LiveCamera, settings: CameraSettings, pose_at: PoseAt, clock: DeviceClock,
-                 server: StreamServer, outbox: Outbox, rng: np.random.Generator) -> None:
+    def __init__(self, camera: LiveCamera, settings: CameraSettings, pose_at: PoseAt, shape_at: ShapeAt,
+                 clock: DeviceClock, server: StreamServer, outbox: Outbox, rng: np.random.Generator) -> None:
         self._camera, self._settings, self._pose_at, self._clock = camera, settings, pose_at, clock
+        self._shape_at = shape_at
         self._server, self._outbox, self._rng = server, outbox, rng
         self._number, self.left_out = 0, 0
         self._next = 0.0
-        self._due: queue.Queue[tuple[int, float, float, list[pin.SE3]] | None] = queue.Queue()
+        self._due: queue.Queue[tuple[int, float, float, Callable[[], Gray]] | None] = queue.Queue()
         self._thread = threading.Thread(target=self._draw, daemon=True)
         self._thread.start()
 
@@ -74,7 +79,8 @@ class ServedCamera:
             if self._due.qsize() >= _BEHIND:
                 self.left_out += 1
                 continue
-            self._due.put((self._number, float(stamp), float(arrival), poses))
+            self._due.put((self._number, float(stamp), float(arrival),
+                           partial(self._camera.picture, poses, at, self._shape_at(t))))
 
     def close(self) -> None:
         """No more pictures."""
@@ -83,8 +89,8 @@ class ServedCamera:
 
     def _draw(self) -> None:
         while (asked := self._due.get()) is not None:
-            number, stamp, arrival, poses = asked
-            gray = self._camera.picture(poses)
+            number, stamp, arrival, drawn = asked
+            gray = drawn()
             payload = field_payload(number, gray.shape[1], gray.shape[0], gray.tobytes())
             self._outbox.put(arrival, lambda stamp=stamp, payload=payload: self._server.send(  # type: ignore[misc]
                 _FIELD, stamp, payload))

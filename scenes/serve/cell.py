@@ -20,12 +20,15 @@ from scenes.force.cell import set_up as set_up_force
 from scenes.force.scene import ForceScene
 from scenes.force.world import true_tip
 from scenes.line.cell import Cell as LineCell
+from scenes.line.cell import lamp_over
 from scenes.line.cell import set_up as set_up_line
+from scenes.line.cell import streams as line_streams
 from scenes.line.scene import LineScene
 from scenes.scene import Scene
 from scenes.serve.carried import ServedCamera, ServedForce
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
+from sim.camera.lamp import ArmShape
 from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine
 from sim.contact.contact import TipContact
@@ -78,12 +81,18 @@ class ServedCell:
                  contact: Callable[[], TipContact] | None) -> None:
         self.cell, self.arm, self._line, self._new_contact = cell, arm, line, contact
         self.contact = contact() if contact is not None else None
+        self._bodies = ArmShape(cell.robot)
         self.camera: tuple[str, int] | None = None
         self.force: tuple[str, int] | None = None
 
     def pose_at(self, t: float) -> pin.SE3:
         """True pose of the tool at a time of the session [s]; the present one where the arm has not moved yet."""
         return self.arm.tcp_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.tcp
+
+    def shape_at(self, t: float) -> tuple[Array, Array]:
+        """What of the arm may stand in a lamp's way at a time of the session [s], as capsules."""
+        q = self.arm.q_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.q_a
+        return self._bodies.at(q), self._bodies.radii
 
     def force_at(self, t: float) -> Array:
         """True force on the tip in the base frame ``(3,)`` [N]."""
@@ -174,8 +183,8 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
                 server = StreamServer(places.host, places.camera, lambda: clock.shows(now()), 1,
                                       camera_description(drawn.model.width, drawn.model.height, scene.camera.rate))
                 stack.callback(server.close)
-                camera = ServedCamera(drawn, camera_settings(scene.camera), served.pose_at, clock, server, outbox,
-                                      streams[1])
+                camera = ServedCamera(drawn, camera_settings(scene.camera), served.pose_at, served.shape_at, clock,
+                                      server, outbox, streams[1])
                 stack.callback(camera.close)
                 served.camera = server.address
                 carried.append(camera)
@@ -196,9 +205,11 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
 
 def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
     """The drawn line of a scene and what the camera sees of it."""
-    table = scene.camera
+    table, settings = scene.camera, camera_settings(scene.camera)
     if isinstance(cell, LineCell):
-        return cell.line, LiveCamera(cell.true_camera, cell.line, table.resolution, table.noise, cell.camera_noise)
+        lamp = lamp_over(scene, cell.geometry, line_streams(scene)[6])  # type: ignore[arg-type]
+        return cell.line, LiveCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp,
+                                     tool=table.renderer == "bullet")
     if cell.scene.task != "glue":
         return None, None
     noise, calibration = cell.camera_streams
@@ -206,4 +217,4 @@ def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple
     line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                      background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
     true = true_camera(believed_camera(table), scene.calibration, calibration)
-    return line, LiveCamera(true, line, table.resolution, table.noise, noise, cell.surface)
+    return line, LiveCamera(true, line, settings, noise, relief=cell.surface)

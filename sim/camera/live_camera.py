@@ -17,10 +17,17 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Gray
+from sim.camera.camera_settings import CameraSettings
+from sim.camera.lamp import Lamp, covered, light, mirrored
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import paint
+from sim.camera.tool_mesh import TOOL_COLOUR, tool_mesh
 from sim.contact.contact import HeightSurface
 
+NOTHING = (np.empty((0, 2, 3)), np.empty(0))
+"""Nothing stands in the lamp's way."""
+_FINER = 4
+"""Pixels of the tool's outline in one of the picture, each way."""
 _SPACING = 4
 """Pixels between the places that are computed."""
 _STEPS = 3
@@ -28,24 +35,25 @@ _STEPS = 3
 
 
 class LiveCamera:
-    """Pictures of a drawn line on a plane or a height surface.
+    """Pictures of a drawn line on a plane or a height surface, with the tool in them and a lamp above, where there is.
 
     Args:
         model: the true camera.
         surface: what it looks at, given on the plane.
-        resolution: of the painted surface [m].
-        noise: standard deviation of gray noise.
+        settings: resolution of the painted surface, gray noise, lag of the automatic exposure.
         rng: draws the noise.
         relief: heights over the same plane; None for the plane itself.
+        lamp: lights the surface; None for light from everywhere.
+        tool: whether the tool's tip and a hose beside it are in the picture.
     """
 
-    def __init__(self, model: CameraModel, surface: DrawnLine, resolution: float, noise: float,
-                 rng: np.random.Generator, relief: HeightSurface | None = None) -> None:
-        self.model, self._plane, self._relief, self._noise, self._rng = model, surface.plane, relief, noise, rng
-        self._texture = texture = paint(surface, resolution)
+    def __init__(self, model: CameraModel, surface: DrawnLine, settings: CameraSettings, rng: np.random.Generator, *,
+                 relief: HeightSurface | None = None, lamp: Lamp | None = None, tool: bool = False) -> None:
+        self.model, self._plane, self._relief, self._settings, self._rng = model, surface.plane, relief, settings, rng
+        self._texture = texture = paint(surface, settings.resolution)
         # A pixel sees the mean over its footprint: of the same standard deviation as a box of that width.
         height = -float(model.T_tool_camera.translation[2])
-        sigma = max(height / model.K[0, 0] / resolution / np.sqrt(12.0), 0.3)
+        sigma = max(height / model.K[0, 0] / settings.resolution / np.sqrt(12.0), 0.3)
         self._image = cv2.GaussianBlur(texture.image, (0, 0), sigma)
         self._background = float(surface.background)
         u, self._across = _nodes(model.width)
@@ -53,22 +61,59 @@ class LiveCamera:
         grid = np.stack(np.meshgrid(u, v), axis=-1)
         self._shape = grid.shape[:2]
         self._rays = model.rays(grid.reshape(-1, 2))
+        self._lamp, self._lit_at = lamp, surface.at(np.array([0.5 * surface.length]))[0][0]
+        self._gain, self._exposed = 1.0, -np.inf
+        # It moves with the camera: its picture is always the same.
+        self._tool = tool_picture(model) if tool else None
 
-    def picture(self, poses: Sequence[pin.SE3]) -> Gray:
-        """The picture ``(height, width)`` of an exposure during which the tool was at ``poses``."""
+    def picture(self, poses: Sequence[pin.SE3], t: float = 0.0, shape: tuple[Array, Array] = NOTHING) -> Gray:
+        """The picture ``(height, width)`` of an exposure.
+
+        Args:
+            poses: of the tool during it.
+            t: its middle [s].
+            shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
+        """
         total = np.zeros((self.model.height, self.model.width), dtype=np.float32)
         for pose in poses:
-            columns, rows = (self._down @ part.reshape(self._shape) @ self._across.T for part in self._texels(pose))
-            seen = cv2.remap(self._image, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR,
-                             borderMode=cv2.BORDER_CONSTANT, borderValue=self._background)
-            total += seen
+            x, y, _ = self._met(pose)
+            scale = self._texture.resolution
+            columns, rows = (x - self._texture.x_min) / scale - 0.5, (self._texture.y_max - y) / scale - 0.5
+            total += cv2.remap(self._image, self._whole(columns), self._whole(rows), cv2.INTER_LINEAR,
+                               borderMode=cv2.BORDER_CONSTANT, borderValue=self._background)
         total /= len(poses)
-        if self._noise > 0:
-            total += np.float32(self._noise) * self._rng.standard_normal(total.shape, dtype=np.float32)
+        if self._tool is not None:
+            total += self._tool * (np.float32(255.0 * TOOL_COLOUR[0]) - total)
+        if self._lamp is not None:
+            total = self._lit(self._lamp, total, poses[len(poses) // 2], t, shape)
+        if self._settings.noise > 0:
+            total += np.float32(self._settings.noise) * self._rng.standard_normal(total.shape, dtype=np.float32)
         return np.asarray(np.clip(np.rint(total), 0, 255), dtype=np.uint8)
 
-    def _texels(self, pose: pin.SE3) -> tuple[Array, Array]:
-        """Column and row of the texture that each computed ray meets."""
+    def _lit(self, lamp: Lamp, gray: NDArray[np.float32], pose: pin.SE3, t: float, shape: tuple[Array, Array]
+             ) -> NDArray[np.float32]:
+        """Gray values under the lamp, with its mirror image, as exposed: the exposure follows the light with a lag."""
+        met = np.column_stack(np.broadcast_arrays(*self._met(pose)))
+        points = met @ self._plane.rotation.T + self._plane.translation
+        up, eye = self._plane.rotation[:, 2], (pose * self.model.T_tool_camera).translation
+        hidden = covered(points, lamp.place, lamp.radius, *shape)
+        bright = light(lamp, points, up, self._lit_at, hidden)
+        lag = self._settings.auto_exposure
+        if lag > 0.0:
+            places = bright.reshape(self._shape)
+            at = [np.round(np.array([0.2, 0.5, 0.8]) * (count - 1)).astype(int) for count in self._shape]
+            share = 1.0 if t <= self._exposed else 1.0 - np.exp((self._exposed - t) / lag)
+            self._gain += share * (1.0 / float(places[np.ix_(*at)].max()) - self._gain)
+            self._exposed = t
+        glare = mirrored(lamp, points, up, eye, hidden)
+        return np.float32(self._gain) * (gray * self._whole(bright) + self._whole(glare))
+
+    def _whole(self, at_nodes: Array) -> NDArray[np.float32]:
+        """Values at the places that are computed, between them for all pixels."""
+        return np.asarray(self._down @ at_nodes.reshape(self._shape).astype(np.float32) @ self._across.T)
+
+    def _met(self, pose: pin.SE3) -> tuple[Array, Array, Array | float]:
+        """Where each computed ray meets the surface, in the plane's frame [m]."""
         T = self._plane.actInv(pose * self.model.T_tool_camera)
         directions = self._rays @ T.rotation.T
         height: float | NDArray[np.float64] = 0.0
@@ -77,17 +122,30 @@ class LiveCamera:
             x, y = (T.translation[i] + depth * directions[:, i] for i in range(2))
             if self._relief is not None:
                 height = self._relief.height(x, y)
-        scale = self._texture.resolution
-        return (x - self._texture.x_min) / scale - 0.5, (self._texture.y_max - y) / scale - 0.5
+        return x, y, height
 
 
-def _nodes(size: int) -> tuple[Array, Array]:
+def tool_picture(model: CameraModel) -> NDArray[np.float32]:
+    """Share of each pixel that the tool's tip and hose cover ``(height, width)``."""
+    lines = [line.split() for line in tool_mesh()]
+    places = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
+    pixels = _FINER * (model.project_tool(places) + 0.5)
+    mask = np.zeros((_FINER * model.height, _FINER * model.width), dtype=np.uint8)
+    for face in (line[1:] for line in lines if line[0] == "f"):
+        corners = pixels[[int(corner.split("/")[0]) - 1 for corner in face]]
+        if np.isfinite(corners).all() and np.abs(corners).max() < 1e6:
+            cv2.fillConvexPoly(mask, np.rint(corners).astype(np.int32), 255)
+    small = cv2.resize(mask, (model.width, model.height), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, dtype=np.float32) / np.float32(255.0)
+
+
+def _nodes(size: int) -> tuple[Array, NDArray[np.float32]]:
     """Pixels at which is computed, and the weights that interpolate between them ``(size, nodes)``."""
     count = (size - 2) // _SPACING + 2
     nodes = np.linspace(0.0, size - 1.0, count)
     at = np.arange(size) / (size - 1.0) * (count - 1)
     left = np.minimum(at.astype(int), count - 2)
-    weights = np.zeros((size, count))
+    weights = np.zeros((size, count), dtype=np.float32)
     weights[np.arange(size), left] = 1.0 - (at - left)
     weights[np.arange(size), left + 1] = at - left
     return nodes, weights
