@@ -8,14 +8,14 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-_PRIORITY = 50
-"""Real-time priority that is asked for, of 1 to 99."""
+PRIORITY = 50
+"""Real-time priority of a process that leads an arm, of 1 to 99."""
 _SWITCH = 1e-4
 """Time another thread (the progress bar) may hold up an answer [s]."""
 
 
 @contextmanager
-def undisturbed(core: int | None = None) -> Iterator[list[str]]:
+def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[list[str]]:
     """Yields what was granted, as a person reads it; at the end all is as before.
 
     A full collection looks at every object of numpy, numba and pinocchio, which takes a hundred milliseconds. What is
@@ -23,6 +23,7 @@ def undisturbed(core: int | None = None) -> Iterator[list[str]]:
 
     Args:
         core: processor core to keep to; None for any.
+        priority: real-time priority that is asked for, of 1 to 99.
     """
     granted = ["garbage collection out of the cycle"]
     interval, enabled = sys.getswitchinterval(), gc.isenabled()
@@ -35,13 +36,13 @@ def undisturbed(core: int | None = None) -> Iterator[list[str]]:
         if core is not None:
             granted.append(_kept_to(core))
         if hasattr(os, "sched_setscheduler"):
-            before = _schedulers()
-            granted.append(f"real-time priority {_PRIORITY}" if before else "no real-time priority (not permitted)")
+            before = _schedulers(priority)
+            granted.append(f"real-time priority {priority}" if before else "no real-time priority (not permitted)")
         yield granted
     finally:
-        for thread, (policy, priority) in before.items():
+        for thread, (policy, had) in before.items():
             with suppress(ProcessLookupError):
-                os.sched_setscheduler(thread, policy, priority)
+                os.sched_setscheduler(thread, policy, had)
         if core is not None and cores:
             os.sched_setaffinity(0, cores)
         sys.setswitchinterval(interval)
@@ -50,7 +51,7 @@ def undisturbed(core: int | None = None) -> Iterator[list[str]]:
             gc.enable()
 
 
-def _schedulers() -> dict[int, tuple[int, os.sched_param]]:
+def _schedulers(priority: int) -> dict[int, tuple[int, os.sched_param]]:
     """Gives every thread of this process real-time priority; returns what they had, nothing if it is not permitted.
 
     Every one: a thread that draws the progress bar holds Python's lock for a moment, and without priority it could be
@@ -61,7 +62,7 @@ def _schedulers() -> dict[int, tuple[int, os.sched_param]]:
     for thread in threads:
         try:
             before = os.sched_getscheduler(thread), os.sched_getparam(thread)
-            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
             had[thread] = before
         except ProcessLookupError:
             continue

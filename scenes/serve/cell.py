@@ -106,7 +106,8 @@ class ServedCell:
         sharp = np.abs(np.diff(steps, axis=0)).max(axis=0) / T**2 if len(steps) > 1 else np.zeros(len(limits))
         figures: dict[str, Any] = {
             "ended": session.ended, "cycles": len(commands), "answered": session.answered, "late": session.late,
-            "slipped": session.slipped, "largest_acceleration_share": float(np.max(sharp / limits)),
+            "held_up": session.held_up, "slipped": session.slipped,
+            "largest_acceleration_share": float(np.max(sharp / limits)),
             "at_rest": bool(np.abs(steps[-3:]).max() < 1e-9) if len(steps) > 3 else True}
         history = self.arm.history()
         if self._line is not None:

@@ -14,6 +14,9 @@ from scenes.serve.cell import Places, served_cell
 from sim.devices.served_arm import Session
 from sim.devices.unkind import Unkindness
 
+_PRIORITY = 30
+"""Below that of a follower on the same computer: the time the world takes must not be counted as the follower's."""
+
 
 def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int, json: Path | None,
                 say: Callable[[str], None]) -> list[dict[str, Any]]:
@@ -45,7 +48,7 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
         if cell.force is not None:
             say("force: netft://{}:{}?rate={:g}".format(*cell.force, scene.sensor.rate))  # type: ignore[attr-defined]
         try:
-            with undisturbed():
+            with undisturbed(priority=_PRIORITY):
                 arm.sessions(sessions, done)
         finally:
             for number, handler in before.items():

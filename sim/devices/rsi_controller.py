@@ -25,6 +25,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from sim.devices.arrivals import received, stamp_arrivals
 
 _ANSWER = re.compile(r'<Sen Type="ImFree">.*<AK((?: A\d="[-+.\d]+")+)/>.*<IPOC>(\d+)</IPOC></Sen>')
 
@@ -85,6 +86,7 @@ class RsiController:
         commands, answered = [], []
         silent, late, ended = 0, 0, "all cycles played"
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            stamp_arrivals(link)
             begin = time.perf_counter()
             for k in range(cycles):
                 stamp = (self.ipoc + k * round(1e3 * self.arm.t_ipo)) % 2**32
@@ -135,16 +137,22 @@ class RsiController:
         Args:
             link: socket that the packet went through.
             stamp: IPOC of the cycle.
-            end: until when it is waited for, by ``time.perf_counter`` [s].
+            end: until when it has to come, by ``time.perf_counter`` [s]; one that was there by then counts, even if
+                this program was not let run to read it.
         """
-        while (left := end - time.perf_counter()) > 0 and not self._stopped.is_set():
-            link.settimeout(min(left, 0.05))
+        while not self._stopped.is_set():
+            left = end - time.perf_counter()
+            link.settimeout(min(max(left, 0.0), 0.05))
             try:
-                text = link.recv(4096).decode("ascii")
-            except (TimeoutError, ConnectionError):
+                packet, arrived = received(link)
+            except (TimeoutError, BlockingIOError):
+                if left <= 0:
+                    return None
                 continue
-            found = _ANSWER.fullmatch(text)
-            if found is not None and int(found[2]) == stamp:
+            except ConnectionError:
+                continue
+            found = _ANSWER.fullmatch(packet.decode("ascii", "replace"))
+            if found is not None and int(found[2]) == stamp and arrived <= end:
                 return np.array([float(value) for value in re.findall(r'"([^"]+)"', found[1])])
         return None
 

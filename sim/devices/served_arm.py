@@ -14,6 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
+from sim.devices.arrivals import stamp_arrivals
 from sim.devices.rsi_controller import RsiController
 from sim.devices.unkind import Unkindness
 
@@ -21,6 +22,8 @@ ANSWER_WITHIN = 0.75
 """Share of the cycle within which an answer counts; the rest is this program's own, to move the arm."""
 TIMEOUT = 0.1
 """Time without an answer after which the controller stops the arm and ends the session [s]."""
+_HELD_UP = 0.25
+"""Share of the cycle by which a cycle begins late that counts as held up."""
 _STANDING = 0.4
 """Rest after a stop, and at the start before the next session [s]."""
 _BEHIND = 0.5
@@ -52,6 +55,7 @@ class Session:
         commands: commanded joint angles of every cycle ``(n,)`` [rad].
         answered: cycles with an answer in time.
         late: cycles without.
+        held_up: cycles that began late because this program was not let run, or the network stood still.
         slipped: how often this program itself fell so far behind that its clock had to stand still.
         ended: why it ended.
     """
@@ -59,6 +63,7 @@ class Session:
     commands: list[Array] = field(default_factory=list)
     answered: int = 0
     late: int = 0
+    held_up: int = 0
     slipped: int = 0
     ended: str = ""
 
@@ -101,6 +106,7 @@ class ServedArm:
         """
         count = 0
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+            stamp_arrivals(link)
             while not self._stopped and (most == 0 or count < most):
                 session = self._session(link)
                 if session.commands:
@@ -118,6 +124,7 @@ class ServedArm:
         self._due = time.perf_counter()
         k = 0
         while not self._stopped:
+            session.held_up += bool(session.commands) and time.perf_counter() > self._due + _HELD_UP * self._T
             self._ipoc = (self._ipoc + round(1e3 * self._T)) % 2**32
             self._send(link, self._wire.packet(state, begin, session.late, self._ipoc))
             correction = self._wire.answer(link, self._ipoc,
