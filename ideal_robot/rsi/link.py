@@ -7,6 +7,7 @@ import time
 from dataclasses import dataclass
 
 from ideal_robot.errors import InputError
+from ideal_robot.rsi.arrivals import received, stamp_arrivals
 from ideal_robot.rsi.message import MAX_PACKET, RobMessage, parse_rob
 from ideal_robot.rsi.rsi_error import PacketError, RsiError
 from ideal_robot.rsi.stamps import Stamps
@@ -67,7 +68,7 @@ class PacketLink:
 
     Attributes:
         counts: what happened.
-        arrived: when the last sound packet was read, by ``time.perf_counter`` [s].
+        arrived: when the last sound packet came, by ``time.perf_counter`` [s].
     """
 
     def __init__(self, host: str, port: int, n: int, controller: str | None = None) -> None:
@@ -75,6 +76,7 @@ class PacketLink:
         self._n, self._controller = n, controller
         self._peer: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        stamp_arrivals(self._socket)
         try:
             self._socket.bind((host, port))
         except (OSError, OverflowError) as error:
@@ -154,7 +156,7 @@ class PacketLink:
             RsiError: the system closed the port.
         """
         try:
-            packet, sender = self._socket.recvfrom(MAX_PACKET + 1)
+            packet, sender, arrived = received(self._socket, MAX_PACKET + 1)
         except ConnectionError:
             # Some systems report here that an earlier answer found no one; the silence will show it.
             return None
@@ -162,7 +164,6 @@ class PacketLink:
             raise
         except OSError as error:
             raise RsiError(f"the system does not let the port be read any more ({error})") from error
-        arrived = time.perf_counter()
         if (sender != self._peer) if self._peer is not None else (self._controller not in (None, sender[0])):
             self.counts.foreign += 1
             return None

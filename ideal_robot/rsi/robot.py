@@ -74,7 +74,7 @@ class RsiRobot:
         t_ipo: interpolation cycle [s].
         counts: what happened on the link.
         commanded: joint angles in force at the controller ``(n,)`` [rad].
-        answer_times: from reading each packet to its answer [s].
+        answer_times: from each packet's arrival to its answer [s].
         fault: why the arm does not do what it was commanded; None while it does. Bring it to rest then.
         stamps: how the controller's time stamps rise.
         gone_on: cycles before the last packet in which the controller had none of ours and went on as before.
@@ -119,7 +119,7 @@ class RsiRobot:
 
     @property
     def arrived(self) -> float:
-        """When the last packet was read, by ``time.perf_counter`` [s]."""
+        """When the last packet came, by ``time.perf_counter`` [s]."""
         return self._link.arrived
 
     @property

@@ -121,9 +121,9 @@ class ForceJob:
             camera.predict = lambda t: _predicted(vision, t)
         T = self.robot.t_ipo
         try:
-            rehearse(task, T, math.ceil(0.2 / T))
+            rehearse(task, self.robot, math.ceil(0.2 / T))
             force.wrench = np.array([0.0, 0.0, -self.scene.force, 0.0, 0.0, 0.0])
-            rehearse(task, T, math.ceil(1.5 / T), first=math.ceil(0.2 / T))
+            rehearse(task, self.robot, math.ceil(1.5 / T), first=math.ceil(0.2 / T))
         except PlanningError:
             # What is felt fits no surface: that is no matter here, the code is loaded.
             return

@@ -109,7 +109,7 @@ class LineJob:
         known, camera = self._new_known(), ImaginedCamera()
         task = self._new_task(known, LineLog(), camera)
         camera.predict = lambda t: _predicted(known, t)
-        rehearse(task, self.robot.t_ipo, math.ceil((START + 0.6) / self.robot.t_ipo))
+        rehearse(task, self.robot, math.ceil((START + 0.6) / self.robot.t_ipo))
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
         """See ``Job``.

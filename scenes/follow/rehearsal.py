@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 from scenes.cycle import Task
 from scenes.follow.live_camera import EvaluatedField, Predict
 from sensing.camera.camera_device import WindowsAt
@@ -58,22 +60,23 @@ class ImaginedForce:
         return [WrenchSample(at, t, self.wrench) for at in (t - 0.008, t - 0.004, t) if at >= 0.0]
 
 
-def rehearse(task: Task, T: float, cycles: int, first: int = 0) -> None:
+def rehearse(task: Task, robot: Robot, cycles: int, first: int = 0) -> None:
     """Plays cycles with an arm that does at once what is desired.
 
     Args:
         task: to be thrown away afterwards.
-        T: cycle [s].
+        robot: with the controller's cycle.
         cycles: how many.
         first: number of the first one.
     """
-    q = task.q_start
+    T, q = robot.t_ipo, task.q_start
     q_d = np.tile(q, (task.n_d, 1))
+    governor = CommandGovernor(robot, q, t_ipo=T)
     for k in range(first, first + cycles):
         t = k * T
         task.observe(t, q, q_d)
         q_d = task.plan(t, q_d)
-        task.command(t, q_d)
+        governor.allowed(task.command(t, q_d))
         task.request(t, t + T)
         task.collect(t, t + T, RobotState(t + T, q_d[0], np.zeros_like(q)))
         q = q_d[0]

@@ -22,10 +22,10 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.rsi.arrivals import received, stamp_arrivals
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
-from sim.devices.arrivals import received, stamp_arrivals
 
 _ANSWER = re.compile(r'<Sen Type="ImFree">.*<AK((?: A\d="[-+.\d]+")+)/>.*<IPOC>(\d+)</IPOC></Sen>')
 
@@ -144,7 +144,7 @@ class RsiController:
             left = end - time.perf_counter()
             link.settimeout(min(max(left, 0.0), 0.05))
             try:
-                packet, arrived = received(link)
+                packet, _, arrived = received(link)
             except (TimeoutError, BlockingIOError):
                 if left <= 0:
                     return None

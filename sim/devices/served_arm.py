@@ -13,8 +13,8 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.rsi.arrivals import stamp_arrivals
 from sim.arm.arm import SimulatedArm
-from sim.devices.arrivals import stamp_arrivals
 from sim.devices.rsi_controller import RsiController
 from sim.devices.unkind import Unkindness
 
