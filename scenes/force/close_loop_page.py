@@ -27,12 +27,12 @@ def write_force_circle(result: CloseForceResult, extended: Model, folder: Path) 
                   f"the diagnosis of that run added {result.after.rms:.2f} N, with an oracle that knows what is wrong "
                   f"{result.oracle.rms:.2f} N, with sensor and contact known {result.true.rms:.2f} N. "
                   + summary(result.diagnosis))
+    page.heading("Force before and after")
+    page.table(list(result.columns), result.table(), "Of the true normal force while the tip travels.")
     page.heading("What was tried, and what stays")
     page.table(["round", "change of the model", "stays", "left in that run N", "why not"], result.ladder(),
                "What is left of it in the run, at the wanted force: the cell's own reading holds the error, so "
                "that a force error of its own would say nothing.")
-    page.heading("Force before and after")
-    page.table(list(result.columns), result.table(), "Of the true normal force while the tip travels.")
     page.heading("The diagnosis between")
     add_diagnosis(page, result.diagnosis)
     with whole_folder(folder) as new:

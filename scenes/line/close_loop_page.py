@@ -28,14 +28,14 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     page.summary = (f"The camera was wrong ({hidden}), which the line follower did not know. With the model as it was "
                     f"the tool is {before:.3g} mm beside the line in the mean, with what the diagnosis of that run "
                     f"added {after:.3g} mm, with an oracle that knows what is wrong {oracle:.3g} mm. " + page.summary)
-    page.heading("What was tried, and what stays")
-    page.table(["round", "change of the model", "stays", "spread of the seen points mm", "why not"], result.ladder(),
-               "How far the line's points, as the camera saw them from many poses, lie from one smooth curve: all that "
-               "the cell itself measures of its camera.")
     page.heading("Distance from the line before and after")
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),
                "Of the true TCP, in the surface; the last row knows the true camera and its time stamps.")
     page.figure(_distances(result), "Distance of the true TCP from the line, over its arc length.")
+    page.heading("What was tried, and what stays")
+    page.table(["round", "change of the model", "stays", "spread of the seen points mm", "why not"], result.ladder(),
+               "How far the line's points, as the camera saw them from many poses, lie from one smooth curve: all that "
+               "the cell itself measures of its camera.")
     page.heading("The diagnosis between")
     add_diagnosis(page, result.diagnosis)
     with whole_folder(folder) as new:

@@ -34,14 +34,14 @@ def write_circle(result: CloseLoopResult, extended: Model, folder: Path) -> Clos
     page.summary = (f"The world held {hidden}, which the model did not know. With the model as it was the path "
                     f"error is {before:.3g} mm, with what the diagnosis added {after:.3g} mm, with an oracle that "
                     f"knows name and joint {oracle:.3g} mm. " + page.summary)
-    page.heading("What was tried, and what stays")
-    page.table(["round", "change of the model", "stays", "measured E_car mm", "why not"], result.ladder(),
-               f"Path error, aligned, as an arm measures it that knows: {SEES[result.measured]}.")
     page.heading("Path error before and after")
     page.table(["model", "E_car time-matched mm", "E_car aligned mm", "E_car geometric mm", "E_max aligned mm"],
                result.table(), "[G] (14) and (21), of the true TCP.")
     page.figure(_deviations(result), "Deviation of the true TCP along the path, aligned: with the model as it was "
                 "(red), with what the diagnosis added (blue), with an oracle (grey).")
+    page.heading("What was tried, and what stays")
+    page.table(["round", "change of the model", "stays", "measured E_car mm", "why not"], result.ladder(),
+               f"Path error, aligned, as an arm measures it that knows: {SEES[result.measured]}.")
     if result.plan is not None:
         page.heading("The motion that the diagnosis asked for")
         page.table(["cause", "or", "recorded σ", "planned σ", "told apart"], result.plan.table(),

@@ -84,7 +84,10 @@ def comparison_page(comparison: PathComparison) -> Report:
         report.heading("The ideal robot, and without correction")
         report.replay(moving, f"{_MOVING} The pale arm is the same path without any correction.")
     report.heading("Errors of all methods")
-    report.table(columns, rows, f"{DEFINITION} Paper: {scene.paper.source}.")
+    late = [row for row in rows if str(row[0]).endswith(DELAY)]
+    report.table(columns, [row for row in rows if row not in late], f"{DEFINITION} Paper: {scene.paper.source}.")
+    if late:
+        report.table(columns, late, folded="The same with the standard path planner's delay in force")
     report.figure(path_figure(_chosen(runs, TRACED, "")),
                   f"The path, deviations drawn {MAGNIFIED} times their size, aligned.")
     for suffix, text in (("", "Aligned deviation over time, without the planner's delay."),

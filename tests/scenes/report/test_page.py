@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
 from scenes.report.page import Report
@@ -67,6 +70,14 @@ def test_the_same_figure_makes_the_same_page(tmp_path: Path) -> None:
         report.write(tmp_path / name)
         pages.append((tmp_path / name).read_bytes())
     assert pages[0] == pages[1]
+
+
+@pytest.mark.parametrize("kind", ["line", "force", "path", "clamped"])
+def test_the_page_of_a_closed_loop_begins_with_before_and_after(kind: str) -> None:
+    room = "scenes.close_clamped.page" if kind == "clamped" else f"scenes.{kind}.close_loop_page"
+    source = inspect.getsource(importlib.import_module(room))
+    headings = re.findall(r'page\.heading\("(.*?)"', source)
+    assert headings[0].endswith("before and after")
 
 
 @needs_chromium
