@@ -7,6 +7,7 @@ import io
 import tomllib
 import urllib.error
 import urllib.request
+import zipfile
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -42,6 +43,7 @@ class DataSet:
         checked: columns that ``values_sha256`` is of.
         format: ``csv`` without titles, or ``mat``.
         url: where the file is; empty where it has to be downloaded by hand.
+        member: name of the file in the zip that ``url`` is of; empty where it is the file itself.
         doi: of the publication or the data.
         signals: names in a ``mat`` file, in the order of ``columns``.
         torque_of: columns that torques are in proportion to, with the factor [N m or N per unit].
@@ -59,6 +61,7 @@ class DataSet:
     checked: tuple[str, ...]
     format: str = "csv"
     url: str = ""
+    member: str = ""
     doi: str = ""
     signals: tuple[str, ...] = ()
     torque_of: dict[str, float] = field(default_factory=dict)
@@ -111,7 +114,7 @@ def fetch(name: str, out: Path, *, file: Path | None = None, registry: Path | No
     if one.sha256 and hashlib.sha256(content).hexdigest() != one.sha256:
         raise IdealRobotError(f"{file or one.url} is not the file that {name} was published as (SHA-256 differs); "
                               "nothing was written")
-    columns = _columns(one, content, str(file or one.url))
+    columns = _columns(one, _unpacked(one, content, str(file or one.url)), str(file or one.url))
     if one.values_sha256 and values_hash(columns, one) != one.values_sha256:
         raise IdealRobotError(f"{file or one.url} does not hold the values of {name} (checksum of "
                               f"{', '.join(one.checked)} differs); nothing was written")
@@ -149,6 +152,20 @@ def _downloaded(one: DataSet) -> bytes:
     return content
 
 
+def _unpacked(one: DataSet, content: bytes, source: str) -> bytes:
+    """The member of a zip, in whichever of its folders it lies; what is no zip as it is."""
+    if not one.member or not zipfile.is_zipfile(io.BytesIO(content)):
+        return content
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as packed:
+            found = next((info for info in packed.infolist() if Path(info.filename).name == one.member), None)
+            if found is None or found.file_size > _LARGEST:
+                raise InputError(f"a zip without {one.member}; get it from {one.page}", file=source)
+            return packed.read(found)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+        raise InputError(f"a broken zip ({error}); get it from {one.page}", file=source) from error
+
+
 def _columns(one: DataSet, content: bytes, source: str) -> dict[str, Array]:
     """The file's columns with our names, time from 0, and the torques."""
     try:
@@ -161,7 +178,7 @@ def _columns(one: DataSet, content: bytes, source: str) -> dict[str, Array]:
             columns = {ours: table.iloc[:, i].to_numpy(float) for i, ours in enumerate(one.columns)}
     except (ValueError, KeyError, TypeError, NotImplementedError) as error:
         raise InputError(f"not readable as {one.format} with {len(one.columns)} columns ({type(error).__name__}: "
-                         f"{error})", file=source) from error
+                         f"{error}); download the file from {one.page} and give it with --file", file=source) from error
     columns["t"] = columns["t"] - columns["t"][0]
     for name, factor in one.torque_of.items():
         columns[f"tau_{name.rpartition('_')[2]}"] = factor * columns[name]

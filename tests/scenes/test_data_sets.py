@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import socket
 import threading
+import zipfile
 from collections.abc import Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -93,15 +94,35 @@ def test_a_file_downloaded_by_hand_is_taken_and_nonsense_is_not(tmp_path: Path) 
         fetch("arm", tmp_path / "out", file=tmp_path / "mine.csv", registry=sets)
 
 
+def test_a_file_in_a_zip_is_taken_out_of_it_and_a_page_of_words_is_not_a_zip(served: str, tmp_path: Path) -> None:
+    folder = tmp_path / "served"
+    with zipfile.ZipFile(folder / "arm.zip", "w") as packed:
+        packed.writestr("data/readme.txt", "words")
+        packed.writestr("data/arm.csv", ROWS)
+    (folder / "page.html").write_text("<html>too many visitors today</html>")
+    (folder / "damaged.zip").write_bytes((folder / "arm.zip").read_bytes().replace(b"10.1,0.6", b"10.1,0.7"))
+    path = fetch("arm", tmp_path / "out", registry=registry(tmp_path, f"{served}/arm.zip", member="arm.csv"))
+    np.testing.assert_allclose(Recording.read(path).columns["q_1"], [0.5, 0.6, 0.7])
+    with pytest.raises(InputError, match=r"a zip without leg\.csv"):
+        fetch("arm", tmp_path / "no", registry=registry(tmp_path, f"{served}/arm.zip", member="leg.csv"))
+    for broken in ("page.html", "damaged.zip"):
+        with pytest.raises(InputError, match=r"https://example\.org"):
+            fetch("arm", tmp_path / "no", registry=registry(tmp_path, f"{served}/{broken}", member="arm.csv"))
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_set_that_no_program_can_download_says_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--file"):
+        fetch("arm", tmp_path / "out", registry=registry(tmp_path, ""))
+
+
 def test_every_shipped_set_has_licence_origin_and_checksum() -> None:
     for one in data_sets().values():
         assert one.licence
         assert one.cite
         assert one.page.startswith("https://")
         assert len(one.sha256 or one.values_sha256) == 64
-        if not one.url:
-            with pytest.raises(InputError, match="--file"):
-                fetch(one.name, Path("o"))
+        assert one.url.startswith("https://")
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="needs the public data sets beside the repository")
