@@ -119,11 +119,8 @@ class _Ladder:
             forms: of which one may be taken.
         """
         label, models = forms[0].label, [one.change(self.model) for one in forms]
-        try:
-            left = [left_unexplained(self.cell, model, self.present, self._measured) for model in models]
-            before = left_unexplained(self.cell, self.model, self.present, self._measured)
-        except IdealRobotError as failed:
-            return self._note(label, f"the identified loop cannot be played: {failed}")
+        before = self._left(self.model)
+        left = [self._left(model) for model in models]
         order = [int(k) for k in np.argsort(left)]
         if forms[0].shows_in_loop:
             order = [k for k in order if left[k] < before]
@@ -131,6 +128,13 @@ class _Ladder:
                 return self._note(label, f"played on the identified loop it explains no more of the run: "
                                          f"{1e3 * before:.3g} to {1e3 * min(left):.3g} mm are left")
         return any(self._played(forms[k].label, models[k]) for k in order)
+
+    def _left(self, model: Model) -> float:
+        """Of the last play, unexplained [m]; infinite for a loop that cannot be."""
+        try:
+            return left_unexplained(self.cell, model, self.present, self._measured)
+        except IdealRobotError:
+            return float("inf")
 
     def _played(self, label: str, model: Model) -> bool:
         tried = dataclasses.replace(self.cell, model=model)

@@ -114,7 +114,9 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         keep.round = 0
         progress(0.9, "oracle")
         found, recording = rounds[0]
-        if oracle is None:
+        if oracle is None and not undeclared:
+            told = before.errors
+        elif oracle is None:
             told = _played(cell, with_named_effects(recording, cell.robot, known, undeclared))
         else:
             told = cell.play(oracle).errors
