@@ -78,10 +78,11 @@ def clamped_signals(recording: Recording, robot: Robot) -> ClampedSignals:
     if tau_raw is None and not measured:
         raise InputError("neither current_i nor tau_i nor a wrench (fx fy fz mx my mz) is recorded",
                          file=recording.source, field="current_i")
-    rate = 1 / float(np.median(np.diff(t)))
-    if t[-1] - t[0] < 5.0:
+    lasts = float(t[-1] - t[0]) if len(t) else 0.0
+    if lasts < 5.0:
         raise InputError("a clamped recording needs at least 5 s of force levels", file=recording.source, field="t",
-                         value=float(t[-1] - t[0]))
+                         value=lasts)
+    rate = 1 / float(np.median(np.diff(t)))
     keep = np.arange(0, len(t), max(1, round(rate / (2 * DECIMATE_HZ))))
     q_m = lowpass(q_raw, rate)[keep]
     tau = None if tau_raw is None else lowpass(tau_raw, rate)[keep]

@@ -14,6 +14,9 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 
+LONGEST = 3600.0
+"""Time that a path may last [s]."""
+
 
 @dataclass(frozen=True)
 class Line:
@@ -155,7 +158,8 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
             part, in proportion to the way; None for a constant orientation.
 
     Raises:
-        InputError: speed or acceleration not positive, or a speed that no part of the path is long enough for.
+        InputError: speed or acceleration not positive, a speed that no part of the path is long enough for, or one so
+            low that the path lasts for hours.
     """
     if not (speed > 0 and acceleration > 0):
         raise InputError("speed and acceleration must be positive", field="speed", value=(speed, acceleration))
@@ -164,6 +168,10 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
     if speed > reachable * (1 + 1e-9):
         raise InputError(f"the path is too short for this speed: with {acceleration:g} m/s² it reaches "
                          f"{reachable:.3g} m/s; move slower, or allow more acceleration", field="speed", value=speed)
+    lasts = sum(duration(sum(length for _, length, _ in run), speed, acceleration) for run in shape.runs())
+    if not lasts <= LONGEST:
+        raise InputError(f"the path would last {lasts:.3g} s; {LONGEST:g} s is the longest, move faster", field="speed",
+                         value=speed)
     fixed = plane.rotation @ np.diag([1.0, -1.0, -1.0]) if rotation is None else np.asarray(rotation, dtype=float)
     points, speeds, shares = [], [], []
     carried = 0.0

@@ -88,6 +88,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     apart = apart_from_reversals(qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)
     use = apart[:: filtered.factor][filtered.keep]
     use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
+    undecided = {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
+                    for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
     units = tuple("N" if slides else "N m" for slides in prismatic)

@@ -101,7 +101,8 @@ class Fit:
             H = weighted[training].sum(axis=0)
             A = H[: self.P, : self.P] + precision
             A = A + _RIDGE * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
-            scale = 1.0 / np.sqrt(np.diag(A))
+            # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
             inverse = linalg.pinvh(A * np.outer(scale, scale), atol=1e-12, rtol=1e-11) * np.outer(scale, scale)
             self._training.append(training)
             self._inverse.append(inverse)

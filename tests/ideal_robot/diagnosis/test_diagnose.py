@@ -82,6 +82,14 @@ def test_too_little_motion_is_said_instead_of_a_verdict(tmp_path):
     assert found.to_dict()["undecided"][0]["joint"] == 1
 
 
+def test_where_no_sample_is_left_between_a_pause_and_the_ends_nothing_is_decided(tmp_path):
+    t = np.concatenate([np.arange(0.0, 0.65, 0.01), np.arange(30.65, 35.0, 0.01)])
+    q = 0.5 * np.sin(2.6 * t)[:, None]
+    found = diagnose(Recording.from_arrays(t, q=q, tau=4.0 * np.cos(2.6 * t)[:, None]), arm(tmp_path))
+    assert found.verdict == "undecided"
+
+
+
 @pytest.mark.parametrize("spoil", ["missing", "joints", "degrees", "backwards"])
 def test_wrong_input_is_refused_with_the_field(spoil, tmp_path):
     t = np.arange(0.0, 10.0, 0.004)

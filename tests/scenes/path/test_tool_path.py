@@ -68,3 +68,8 @@ def test_pieces_without_length_are_refused():
 def test_a_speed_that_is_never_reached_is_refused():
     with pytest.raises(InputError, match="too short for this speed"):
         tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 5.0, 3.0, T)
+
+
+def test_a_path_that_would_last_for_years_is_refused_before_it_is_made():
+    with pytest.raises(InputError, match="would last"):
+        tool_path(shape_of("circle", 0.06), pin.SE3.Identity(), 3e-10, 3.0, T)
