@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
@@ -20,6 +20,8 @@ from scenes.result import Progress
 
 PARTED = 0.02
 """A wanted command so far from the one that keeps the limits ends the play, on the path [rad, or m]."""
+LONGEST_STOP = 10.0
+"""Longest that a stop of a play that is not done takes [s]."""
 STANDSTILL = 1e-9
 """Change of the desired angles within a horizon below which the arm rests [rad]."""
 
@@ -140,12 +142,16 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
     q = task.q_start
     q_d = np.tile(q, (task.n_d, 1))
     stopping: Iterator[Array] | None = None
-    still = 0
+    still, before = 0, q
     governor = CommandGovernor(limits, q, t_ipo=T)
-    for k in range(int(settings.longest / T)):
+    last = int(settings.longest / T)
+    for k in range(last + int(LONGEST_STOP / T)):
         t = k * T
         begin = time.perf_counter()
         task.observe(t, q, q_d)
+        if stopping is None and k >= last:
+            log.failure = f"not done after {settings.longest:.0f} s; stopped on the path"
+            stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
         if stopping is None:
             try:
                 planned = task.plan(t, q_d)
@@ -179,9 +185,11 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
             log.failure = log.failure or str(error)
             return
         task.collect(t, t + T, measured)
-        still = still + 1 if stopping is not None and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
+        # The plan may rest while the command is still on its way to it, as the limits let it.
+        resting = np.all(np.abs(q_c - before) <= ACCELERATION * limits.a_max * T**2)
+        before = q_c
+        still = still + 1 if stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
         if task.done(t) or still * T > settings.rest:
             return
         if k % 16 == 0:
             progress(min(1.0, t / settings.expected), settings.text)
-    log.failure = log.failure or f"not done after {settings.longest:.0f} s"

@@ -31,6 +31,10 @@ _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""
 _STANDING = 0.3
 """How long the arm is held after braking [s]."""
+_LONGEST_STOP = 5.0
+"""Longest that coming to rest behind a path takes [s]."""
+_STILL = 1e-7
+"""Change of a command that counts as rest [rad or m]."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -112,6 +116,7 @@ def play(driver: RobotInterface, feedforward: Feedforward, q_d: Array, *, robot:
             player.cycle(path[k], player.ahead[k : k + feedforward.n_d])
             if k % 50 == 0:
                 progress(k / len(path), "playing")
+        player.come_to_rest(player.ahead[-1])
     except LimitError as limit:
         failure = f"stopped on the path at {k * driver.t_ipo:.3f} s: {limit}"
         error = player.brake(k) if robot is not None and len(player.q_c) == k else limit
@@ -167,9 +172,26 @@ class _Player:
         try:
             for rows in islice(stopping_rows(planned, T, braking, 1.0), cycles):
                 self.cycle(rows[0], rows[:n_d], braking=True)
+            self.come_to_rest(self.q_d[-1])
         except IdealRobotError as error:
             return error
         return None
+
+    def come_to_rest(self, q_d: Array) -> None:
+        """Comes to rest within the limits where the commands end in motion; held at once, the arm would stop at once.
+
+        Args:
+            q_d: where the arm is wanted from now on ``(n,)`` [rad].
+        """
+        if self.robot is None:
+            return
+        T = self.driver.t_ipo
+        if np.all(np.abs(self.last[1] - self.last[0]) <= 2.0 * self.robot.a_max * T**2):
+            return
+        for _ in range(int(np.ceil(_LONGEST_STOP / T))):
+            self.cycle(q_d, np.tile(q_d, (self.feedforward.n_d, 1)), braking=True)
+            if np.all(np.abs(self.last[1] - self.last[0]) <= _STILL):
+                return
 
     def result(self, meta: dict[str, Any], failure: str | None, error: IdealRobotError | None) -> PlayResult:
         """What was played; the state at the end of a cycle is the one at which the next command is handed over."""

@@ -74,7 +74,7 @@ class RsiServer:
         """
         # Compiled code is loaded before the first packet has to be answered.
         self.feedforward.step(self.feedforward.init(self.q_d[0]), self.q_d[: self.feedforward.n_d])
-        log = CycleLog(len(self.q_d) + round((_SETTLING + _BRAKING_MAX) / self.link.t_ipo), self.link.robot.n)
+        log = CycleLog(len(self.q_d) + round((_SETTLING + 2.0 * _BRAKING_MAX) / self.link.t_ipo), self.link.robot.n)
         with undisturbed(core) as granted:
             self.link.connect(patience)
             q_d = self._from(self.link.commanded)
@@ -132,17 +132,32 @@ class RsiServer:
             yield ahead[k], q_c
         else:
             for _ in range(round(_SETTLING / T)):
-                if self.link.settled or self._reason is not None:
+                # Where the path ends in motion, to be held at once would be more than the arm's acceleration.
+                moving = np.any(np.abs(last[1] - last[0]) > 2.0 * robot.a_max * T**2)
+                if not moving and (self.link.settled or self._reason is not None):
                     break
                 q_c, state = law.step(state, ahead[-law.n_d :])
+                q_c = governor.allowed(q_c)
+                last = np.vstack([last[1], q_c])
                 yield ahead[-1], q_c
             return
         speed = float(np.max(np.abs(ahead[k + 1] - ahead[k]) / T / robot.a_max))
         braking = max(speed, _BRAKING_MIN)
         cycles = int(np.ceil((min(1.5 * braking, _BRAKING_MAX) + _STANDING) / T))
+        at = ahead[k]
         for planned in islice(stopping_rows(ahead[k : k + cycles + law.n_d], T, braking, 1.0), cycles):
             q_c, state = law.step(state, planned[: law.n_d])
-            yield planned[0], governor.allowed(q_c)
+            at, q_c = planned[0], governor.allowed(q_c)
+            last = np.vstack([last[1], q_c])
+            yield at, q_c
+        for _ in range(round(_BRAKING_MAX / T)):
+            # The limits may let the commands arrive later than the plan.
+            if np.all(np.abs(last[1] - last[0]) <= 2.0 * robot.a_max * T**2):
+                return
+            q_c, state = law.step(state, np.tile(at, (law.n_d, 1)))
+            q_c = governor.allowed(q_c)
+            last = np.vstack([last[1], q_c])
+            yield at, q_c
 
     def _run(self, log: CycleLog, granted: list[str]) -> RsiRun:
         robot, counts = self.link.robot, asdict(self.link.counts)
