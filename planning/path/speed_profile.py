@@ -18,6 +18,8 @@ from planning.planning_error import OutOfReachError
 
 STEP = 0.002
 """Spacing of the joint path on which limits are checked [m]."""
+LONGEST = 7200.0
+"""Time that a path may last [s]."""
 TICK = 0.001
 """Spacing in time of the profile's samples [s]."""
 
@@ -211,6 +213,9 @@ def _travel(path: JointPath, limit: Array, limits: Limits, a_max: Array) -> Spee
             square[i] = min(square[i], square[last] + 2.0 * min(room, limits.acceleration) * ds)
     v = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * ds / np.maximum(v[1:] + v[:-1], 1e-9))])
+    if t[-1] > LONGEST:
+        raise InputError(f"the path would last {t[-1]:.3g} s; {LONGEST:g} s is the longest, move faster", field="speed",
+                         value=limits.speed)
     # Constant acceleration between the places: the speed is linear in time there.
     ticks = TICK * np.arange(int(np.ceil(t[-1] / TICK)) + 2)
     speed = np.interp(ticks, t, v, right=0.0)

@@ -14,7 +14,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 
-LONGEST = 3600.0
+LONGEST = 7200.0
 """Time that a path may last [s]."""
 
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import tempfile
+import weakref
 from collections.abc import Callable
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pinocchio as pin
@@ -16,11 +19,13 @@ from sim.arm.kernel import LOGGED
 from sim.arm.world import World
 from sim.simulation_error import SimError
 
+KEPT = 32768
+"""Rows kept in memory at most, about a minute; a power of two times the first ones."""
 _ANGLE, _SPEED = LOGGED.index("q_a"), LOGGED.index("qd_a")
 
 
 class History:
-    """The log of one run, row by row.
+    """The log of one run, row by row; of long runs the rows before the last minute are in a file without a name.
 
     Args:
         n: number of joints.
@@ -33,23 +38,51 @@ class History:
     def __init__(self, n: int, step: float) -> None:
         self._n, self.step = n, step
         self._log = np.zeros((2048, 1 + len(LOGGED) * n))
+        self._file: IO[bytes] | None = None
+        self._stored = np.zeros((0, self._log.shape[1]))
+        self._first = 0
         self.rows = 0
 
     @property
     def next_row(self) -> Array:
         """The row that is filled next: time, then ``kernel.LOGGED`` with ``n`` values each."""
-        return self._log[self.rows]
+        return self._log[self.rows - self._first]
+
+    @property
+    def kept(self) -> int:
+        """Rows there is memory for."""
+        return len(self._log)
 
     def reserve(self, count: int) -> None:
         """Makes room for ``count`` further rows."""
-        if self.rows + count > len(self._log):
+        if self.rows - self._first + count <= len(self._log):
+            return
+        if len(self._log) < KEPT:
             self._log = np.concatenate([self._log, np.zeros_like(self._log)])
+        else:
+            self._store()
 
     def columns(self) -> dict[str, Array]:
-        """``t (N,)`` [s] and every logged quantity ``(N, n)``."""
-        n, log = self._n, self._log[: self.rows]
-        return {"t": log[:, 0].copy(),
-                **{name: log[:, 1 + i * n: 1 + (i + 1) * n].copy() for i, name in enumerate(LOGGED)}}
+        """``t (N,)`` [s] and every logged quantity ``(N, n)``; of a long run they are read from its file when used."""
+        n = self._n
+        if self._first:
+            self._store()
+        log = self._stored if self._first else self._log[: self.rows].copy()
+        return {"t": log[:, 0], **{name: log[:, 1 + i * n: 1 + (i + 1) * n] for i, name in enumerate(LOGGED)}}
+
+    def _store(self) -> None:
+        """Brings the rows in memory to the file; what was handed out before stays valid."""
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the history is)
+            weakref.finalize(self, self._file.close)
+        self._file.seek(0, os.SEEK_END)
+        self._file.write(self._log[: self.rows - self._first].tobytes())
+        self._file.flush()
+        self._first = self.rows
+        self._stored = np.asarray(np.memmap(self._file, dtype=float, mode="r", shape=(self.rows, self._log.shape[1])))
+
+    def _row(self, i: int) -> Array:
+        return self._stored[i] if i < self._first else self._log[i - self._first]
 
     def pose(self, t: float, t_now: float, q_now: Array, qd_now: Array) -> Array:
         """Arm angles ``(n,)`` [rad] at a time, from angles and velocities of the neighbouring rows.
@@ -65,14 +98,16 @@ class History:
         """
         if not -1.0e-9 <= t <= t_now + 1.0e-9:
             raise SimError(f"the simulated arm knows its pose from 0 to {t_now:.4f} s, not at {t:.4f} s")
-        log, rows, n = self._log, self.rows, self._n
+        rows, n = self.rows, self._n
         if rows == 0:
             return q_now.copy()
         i = min(int(t / self.step), rows - 1)
         angle, speed = (slice(1 + column * n, 1 + (column + 1) * n) for column in (_ANGLE, _SPEED))
-        t0, q0, v0 = log[i, 0], log[i, angle], log[i, speed]
+        here = self._row(i)
+        t0, q0, v0 = here[0], here[angle], here[speed]
         if i + 1 < rows:
-            t1, q1, v1 = log[i + 1, 0], log[i + 1, angle], log[i + 1, speed]
+            after = self._row(i + 1)
+            t1, q1, v1 = after[0], after[angle], after[speed]
         else:
             t1, q1, v1 = t_now, q_now, qd_now
         h = t1 - t0

@@ -95,3 +95,8 @@ def test_single_instant_agrees_with_many() -> None:
         s, speed = travel.at(t)
         assert s == pytest.approx(float(travel.s(t)), abs=1e-12)
         assert speed == pytest.approx(float(travel.speed(t)), abs=1e-9)
+
+
+def test_a_path_that_would_last_for_hours_is_refused_before_it_is_sampled() -> None:
+    with pytest.raises(InputError, match="would last"):
+        SpeedProfile.plan(kr6(), reference(), Limits(1e-8), joint_path())
