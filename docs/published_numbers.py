@@ -1,7 +1,7 @@
 """Makes the numbers that README and pages publish anew, and says which differ: ``make docs-figures``.
 
 ``docs/numbers.toml`` says for each table or sentence which command makes it and where in the command's JSON its numbers
-stand. Every command runs once, however many numbers it makes.
+stand, or after which words in what a benchmark prints. Every command runs once, however many numbers it makes.
 
     python docs/published_numbers.py --list            # what there is, how long it takes, nothing is run
     python docs/published_numbers.py --quick           # what takes less than a minute
@@ -38,8 +38,8 @@ class Published:
         page: where it stands.
         what: which one it is, for people.
         text: as printed there.
-        command: words behind ``ideal-robot`` that make it.
-        value: where it stands in the command's JSON, see ``value_of``.
+        command: words behind ``ideal-robot`` that make it, or ``python …``.
+        value: where it stands in the command's JSON or in what it prints, see ``value_of``.
         factor: of the JSON's unit to the page's.
         tolerance: by which it may differ, relative, beside the rounding of what is printed.
         quick: whether the command takes less than a minute.
@@ -79,15 +79,17 @@ def published(table: Path = ROOT / "docs" / "numbers.toml", root: Path = ROOT) -
 
 def _numbers(entry: dict[str, Any], root: Path) -> Iterator[Published]:
     page = (root / entry["page"]).read_text(encoding="utf-8")
+    # A regular expression for what is printed begins with ~ from here on.
+    values = entry["values"] if "values" in entry else [f"~{one}" for one in entry["printed"]]
     shared = {"page": entry["page"], "command": entry["command"], "tolerance": entry.get("tolerance", 0.02),
               "quick": entry.get("quick", False)}
-    factors = entry.get("factors", [1.0] * len(entry["values"]))
+    factors = entry.get("factors", [1.0] * len(values))
     for label, key, text in _places(entry, page):
         found = _NUMBER.findall(text)
-        if len(found) < len(entry["values"]):
-            raise ValueError(f"{entry['page']}: {label!r} has {len(found)} numbers of {len(entry['values'])}")
-        for i, (value, factor) in enumerate(zip(entry["values"], factors, strict=True)):
-            yield Published(what=f"{label} ({i + 1})" if len(entry["values"]) > 1 else label, text=found[i],
+        if len(found) < len(values):
+            raise ValueError(f"{entry['page']}: {label!r} has {len(found)} numbers of {len(values)}")
+        for i, (value, factor) in enumerate(zip(values, factors, strict=True)):
+            yield Published(what=f"{label} ({i + 1})" if len(values) > 1 else label, text=found[i],
                             value=value.replace("{row}", key), factor=factor, **shared)
 
 
@@ -121,8 +123,14 @@ def value_of(content: Any, path: str) -> float:
     """A number out of a command's JSON.
 
     ``a.b.0.c`` goes down by keys and places in lists, ``runs[speed=0.7].x`` to all entries of a list with this value,
-    ``*`` to all; ``max(…)``, ``min(…)`` and ``mean(…)`` make one number of several.
+    ``*`` to all; ``max(…)``, ``min(…)`` and ``mean(…)`` make one number of several. ``~…`` is a regular expression
+    whose group is the number in what was printed.
     """
+    if path.startswith("~"):
+        found = re.search(path[1:], content["printed"])
+        if found is None:
+            raise ValueError(f"nothing printed is like {path[1:]}")
+        return float(found[1])
     reduced = re.fullmatch(r"(max|min|mean)\((.*)\)", path)
     values = [content]
     for part in re.findall(r"[^.\[\]]+(?:\[[^\]]*\])?", reduced[2] if reduced else path):
@@ -146,26 +154,31 @@ def _deeper(value: Any, name: str) -> list[Any]:
 
 
 def made(command: str, folder: Path) -> dict[str, Any] | None:
-    """The JSON of a command; None where it needs measured data that are not here."""
+    """The JSON of a command, or what it prints; None where it needs measured data that are not here."""
     if "{data}" in command and not DATA.is_dir():
         return None
     words = shlex.split(command.replace("{data}", str(DATA)))
     answer = folder / "answer.json"
-    done = subprocess.run([sys.executable, "-m", "scenes.cli", *words, "--json", str(answer)], cwd=folder,
-                          capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
-    if done.returncode != 0 or not answer.is_file():
-        raise RuntimeError(f"ideal-robot {command}: {done.stderr.strip()[-500:]}")
-    content: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
+    prints = words[0] == "python"
+    words = words[1:] if prints else ["-m", "scenes.cli", *words, "--json", str(answer)]
+    done = subprocess.run([sys.executable, *words], cwd=ROOT if prints else folder, capture_output=True, text=True,
+                          check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    if done.returncode != 0 or not (prints or answer.is_file()):
+        raise RuntimeError(f"{typed(command)}: {done.stderr.strip()[-500:]}")
+    content: dict[str, Any] = {"printed": done.stdout} if prints else json.loads(answer.read_text(encoding="utf-8"))
     return content
 
 
+def typed(command: str) -> str:
+    """A command as a person types it."""
+    return command if command.startswith("python ") else f"ideal-robot {command}"
 
 
 def compare(numbers: Sequence[Published]) -> list[tuple[Published, float | None, str]]:
     """Each number with the one made anew (None where it could not be made) and a word: same, differs, not made."""
     answers: list[tuple[Published, float | None, str]] = []
     for command in dict.fromkeys(one.command for one in numbers):
-        print(f"ideal-robot {command} …", file=sys.stderr, flush=True)
+        print(f"{typed(command)} …", file=sys.stderr, flush=True)
         with tempfile.TemporaryDirectory() as folder:
             try:
                 content = made(command, Path(folder))
@@ -193,12 +206,12 @@ def main(words: Sequence[str] | None = None) -> int:
                and (asked.only in one.command or asked.only in one.page)]
     if asked.list:
         for one in numbers:
-            print(f"{one.page}: {one.what}: {one.text}  (ideal-robot {one.command})")
+            print(f"{one.page}: {one.what}: {one.text}  ({typed(one.command)})")
         return 0
     answers = compare(numbers)
     for one, found, word in answers:
         print(f"{word:8} {one.page}: {one.what}: published {one.text}, now "
-              + ("–" if found is None else f"{found:.4g}") + f"  (ideal-robot {one.command})")
+              + ("–" if found is None else f"{found:.4g}") + f"  ({typed(one.command)})")
     wrong = sum(word in ("DIFFERS", "failed") for *_, word in answers)
     print(f"{len(answers)} numbers, {wrong} differ")
     return int(wrong > 0)

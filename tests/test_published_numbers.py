@@ -30,7 +30,9 @@ def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
 
     found = NUMBERS.published()
     assert len(found) > 150
-    assert {one.command.split()[0] for one in found} <= set(VERBS)
+    printing = {one.command for one in found if one.command.startswith("python ")}
+    assert all((ROOT / command.split()[1]).is_file() for command in printing)
+    assert {one.command.split()[0] for one in found if one.command not in printing} <= set(VERBS)
     assert {one.page for one in found} >= {"README.md", "docs/ideal_robot.md", "docs/line_following.md",
                                            "docs/contact.md"}
     assert any(one.quick for one in found)
@@ -44,6 +46,22 @@ def test_numbers_are_read_out_of_json_by_path() -> None:
     assert NUMBERS.value_of(content, "mean(runs[speed=0.7].e.mean)") == 2.5
     with pytest.raises(ValueError, match="2 numbers"):
         NUMBERS.value_of(content, "runs[speed=0.7].e.mean")
+
+
+def test_numbers_are_read_out_of_what_a_benchmark_prints(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("| arm | mm |\n| --- | --- |\n| `a` | 0.5 / 7 |\n| `b` | 2.0 / 9 |\n")
+    (tmp_path / "numbers.toml").write_text("""[[entry]]
+page = "page.md"
+header = "| arm | mm |"
+rows = { "`a`" = "a", "`b`" = "b" }
+command = "python -c 'print(\\"a: 0.52 mm, 7 ms\\\\nb: 2.3 mm, 9 ms\\")'"
+printed = ['{row}: ([0-9.]+) mm', '{row}: .* ([0-9]+) ms']
+""")
+    numbers = NUMBERS.published(tmp_path / "numbers.toml", tmp_path)
+    assert [(found, word) for _, found, word in NUMBERS.compare(numbers)] == [
+        (0.52, "same"), (7.0, "same"), (2.3, "DIFFERS"), (9.0, "same")]
+    with pytest.raises(ValueError, match="nothing printed"):
+        NUMBERS.value_of({"printed": "words"}, "~c: ([0-9]+)")
 
 
 def test_a_number_that_changed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
