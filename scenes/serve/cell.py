@@ -89,6 +89,10 @@ class ServedCell:
         """True pose of the tool at a time of the session [s]; the present one where the arm has not moved yet."""
         return self.arm.tcp_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.tcp
 
+    def anew(self) -> None:
+        """The arm's time has begun anew, and so does that of the contact."""
+        self.contact = None if self._new_contact is None else self._new_contact()
+
     def shape_at(self, t: float) -> tuple[Array, Array]:
         """What of the arm may stand in a lamp's way at a time of the session [s], as capsules."""
         q = self.arm.q_at(min(max(t, 0.0), self.arm.t)) if self.arm.t > 0 else self.arm.truth.q_a
@@ -99,7 +103,7 @@ class ServedCell:
         return np.zeros(3) if self.contact is None or self.arm.t == 0 else self.contact.force_at(t)
 
     def truth(self, session: Session) -> dict[str, Any]:
-        """What really happened in a session, which no device tells; afterwards the next one may begin."""
+        """What really happened in a session, which no device tells."""
         commands = np.array(session.commands)
         T, limits = self.arm.t_ipo, self.arm.robot.a_max
         steps = np.diff(commands, axis=0, prepend=commands[:1])
@@ -114,7 +118,6 @@ class ServedCell:
             figures["control_error_mm"] = self._beside(history["t"], history["q_a"], self._line)
         if self.contact is not None:
             figures["force_N"] = self._pressed(self.contact)
-            self.contact = None if self._new_contact is None else self._new_contact()
         return figures
 
     def _beside(self, t: Array, q_a: Array, line: DrawnLine) -> dict[str, float]:
@@ -201,7 +204,7 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
         devices: tuple[Carried, ...] = tuple(carried)
         served_arm = ServedRtde if places.rtde else ServedArm
         yield served, served_arm(arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift,
-                                rng=streams[2], carried=devices, sign=Axes.of(cell.robot).sign)
+                                rng=streams[2], carried=devices, sign=Axes.of(cell.robot).sign, anew=served.anew)
 
 
 def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:

@@ -81,11 +81,14 @@ class ServedArm:
         rng: draws what the network does.
         carried: devices on the arm.
         sign: how the controller counts its axes against the URDF ``(n,)``.
+        anew: called when the arm's time has begun anew, for a next session.
     """
 
     def __init__(self, arm: SimulatedArm, address: tuple[str, int], *, relative: bool, unkind: Unkindness, drift: float,
-                 rng: np.random.Generator, carried: tuple[Carried, ...], sign: Array) -> None:
+                 rng: np.random.Generator, carried: tuple[Carried, ...], sign: Array,
+                 anew: Callable[[], None] = lambda: None) -> None:
         self.arm, self._unkind, self._rng, self._carried = arm, unkind, rng, carried
+        self._anew = anew
         self._wire = RsiController(arm, address, relative=relative, sign=sign.tolist())
         self._address, self._relative, self._sign = address, relative, sign
         self._T, self._host_T = arm.t_ipo, arm.t_ipo / (1.0 + drift)
@@ -204,7 +207,11 @@ class ServedArm:
             self._moved(row)
         for _ in range(round(_STANDING / self._T)):
             self._moved(self._start)
+        self._reset()
+
+    def _reset(self) -> None:
         self.arm.reset(self._start)
+        self._anew()
 
     def _moved(self, q: Array, session: Session | None = None) -> None:
         self.arm.cycle(q)

@@ -31,7 +31,7 @@ class ServedRtde(ServedArm):
                 self._go_back(session.commands[-1])
                 count += 1
             elif session.commands:
-                self.arm.reset(self._start)
+                self._reset()
 
     def stop(self) -> None:
         """Ends ``sessions`` after the present cycle."""
