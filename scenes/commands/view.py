@@ -15,9 +15,13 @@ def command(
                                               "URDF; needed where a recording does not say it.")] = None,
     port: Annotated[int, typer.Option(help="TCP port on this machine; the next free one where it is taken.", min=1,
                                       max=65535)] = 8080,
+    live: Annotated[Path | None, typer.Option(help="Folder of a run on devices that goes on or is about to begin, "
+                                              "such as out/follow/line; WHAT is its scene.")] = None,
     once: Annotated[bool, typer.Option("--once", help="Set the page up and leave: a check without a browser.")] = False,
 ) -> None:
     """Shows an arm in a browser: a recording played, a scene played first and then shown, or a robot at home.
+
+    With --live a run of `ideal-robot follow` is shown while it goes on, from the journal it writes.
 
     Example: `ideal-robot view out/line/recording.parquet`
     """
@@ -29,6 +33,22 @@ def command(
     from scenes.view.recorded import open_recording, recorded_replay
     from scenes.view.viewer import Viewer
 
+    if live is not None:
+        from scenes.drawn_line import reference_points
+        from scenes.follow.scene_of_cell import load_cell
+        from scenes.view.live import watch
+
+        cell = load_cell(what)
+        page = watch(Robot.load(robot or cell.robot), live, port, {"reference": reference_points(cell)})  # type: ignore[arg-type]
+        typer.echo(f"open http://127.0.0.1:{page.viewer.port} in a browser; Ctrl-C ends")
+        try:
+            while not once:
+                page.update()
+                time.sleep(0.1)
+        except KeyboardInterrupt:
+            typer.echo("closed")
+        page.viewer.server.stop()
+        return
     replay = None
     curves: dict = {}
     if Path(what).suffix in (".parquet", ".csv"):

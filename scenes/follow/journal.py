@@ -93,18 +93,24 @@ def left_behind(folder: Path) -> Recording | None:
     return found if len(found.t) else None
 
 
-def journal_rows(folder: Path) -> tuple[Array, dict[str, Any]]:
+def journal_rows(folder: Path, first: int = 0, count: int = -1) -> tuple[Array, dict[str, Any]]:
     """Rows of a journal ``(N, 2 + 4 n)`` and its metadata, also while it is being written.
 
     A row holds the time of the run and that of the controller [s], then ``q_d``, ``q_c``, ``q`` and ``tau``.
+
+    Args:
+        folder: of the run.
+        first: row to begin with.
+        count: of rows; -1 for all that are there.
 
     Raises:
         OSError, ValueError, KeyError, TypeError: there is none, or it is no journal.
     """
     meta = json.loads((folder / META).read_text(encoding="utf-8"))
     n = len(meta["gain"])
-    values = np.fromfile(folder / ROWS, dtype=np.float64)
     size = 2 + len(_QUANTITIES) * n
+    values = np.fromfile(folder / ROWS, dtype=np.float64, offset=8 * size * first,
+                         count=size * count if count >= 0 else -1)
     # A row that is only half there is none.
     return values[: len(values) // size * size].reshape(-1, size), meta
 

@@ -1,0 +1,129 @@
+"""A run on devices in a browser while it goes on: the arm, where it was, and what the run says.
+
+It reads the journal that the follower writes, in a process of its own: whoever leads the arm does nothing for it.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from scenes.follow.journal import ROWS, journal_rows
+from scenes.view.viewer import GHOST, Viewer
+
+SILENT = 1.0
+"""Time without a new cycle after which the page says so [s]."""
+_RECENT = 5000
+"""Cycles that are read: of a long run the last ones."""
+_SHOWN = 400
+"""Points of the way that are drawn."""
+_COLOUR = (0, 110, 190)
+
+
+class LiveView:
+    """What is known of a run so far, in a viewer.
+
+    Args:
+        viewer: with the arm.
+        folder: of the run.
+
+    Attributes:
+        state: what the page says.
+    """
+
+    def __init__(self, viewer: Viewer, folder: Path) -> None:
+        self.viewer, self._folder = viewer, folder
+        self._panel = viewer.server.gui.add_markdown("")
+        self._plot: Any = None
+        self._begun, self._grown, self._size = time.time(), time.monotonic(), -1
+        self._pose = viewer.robot.fk()
+        self.state = ""
+        self._say(f"waiting for a run in `{folder}`")
+
+    def update(self) -> None:
+        """Looks for what has come since; to be called again and again."""
+        try:
+            size = (self._folder / ROWS).stat().st_size
+            count = size // (8 * (2 + 4 * self.viewer.robot.n))
+            if size != self._size and count:
+                begun = float(journal_rows(self._folder, 0, 1)[0][0, 1])
+                rows, meta = journal_rows(self._folder, max(count - _RECENT, 0))
+        except (OSError, ValueError, KeyError, TypeError, IndexError):
+            self._ended()
+            return
+        if size == self._size:
+            quiet = time.monotonic() - self._grown
+            if quiet > SILENT and size:
+                self._say(f"**no new cycle for {quiet:.0f} s**: the run has ended, or the arm or the follower stands "
+                          "still")
+            return
+        self._size, self._grown = size, time.monotonic()
+        if count:
+            self._show(rows, meta, count, begun)
+
+    def _show(self, rows: Array, meta: dict[str, Any], count: int, begun: float) -> None:
+        """The last rows of a run of ``count`` cycles that began at ``begun`` [s]."""
+        n, T = self.viewer.robot.n, float(meta["cycle_time"])
+        q_d, q_c, q = (rows[:, 2 + i * n : 2 + (i + 1) * n] for i in range(3))
+        self.viewer.show(q[-1])
+        self.viewer.show(q_c[-1], GHOST)
+        some = np.unique(np.linspace(0, len(q) - 1, min(len(q), _SHOWN)).astype(int))
+        if len(some) > 1:
+            self.viewer.draw("way of the tool", np.array([self._pose(q[k]).translation for k in some]), _COLOUR)
+        recent = slice(-max(round(5.0 / T), 2), None)
+        t, off = rows[recent, 1], 1e3 * np.abs(q_d - q)[recent].max(axis=1)
+        lost = round((rows[-1, 1] - begun) / T) + 1 - count
+        self._draw(t, off)
+        self._say(f"**{meta.get('scene')}**, {meta.get('method')}: running\n\n"
+                  f"{rows[-1, 1]:.1f} s by the controller, {count} cycles of {1e3 * T:.0f} ms, "
+                  f"{lost} lost\n\n"
+                  f"motor angles beside what is desired: {off[-1]:.2f} mrad, at most {off.max():.2f} in the last 5 s")
+
+    def _draw(self, t: Array, off: Array) -> None:
+        if len(t) < 2:
+            return
+        if self._plot is None:
+            self._plot = self.viewer.server.gui.add_uplot((t, off), (
+                {"label": "t [s]"}, {"label": "off [mrad]", "stroke": f"rgb{_COLOUR}"}), aspect=2.0)
+        else:
+            self._plot.data = (t, off)
+
+    def _ended(self) -> None:
+        """No journal: a run that is over has left its report, if it has one."""
+        file = self._folder / "report.json"
+        self._size = -1
+        try:
+            if file.stat().st_mtime < self._begun:
+                return
+            told = json.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            return
+        failure = told.get("failure")
+        self._say(f"**{told.get('scene')}**, {told.get('method')}: "
+                  + (f"**ended early:** {failure}" if failure else "the whole path was followed")
+                  + f"\n\n{told.get('cycles')} cycles; page: `{told.get('report')}`")
+
+    def _say(self, text: str) -> None:
+        if text != self.state:
+            self.state = self._panel.content = text
+
+
+def watch(robot: Robot, folder: Path, port: int, curves: dict[str, Array]) -> LiveView:
+    """The page of a folder's runs.
+
+    Args:
+        robot: the arm.
+        folder: of the runs.
+        port: TCP port on this machine; the next free one where it is taken.
+        curves: further ones to be drawn ``(N, 3)`` [m].
+    """
+    viewer = Viewer(robot, port)
+    for name, points in curves.items():
+        viewer.draw(name, points, (40, 40, 40))
+    return LiveView(viewer, folder)
