@@ -90,7 +90,8 @@ class LiveView:
             return
         if self._plot is None:
             self._plot = self.viewer.server.gui.add_uplot((t, off), (
-                {"label": "t [s]"}, {"label": "off [mrad]", "stroke": f"rgb{_COLOUR}"}), aspect=2.0)
+                {"label": "t [s]"}, {"label": "off [mrad]", "stroke": f"rgb{_COLOUR}"}),
+                scales={"x": {"time": False}}, aspect=2.0)
         else:
             self._plot.data = (t, off)
 
