@@ -2,7 +2,8 @@
 #   docker build -t ideal-robot .
 #   docker run --rm -v "$PWD/out:/ideal-robot/out" ideal-robot
 FROM python:3.11-slim
-RUN apt-get update && apt-get install -y --no-install-recommends git make && rm -rf /var/lib/apt/lists/*
+# Pinocchio's wheel needs OpenMP from the system, which the slim image does not have.
+RUN apt-get update && apt-get install -y --no-install-recommends git libgomp1 make && rm -rf /var/lib/apt/lists/*
 WORKDIR /ideal-robot
 COPY . .
 RUN make .venv/installed

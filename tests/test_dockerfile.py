@@ -7,6 +7,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import pinocchio
+
 ROOT = Path(__file__).resolve().parents[1]
 LINES = [line for line in (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines() if line.strip()]
 STEPS = [tuple(line.split(maxsplit=1)) for line in LINES if not line.startswith("#")]
@@ -37,6 +39,14 @@ def test_the_environment_of_the_image_is_the_one_that_is_installed() -> None:
     folder = next(text for step, text in STEPS if step == "WORKDIR")
     assert f"ENV PATH={folder}/.venv/bin:$PATH" in LINES
     assert "BIN := .venv/bin" in MAKEFILE
+
+
+def test_what_wheels_need_of_the_system_is_installed() -> None:
+    """Debian's slim image has the C and C++ libraries, but not OpenMP's, which Pinocchio's wheel does not bring."""
+    compiled = next(Path(pinocchio.__path__[0]).glob("pinocchio_pywrap_default*.so")).read_bytes()
+    bundled = [path for path in Path(pinocchio.__path__[0]).parents[2].glob("libgomp*")]
+    if b"libgomp.so.1\0" in compiled and not bundled:
+        assert any("libgomp1" in text.split() for step, text in STEPS if step == "RUN")
 
 
 def test_readme_says_the_commands_of_its_heading_and_nothing_private_goes_in() -> None:
