@@ -6,7 +6,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all docs docs-figures bench models check clean
+.PHONY: demo test test-all test-part docs docs-figures bench models check clean
 
 demo: .venv/installed
 	$(BIN)/ideal-robot run line --out out/line
@@ -17,6 +17,11 @@ test: .venv/installed check
 
 test-all: .venv/installed check
 	$(BIN)/pytest -n 2 -m ""
+
+# One in twenty of the slow tests, others with the next commit; two minutes at most (124), none is no failure (5).
+test-part: .venv/installed
+	timeout 120 $(BIN)/pytest -n 2 -m slow --part $$(git rev-list --count HEAD 2>/dev/null || echo 0)/20; \
+		s=$$?; test $$s -eq 0 -o $$s -eq 5 -o $$s -eq 124
 
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -1,7 +1,29 @@
-"""Settings of all tests."""
+"""Settings of all tests, and the part of the slow ones that a continuous integration has time for."""
 
+from zlib import crc32
+
+import pytest
 from hypothesis import settings
 
 # The first call of a compiled function takes seconds; and a run of the tests must mean the same for everyone.
 settings.register_profile("project", deadline=None, derandomize=True)
 settings.load_profile("project")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Adds ``--part``."""
+    parser.addoption("--part", default="", help="k/n: every n-th test, from the k-th on, in an order of its own")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leaves out what is not in the part."""
+    if asked := config.getoption("--part"):
+        part, parts = map(int, asked.split("/"))
+        left_out = [item for item in items if not in_part(item.nodeid, part, parts)]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
+
+
+def in_part(name: str, part: int, parts: int) -> bool:
+    """Whether a test is in a part: always in the same one, whatever other tests there are."""
+    return crc32(name.encode()) % parts == part % parts
