@@ -39,7 +39,9 @@ def drawn_error(rng: np.random.Generator) -> dict[str, dict[str, float]]:
     result: dict[str, dict[str, float]] = {}
     for key in map(str, rng.choice(list(SIZES), int(rng.integers(1, 3)), replace=False)):
         table, name = key.split(".")
-        result.setdefault(table, {})[name] = float(rng.uniform(*SIZES[key]) * rng.choice([-1.0, 1.0]))
+        # The sizes of a calibration's errors have the signs that the scene's seed draws.
+        sign = float(rng.choice([-1.0, 1.0])) if table == "camera" else 1.0
+        result.setdefault(table, {})[name] = sign * float(rng.uniform(*SIZES[key]))
     return result
 
 

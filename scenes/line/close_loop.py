@@ -34,6 +34,7 @@ from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
+from scenes.scene_error import SceneError
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
 
 ROUNDS = 4
@@ -94,7 +95,11 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, measured: str = "tc
             added = named_camera_effects(visible(present.recording, seen_by), robot, extended, names)
             progress(share + 0.06, f"round {round_}: {words(added)}")
             candidate = with_effects(extended, added)
-            tried = again(candidate)
+            try:
+                tried = again(candidate)
+            except SceneError as failed:
+                steps.append(Trial(round_, words(added), False, f"cannot be played: {failed}", float("nan")))
+                break
             reached = spread(visible(tried.recording, seen_by), robot, model)
             taken = reached < LEAST * error
             refused = "" if taken else "the points that were seen lie no closer to one curve"

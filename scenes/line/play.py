@@ -24,6 +24,7 @@ from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, 
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.result import Progress, silent
+from scenes.scene_error import SceneError
 from sim.arm.arm import SimulatedArm
 from sim.equipment.equipped_arm import CarriedCamera, EquippedArm
 
@@ -76,6 +77,8 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),
                     progress)
         wall = time.perf_counter() - started
+        if log.failure and len(arm.history()["t"]) < 2:
+            raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
         history = arm.history()
         tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
         shown = [(arm.tcp_at(t), seen) for t, seen in log.shown] if pictures else []
