@@ -22,8 +22,8 @@ IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "
 STARTS_FAST = "scenes.commands."
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
-                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets"}
-"""Tools of development that are started as programs."""
+                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "RSIPI", "ur-rtde"}
+"""Tools of development, and counterparts in tests, that are started as programs."""
 
 
 def imports(tree: ast.AST) -> list[str]:
