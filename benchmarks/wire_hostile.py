@@ -1,4 +1,4 @@
-"""Mutated, cut, replayed and foreign packets on every socket of cameras and force sensors, both ends.
+"""Mutated, cut, replayed and foreign packets on every socket of cameras, force sensors and RTDE; RSI: rsi_hostile.py.
 
     python benchmarks/wire_hostile.py [PACKETS]
 
@@ -14,9 +14,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 
+from ideal_robot.rtde.connection import RtdeConnection
+from ideal_robot.rtde.rtde_error import RtdeError
+from ideal_robot.rtde.wire import Kind, Recipe
+from ideal_robot.rtde.wire import package as rtde_package
 from sensing.camera.stream_camera import StreamCamera
 from sensing.force.netft import NetFT
 from sensing.force.stream_force import StreamForce
@@ -152,6 +157,36 @@ def netft(count: int, rng: np.random.Generator) -> str:
     return f"{taken} readings taken, counts {device.counts}"
 
 
+def rtde(count: int, rng: np.random.Generator) -> str:
+    """A client of RTDE whose controller agrees to everything and then sends mutated data packages."""
+    names, codes = ("timestamp", "actual_q"), b"\1DOUBLE,VECTOR6D"
+    agreed = [rtde_package(Kind.VERSION, b"\1"), rtde_package(Kind.CONTROLLER, struct.pack(">4I", 5, 11, 0, 0)),
+              rtde_package(Kind.OUTPUTS, codes), rtde_package(Kind.START, b"\1")]
+    recipe = Recipe.agreed(names, codes)
+    packets = mutated(lambda k: recipe.packed(0.008 * k, *range(6)), count, rng)
+    connections = taken = 0
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        while some := list(islice(packets, 50)):
+            link = RtdeConnection(*listener.getsockname(), 2.0)
+            connections += 1
+            with listener.accept()[0] as controller:
+                controller.sendall(b"".join([*agreed, *some]))
+                # Nothing more comes: what is not whole by then is not waited for.
+                controller.shutdown(socket.SHUT_WR)
+                try:
+                    link.agree()
+                    outputs = link.outputs(names, 125.0)
+                    link.start()
+                    while True:
+                        data, _ = link.newest(outputs)
+                        taken += 1
+                        if set(data) != set(names):
+                            raise SystemExit("data that are none were taken")
+                except RtdeError:
+                    link.close()
+    return f"{connections} connections, {taken} packages taken"
+
+
 def servers(count: int, rng: np.random.Generator) -> str:
     """The simulated devices' own sockets."""
     stream = StreamServer("127.0.0.1", 0, lambda: 0.0, 1, camera_description(16, 16, 50.0))
@@ -189,6 +224,7 @@ def main() -> None:
     hello = package(1, 0.0, camera_description(16, 16, 50.0))
     fields = lambda k: package(2, 0.02 * k, struct.pack(">IHH", k, 16, 16) + bytes(256))  # noqa: E731
     for name, play in (
+            ("rtde", lambda n: rtde(n, rng)),
             ("stream, parser", lambda n: parser(n, rng)),
             ("stream, camera", lambda n: over_tcp(fields, hello, camera, n, rng)),
             ("stream, force", lambda n: over_tcp(wrench, package(3, 0.0, struct.pack(">d", 250.0)), force, n, rng)),

@@ -46,7 +46,7 @@ class RtdeConnection:
         """
         if self._asked(Kind.VERSION, struct.pack(">H", _VERSION)) != b"\1":
             raise RtdeError(f"the controller does not know version {_VERSION} of RTDE; it needs PolyScope 3.4 or newer")
-        self._socket.sendall(package(Kind.CONTROLLER))
+        self.send(package(Kind.CONTROLLER))
         answer = self._answer(Kind.CONTROLLER)
         if len(answer) != 16:
             raise RtdeError(f"the controller's version has {len(answer)} bytes, 16 are expected")
