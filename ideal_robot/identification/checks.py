@@ -14,6 +14,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.sampling_jitter import at_sampling_instants
 from ideal_robot.signals.units import require_joint_units, require_metres
 
 _MINIMUM_DURATION = 1.0
@@ -77,6 +78,10 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
                             "inertia cannot be identified")
         if np.ptp(tau[:, j]) == 0.0:
             warnings.append(f"constant-torque: tau_{j + 1} never changes")
+    recording, spread = at_sampling_instants(recording)
+    if spread > 0.0:
+        warnings.append(f"irregular-sampling: samples were taken {1e3 * spread:.2g} ms (standard deviation) off their "
+                        "stamps, as the positions of all joints say alike; the instants are taken from these")
     return recording, warnings
 
 

@@ -1,0 +1,105 @@
+"""Samples taken at irregular instants, and stamped as if they were regular: the motion itself tells the instants.
+
+A sample that is taken late by ``delta`` has every joint further along its way by ``qd delta``. What all joints have in
+common of the fast part of their positions, each in proportion to its speed, is the clock's; what they do not have in
+common is vibration, friction or noise of a joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import interpolate
+
+from ideal_robot.arrays import Array
+from ideal_robot.signals.preprocess import lowpass
+from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stamps import regular_stamps
+
+_MOTION = 5.0
+"""Frequency above which positions hold more of a jitter of the clock than of the motion [Hz]."""
+_SHARE = 0.5
+"""Share of the fast part of the positions that the other joints have to foretell, for it to be the clock's."""
+_FARTHEST = 0.45
+"""Instants are moved by less than that share of a step; samples keep their order."""
+_FEWEST = 200
+"""Samples of which anything is said, at least."""
+_ROUNDS = 3
+"""Times the smooth motion is drawn through the moved samples again."""
+
+
+def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
+    """Instants at which samples were taken ``(N,)`` [s], and their standard deviation about the stamps [s].
+
+    The stamps themselves and zero, unless the positions of all joints say the same of the clock.
+
+    Args:
+        t: stamps ``(N,)`` [s], increasing.
+        q: positions ``(N, n)``.
+    """
+    if len(t) < _FEWEST or q.shape[1] < 2 or not np.all(np.isfinite(q)):
+        return t, 0.0
+    dt = float(np.median(np.diff(t)))
+    if 0.2 / dt < _MOTION:
+        return t, 0.0
+    fast, speed = _fast_part(t, t, q, dt)
+    if _foretold(fast, speed) < _SHARE:
+        return t, 0.0
+    late = np.zeros(len(t))
+    for _ in range(_ROUNDS):
+        late = np.clip(late + _common(fast, speed), -_FARTHEST * dt, _FARTHEST * dt)
+        if np.any(np.diff(t + late) <= 0.0):
+            return t, 0.0
+        fast, speed = _fast_part(t + late, t, q, dt)
+    return t + late, float(np.std(late))
+
+
+def at_sampling_instants(recording: Recording) -> tuple[Recording, float]:
+    """The recording with the instants of sampling for stamps and their standard deviation about these [s], or as it is.
+    """
+    q = recording.joints("q")
+    if regular_stamps(recording.t, q)[1] > 0.0:
+        return recording, 0.0
+    t, spread = sampling_instants(recording.t, q)
+    if spread == 0.0:
+        return recording, 0.0
+    return replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(t)}), spread
+
+
+def _fast_part(at: Array, t: Array, q: Array, dt: float) -> tuple[Array, Array]:
+    """Fast part and speed of the positions ``q (N, n)`` taken at ``at (N,)``, both ``(N, n)``."""
+    grid = t[0] + dt * np.arange(round((t[-1] - t[0]) / dt) + 1)
+    slow = interpolate.CubicSpline(grid, lowpass(interpolate.CubicSpline(at, q, axis=0)(grid), dt, _MOTION), axis=0)
+    return q - slow(at), slow(at, 1)
+
+
+def _precision(fast: Array, speed: Array, late: Array) -> Array:
+    """1/σ² of what is left of each joint's fast part ``(n,)`` with samples late by ``late (N,)``."""
+    return np.asarray(1.0 / np.maximum(np.mean((fast - late[:, None] * speed) ** 2, axis=0), 1e-18))
+
+
+def _common(fast: Array, speed: Array) -> Array:
+    """By how much each sample is late ``(N,)`` [s], most likely; little is said where no joint moves."""
+    weights, late = _precision(fast, speed, np.zeros(len(fast))), np.zeros(len(fast))
+    for _ in range(2):
+        gain = (speed**2 * weights).sum(axis=1)
+        raw = (fast * speed * weights).sum(axis=1)
+        # The clock's own scatter, as what the samples say less what their noise makes of it.
+        told = gain > np.median(gain)
+        variance = max(float(np.mean((raw[told] / gain[told]) ** 2 - 1.0 / gain[told])), 1e-18)
+        late = raw / (gain + 1.0 / variance)
+        weights = _precision(fast, speed, late)
+    return np.asarray(late)
+
+
+def _foretold(fast: Array, speed: Array) -> float:
+    """Share of the squares of the joints' fast parts that the other joints' foretell, in the median over joints."""
+    shares = []
+    for j in range(fast.shape[1]):
+        others = np.arange(fast.shape[1]) != j
+        late = _common(fast[:, others], speed[:, others])
+        made = late * speed[:, j]
+        shares.append(float(made @ fast[:, j]) ** 2 / max(float(made @ made) * float(fast[:, j] @ fast[:, j]), 1e-300)
+                      if made @ fast[:, j] > 0.0 else 0.0)
+    return float(np.median(shares))
