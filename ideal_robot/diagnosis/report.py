@@ -9,6 +9,8 @@ import numpy as np
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.unused import unused_columns
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters, with_possible_inertias
+from ideal_robot.diagnosis.validation.beside_lag import beside_lag
+from ideal_robot.diagnosis.validation.braking import without_scatter
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
@@ -64,7 +66,7 @@ def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Mo
     """The model with the parameters of the joint fit and all effects, and warnings; None for torques in amperes."""
     if not case.shared:
         return None, ()
-    final = found.domains[0].final
+    final = found.domains[0].final if case.only is None else without_scatter(beside_lag(found.domains[0]), found.held)
     model = with_parameters(found.start, final.change, final.covariance)
     warnings: tuple[str, ...] = ()
     try:
