@@ -74,7 +74,8 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     extra = {name: values for name, values in filtered.columns.items() if not _is_known_column(name)}
 
     def body_on(link: int) -> Array:
-        return regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link]
+        # A copy: a part of the whole regressor would keep all of it.
+        return regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * (link - 1) : 10 * link].copy()
 
     payload = payload or any(one.effect.loop_change(one.coefficients, one.theta).body for one in model.effects)
     body = body_on(n) if payload else None

@@ -73,6 +73,8 @@ class LearnedCurves:
             candidate = Candidate(d.term, j + 1, (), len(tests) * self.model.problem.products.c)
             self.model.design.add(candidate.key, self.model.problem.columns(candidate))
             scored.append(self.scoring.tested(fit, candidate, d))
+            # A curve has many columns, and every round has other curves.
+            self.model.design.forget_products(candidate.key)
         return scored
 
     def _terms(self, j: int, pairs: bool) -> list[Unknown]:

@@ -34,6 +34,10 @@ class Design:
         self.groups.pop(key, None)
         self._cross = {pair: value for pair, value in self._cross.items() if key not in pair}
 
+    def forget_products(self, key: str) -> None:
+        """Forgets the cross-products of a group that is hardly asked for again; they are made anew where it is."""
+        self._cross = {pair: value for pair, value in self._cross.items() if key not in pair}
+
     def cross(self, a: str, b: str) -> Array:
         """``a' b`` for each block and channel ``(B, c, m_a, m_b)``."""
         if (a, b) in self._cross:
@@ -68,8 +72,12 @@ class HeldOutTest:
 
     @property
     def total(self) -> float:
-        """Reduction of the weighted squares over all held-out folds."""
-        return float(np.nansum(self.reduction))
+        """Reduction of the weighted squares over all held-out folds, and no more than in sample.
+
+        Where it would be more, the parameters without the candidate go astray in what a fold leaves open: which of two
+        candidates mends that says nothing of which is true.
+        """
+        return min(float(np.nansum(self.reduction)), self.gain)
 
 
 class Fit:

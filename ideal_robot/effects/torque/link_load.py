@@ -10,18 +10,19 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
+from ideal_robot.effects.torque.payload import Payload
 
 
 class LinkLoad(Effect):
-    """Mass and first moments added to one link, [G] (5) with those four columns; against a model known before.
+    """Mass, first moments and inertias added to one link, [G] (5) with its columns; against a model known before.
 
-    A body small against its distance from the axis has no inertia of its own that shows. On the last link it is a
-    payload, which has all ten.
+    A body away from the axis turns with it: without its inertia a load on the first links would be looked for further
+    out. On the last link it is a payload.
     """
 
     name = "link_load"
-    coefficient_names = ("m", "mx", "my", "mz")
-    coefficient_units = ("kg", "kg m", "kg m", "kg m")
+    coefficient_names = Payload.coefficient_names
+    coefficient_units = Payload.coefficient_units
     absorbed_by_base = True
     source = "[G] (5)"
 
@@ -34,10 +35,10 @@ class LinkLoad(Effect):
         return signals.bodies is not None
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 4)``."""
+        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
         if signals.bodies is None:
-            return np.zeros((len(signals.t), signals.n, 4))
-        return np.asarray(signals.bodies(joint)[:, :, :4])
+            return np.zeros((len(signals.t), signals.n, 10))
+        return np.asarray(signals.bodies(joint))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""

@@ -9,6 +9,9 @@ from ideal_robot.effects.base import Effect, EffectParameter
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
+_TURNS = 0.3
+"""Change of friction at one end of the speeds, over that at the other, up to which it may have the other sign."""
+
 
 def warming_starts(signals: Signals, joint: int) -> list[tuple[float, ...]]:
     """Time constants to start from [s]: a tenth of the recording to three of it, and 0 for temperature if it varies."""
@@ -57,6 +60,15 @@ class ThermalDrift(Effect):
         else:
             warm = np.zeros_like(qd)
         return signals.on_joint(joint, warm * qd, warm * signals.sliding_direction(joint))
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. A gear that warms up loses friction, slow or fast; [G] Fig 12 has it rise nowhere.
+
+        Less at one end of the speeds and more at the other is another curve over speed, not another temperature.
+        """
+        top = float(np.percentile(np.abs(signals.qd[:, joint - 1]), 99))
+        slow, fast = float(coefficients[1]), float(coefficients[1] + coefficients[0] * top)
+        return slow * fast > -_TURNS * max(slow**2, fast**2)
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:

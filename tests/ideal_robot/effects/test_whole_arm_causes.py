@@ -43,10 +43,11 @@ def test_they_are_what_the_changed_arm_does():
         angle * column, signals.rigid(signals_ahead, signals.qd, signals.qdd) - signals.load, atol=1e-4)
 
     loaded = robot.pinocchio.copy()
-    point = pin.Inertia(2.0, np.zeros(3), np.zeros((3, 3)))
-    loaded.inertias[3] = loaded.inertias[3] + point
+    # Away from the axis, so that it has an inertia about it.
+    body = pin.Inertia(2.0, np.array([0.1, -0.2, 0.15]), 0.01 * np.eye(3))
+    loaded.inertias[3] = loaded.inertias[3] + body
     columns = find("link_load", "tau").columns(signals, 3, ())
-    np.testing.assert_allclose(columns @ [2.0, 0.0, 0.0, 0.0], torques(loaded, signals) - before, atol=1e-6)
+    np.testing.assert_allclose(columns @ body.toDynamicParameters(), torques(loaded, signals) - before, atol=1e-6)
 
 
 def test_one_filter_delays_every_joint():

@@ -197,22 +197,8 @@ def _body(key: str, link: int, joint: int) -> Case:
     centre = np.array([0.06, 0.03, 0.12])
     about = (centre @ centre) * np.eye(3) - np.outer(centre, centre)
     full = (1.0, *centre, about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2])
-    unit = full if joint == 0 else full[:4]
-    true = visible(key, joint, unit)
+    true = visible(key, joint, full)
     mass = true.coefficients[0]
-    if joint:
-        # Of a body on an inner link what turns about its centre is no part of the effect: it is a point.
-        bare = arm.exact()
-        model: pin.Model = bare.model.copy()
-        own = model.inertias[link]
-        total = own.mass + mass
-        lever = (own.mass * own.lever + mass * centre) / total
-        shift = own.lever - lever
-        about_lever = own.inertia + own.mass * ((shift @ shift) * np.eye(3) - np.outer(shift, shift))
-        away = centre - lever
-        about_lever = about_lever + mass * ((away @ away) * np.eye(3) - np.outer(away, away)) - mass * about
-        model.inertias[link] = pin.Inertia(total, lever, about_lever)
-        return Case(arm.WORLD, true, dataclasses.replace(bare, model=model))
     return Case(arm.WORLD, true, arm.with_body(link, mass, centre))
 
 
