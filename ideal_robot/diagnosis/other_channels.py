@@ -17,6 +17,7 @@ from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import SENSOR, TCP_POSITION, library
+from ideal_robot.effects.arm.backlash import ArmBacklash
 
 
 def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
@@ -48,9 +49,10 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None, bloc
     effects = [effect for effect in library() if effect.domain == made.domain]
     sensor, only = made.domain == SENSOR, case.only
     if made.domain == TCP_POSITION and made.absent:
-        # Two axes of three do not tell a length of the arm from an angle, nor a curve from either.
-        only = tuple((e.name, j) for e in effects if not e.geometric for j in range(case.robot.n + 1)
-                     if only is None or (e.name, j) in only)
+        # Two axes of three do not tell a length of the arm from an angle, nor a curve from either; play is one over
+        # the load.
+        only = tuple((e.name, j) for e in effects if not e.geometric and e.name != ArmBacklash.name
+                     for j in range(case.robot.n + 1) if only is None or (e.name, j) in only)
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)
     problem = Problem(made, blocks)

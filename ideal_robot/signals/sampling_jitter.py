@@ -56,8 +56,7 @@ def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
 
 
 def at_sampling_instants(recording: Recording) -> tuple[Recording, float]:
-    """The recording with the instants of sampling for stamps and their standard deviation about these [s], or as it is.
-    """
+    """The recording stamped with the instants of sampling, and how far these are from the stamps; or as it is."""
     q = recording.joints("q")
     if regular_stamps(recording.t, q)[1] > 0.0:
         return recording, 0.0

@@ -22,6 +22,7 @@ class Estimate:
         change: of the model's parameters ``(p,)``.
         covariance: of the model's parameters ``(p, p)``.
         coefficients, std, theta_std: of each effect, in the order of the candidates.
+        theta_step: by how much each theta would still move, to first order.
     """
 
     change: Array
@@ -29,6 +30,7 @@ class Estimate:
     coefficients: tuple[Array, ...]
     std: tuple[Array, ...]
     theta_std: tuple[Array, ...]
+    theta_step: tuple[Array, ...] = ()
 
     def residual(self, regression: Regression, effects: Sequence[Candidate]) -> Array:
         """What a regression leaves with these numbers ``(N, c)``; ``effects`` are those of the fit, in their order."""

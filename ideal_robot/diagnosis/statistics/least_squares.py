@@ -159,6 +159,19 @@ class Fit:
         inflation = np.sqrt(np.maximum(np.diag(robust) / np.maximum(np.diag(plain), 1e-300), 1.0))
         return plain * np.outer(inflation, inflation)
 
+    def misfit_variance(self, noise: Array) -> Array:
+        """Variance of ``beta (P,)`` from what the residual holds beyond noise ``(c,)``.
+
+        What a model class leaves follows the motion: it averages out over stretches of motion, not over samples, and
+        where stretches are alike their scatter does not show it.
+        """
+        estimating = self._training[0]
+        count = self.design.data.count[estimating].sum(axis=0)
+        mean = self.squares()[estimating].sum(axis=0) / np.maximum(count, 1.0)
+        share = np.maximum(1.0 - noise**2 / np.maximum(mean, 1e-300), 0.0) * count / max(float(estimating.sum()), 1.0)
+        middle = np.einsum("c,bcij->ij", self.weights * share, self.G[estimating][:, :, : self.P, : self.P])
+        return np.asarray(np.einsum("ij,jk,ik->i", self.inverse, middle, self.inverse))
+
     @property
     def inflation(self) -> float:
         """Ratio of the parameters' scatter over blocks to that of white noise, one at least: samples are coloured."""

@@ -94,12 +94,14 @@ class Problem:
             design.add(candidate.key, self.columns(candidate))
         return design
 
-    def fit(self, effects: Sequence[Candidate] = (), *, uncertainty: bool = False) -> Estimate:
+    def fit(self, effects: Sequence[Candidate] = (), *, uncertainty: bool = False,
+            misfit: bool = False) -> Estimate:
         """Fits the model's parameters and effects together on the estimating blocks.
 
         Args:
             effects: with their theta.
             uncertainty: whether standard deviations are wanted; theta's derivative columns then join the fit.
+            misfit: whether those of the effects hold what the model class leaves, for the report.
         """
         design = self.design(effects)
         keys = ["W", *[c.key for c in effects]]
@@ -113,12 +115,15 @@ class Problem:
         moved = [self._add_theta_columns(design, c, own) for c, own in zip(effects, parts[1:], strict=True)]
         extra = [key for keys_of in moved for key in keys_of if key is not None]
         weights = fit.refitted_weights()
-        covariance = Fit(design, [*keys, *extra], weights, self.prior).covariance()
-        sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        whole = Fit(design, [*keys, *extra], weights, self.prior)
+        covariance = whole.covariance()
+        variance = np.maximum(np.diag(covariance), 0.0)
+        sigma = np.sqrt(variance + whole.misfit_variance(self.regression.noise_floor) if misfit else variance)
         std = np.split(sigma[: p + sum(sizes)], np.cumsum([p, *sizes])[:-1])[1:] if effects else []
         where = {key: p + sum(sizes) + i for i, key in enumerate(extra)}
-        theta_std = [np.array([0.0 if key is None else sigma[where[key]] for key in keys_of]) for keys_of in moved]
-        return Estimate(parts[0], covariance[:p, :p], tuple(parts[1:]), tuple(std), tuple(theta_std))
+        theta_std, step = ([np.array([0.0 if key is None else values[where[key]] for key in keys_of])
+                            for keys_of in moved] for values in (sigma, whole.beta))
+        return Estimate(parts[0], covariance[:p, :p], tuple(parts[1:]), tuple(std), tuple(theta_std), tuple(step))
 
     def _add_theta_columns(self, design: Design, candidate: Candidate, coefficients: Array) -> list[str | None]:
         """Adds, for each physical theta, what moving it changes in the prediction, ``dC/dtheta c``; names of groups."""

@@ -16,7 +16,7 @@ _START = 1e-3
 
 
 def beside_lag(torque: DomainDiagnosis) -> Estimate:
-    """The fit of everything together with a lag of all torques beside it, where there clearly is one; else the fit as it is.
+    """The fit of everything together, beside a lag of all torques where there clearly is one.
 
     A late torque turns inertia into friction, by as much as the motion is fast: a model that holds that is wrong in
     every other motion. The lag belongs to the recording, not to the arm, so only the parameters are of use.

@@ -16,6 +16,7 @@ from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.evidence import discriminating_motion, ranked_structure
 from ideal_robot.diagnosis.validation.limits import with_limits
+from ideal_robot.diagnosis.validation.misfit import with_misfit
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import SENSOR, TCP_POSITION
@@ -160,7 +161,8 @@ class DomainDiagnosis:
                                        reported.domain != TCP_POSITION or not reported.absent)
                          for j, (name, unit) in enumerate(zip(reported.channels, reported.units, strict=True))
                          if j not in reported.absent)
-        found = tuple(self._found(k, choice, levels) for k, choice in enumerate(self.choices))
+        wider = replace(self, final=with_misfit(self.problem, effects, self.final))
+        found = tuple(wider._found(k, choice, levels) for k, choice in enumerate(self.choices))
         # Dependences are looked for in the recording that the fit was made on.
         first = own.y if self.given else steps[0].residual(own, [])
         structure = [ranked_structure(self.problem, r, rng) for r in (first, steps[-1].residual(own, effects))]

@@ -103,3 +103,23 @@ def test_a_healthy_recording_of_our_world_against_the_model_of_another_one():
         assert found.verdict == ("effects" if there else "none")
 
 
+
+
+def test_a_model_made_of_late_torques_is_no_other_than_one_made_of_punctual_ones(tmp_path):
+    two = an_arm(seed=5, n=4)
+    plant, rng = a_plant(two, kind=TANH), np.random.default_rng(8)
+    run = ENGINES["integrator"](plant, draw_motion(rng, two, 25.0, "fourier"))
+    logger = dataclasses.replace(
+        draw_logger(rng, 4, ()), every=8, torque="sampled", encoder=1e-5, jitter=0.0, dropped=0.0, spikes=0.0,
+        temp=(), xy=False, noise=0.005 * np.std(run.tau, axis=0))
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(two.urdf, encoding="utf-8")
+    robot = Robot.load(urdf)
+
+    def viscous(lag: float) -> np.ndarray:
+        model = diagnose(record(dataclasses.replace(logger, lag=lag), plant, run), robot, only=()).model
+        assert not model.effects
+        return np.array([p.value for p in model.parameters if p.name.startswith("Fv_")])
+
+    # Inertia that is late by 8 ms is friction: left in the parameters it changes some of these by more than a tenth.
+    np.testing.assert_allclose(viscous(0.008), viscous(0.0), rtol=0.04)

@@ -119,3 +119,37 @@ def test_a_group_that_the_prior_allows_is_not_significant_and_one_beyond_it_is()
 
     assert p_value(0.05) > 0.05
     assert p_value(1.0) < 1e-6
+
+
+def test_what_a_model_class_leaves_averages_out_over_stretches_not_over_samples():
+    rng = np.random.default_rng(6)
+    count, misses, plain = 1600, [], []
+    blocks = time_blocks(count, 0.02, held_out=False).without_folds()
+    for _ in range(200):
+        # The residual follows the motion in a way that differs from one stretch to the next.
+        x, misfit = coloured(rng, count, 0.97), coloured(rng, count, 0.97)
+        data = BlockProducts((2.0 * x + misfit)[:, None], x[:, None, None], np.ones((count, 1), bool), blocks)
+        fit = Fit(Design(data), ["W"], np.ones(1))
+        fit = Fit(Design(data), ["W"], fit.refitted_weights())
+        variance = fit.misfit_variance(np.zeros(1))[0]
+        np.testing.assert_allclose(variance, fit.inverse[0, 0] * count / blocks.count)
+        assert fit.misfit_variance(1.0 / np.sqrt(fit.weights))[0] < 1e-9 * variance
+        misses.append((fit.beta[0] - 2.0) / np.sqrt(variance))
+        plain.append((fit.beta[0] - 2.0) / np.sqrt(fit.inverse[0, 0]))
+    assert np.mean(np.abs(misses) < 1.96) > 0.9
+    assert np.mean(np.abs(plain) < 1.96) < 0.6
+
+
+def test_a_candidate_takes_away_no_more_on_blocks_left_out_than_in_sample():
+    # One stretch alone moves the first parameter: without it that parameter is open, and so is what it would predict.
+    rng, count = np.random.default_rng(4), 800
+    blocks = time_blocks(count, 0.02, held_out=False)
+    alone = (blocks.of_samples() == 3).astype(float) + 1e-4 * rng.normal(size=count)
+    C = rng.normal(size=count)
+    y = (50.0 * alone + 0.05 * C + rng.normal(size=count))[:, None]
+    data = BlockProducts(y, np.stack([alone, np.ones(count)], axis=1)[:, None, :], np.ones((count, 1), bool), blocks)
+    design = Design(data)
+    design.add("c", data.masked(C[:, None, None]))
+    test = Fit(design, ["W"], np.ones(1)).held_out_test("c")
+    assert float(np.nansum(test.reduction)) > test.gain
+    assert test.total == test.gain
