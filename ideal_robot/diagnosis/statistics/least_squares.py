@@ -72,12 +72,8 @@ class HeldOutTest:
 
     @property
     def total(self) -> float:
-        """Reduction of the weighted squares over all held-out folds, and no more than in sample.
-
-        Where it would be more, the parameters without the candidate go astray in what a fold leaves open: which of two
-        candidates mends that says nothing of which is true.
-        """
-        return min(float(np.nansum(self.reduction)), self.gain)
+        """Reduction of the weighted squares over all held-out folds."""
+        return float(np.nansum(self.reduction))
 
 
 class Fit:
