@@ -5,7 +5,7 @@ import numpy as np
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.statistics.block_products import BlockProducts
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
-from ideal_robot.diagnosis.statistics.least_squares import Design, Fit
+from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Design, Fit
 from tests.ideal_robot.effects.test_laws import motion
 
 
@@ -45,10 +45,13 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
     scale = np.sqrt(weights)[None, :, None]
     reduction = 0.0
     for k in range(blocks.folds):
-        train, test = (of_sample >= 0) & (of_sample != k), of_sample == k
+        # A fold that is left out keeps a small weight.
+        train, test = of_sample >= 0, of_sample == k
+        root = np.sqrt(np.where(test, LEFT_OUT, 1.0))[train, None, None]
         losses = []
         for X in (W, np.concatenate([W, C], axis=2)):
-            A, b = (X * scale)[train].reshape(-1, X.shape[2]), (y * scale[:, :, 0])[train].ravel()
+            A = (root * (X * scale)[train]).reshape(-1, X.shape[2])
+            b = (root[:, :, 0] * (y * scale[:, :, 0])[train]).ravel()
             beta = np.linalg.lstsq(A, b, rcond=None)[0]
             losses.append(np.sum(((y - X @ beta) * scale[:, :, 0])[test] ** 2))
         reduction += losses[0] - losses[1]
@@ -138,3 +141,14 @@ def test_what_a_model_class_leaves_averages_out_over_stretches_not_over_samples(
         plain.append((fit.beta[0] - 2.0) / np.sqrt(fit.inverse[0, 0]))
     assert np.mean(np.abs(misses) < 1.96) > 0.9
     assert np.mean(np.abs(plain) < 1.96) < 0.6
+
+
+def test_what_a_fold_leaves_open_says_nothing_of_candidates():
+    # One stretch alone moves a parameter: without it that parameter is open, and what it predicts would be anything.
+    rng, count = np.random.default_rng(4), 800
+    blocks = time_blocks(count, 0.02, held_out=False)
+    alone = (blocks.of_samples() == 3) + 1e-4 * rng.normal(size=count)
+    y = (50.0 * alone + rng.normal(size=count))[:, None]
+    W = np.stack([alone, np.ones(count)], axis=1)[:, None, :]
+    fit = Fit(Design(BlockProducts(y, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1))
+    assert fit.held_out_squares().sum() < 2.0 * fit.squares().sum()
