@@ -15,7 +15,7 @@ from ideal_robot.effects import Effect
 _AS_GOOD = 1.05
 _NEARLY_AS_GOOD = 1.1
 """Ratio of the mean squares with held parameters to those with free ones up to which the model holds: for the same
-effects, and after a search of its own."""
+effects, and after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
 
 
 def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], options: Options,
@@ -41,13 +41,17 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
     held.run(start)
     held.settle(prior)
     free = Search(problem, effects, options, rng, absorbed=False, only=only, progress=progress)
-    free.model.replace([c for c in held.model.choices if not c.candidate.effect.absorbed_by_base])
+    # A curve without a cause is no reason to hold what other parameters explain as well.
+    free.model.replace([c for c in held.model.choices
+                        if not (c.candidate.effect.absorbed_by_base or c.candidate.effect.learned)])
     error = held.model.mean_squares()
-    if error < _AS_GOOD * free.model.mean_squares():
+    curved = any(c.candidate.effect.learned for c in held.model.choices)
+    as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _NEARLY_AS_GOOD)
+    if error < as_good * free.model.mean_squares():
         return held.model.choices, True
     # The search begins without effects, but with the weights that they leave.
     free.model.choices = []
     free.run()
-    if error < _NEARLY_AS_GOOD * free.model.mean_squares():
+    if error < nearly * free.model.mean_squares():
         return held.model.choices, True
     return free.model.choices, False

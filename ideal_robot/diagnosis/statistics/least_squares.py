@@ -16,7 +16,7 @@ _SMOOTH = 3e-3
 """The same for the coefficients of a candidate with many columns, some of which a fold may hardly show."""
 
 LEFT_OUT = 0.05
-"""Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what the other folds
+"""Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what other folds
 leave open would else be anything, and which of two candidates mends that says nothing of which is true."""
 
 
