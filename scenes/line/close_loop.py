@@ -90,23 +90,28 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, measured: str = "tc
             new = [f.fitted.name for f in now.effects if f.fitted.channel == "line"]
             if not new:
                 break
-            # What was taken before is fitted anew with it: the numbers of one camera hang together.
-            names = tuple(dict.fromkeys([*names, *new]))
-            added = named_camera_effects(visible(present.recording, seen_by), robot, extended, names)
-            progress(share + 0.06, f"round {round_}: {words(added)}")
-            candidate = with_effects(extended, added)
-            try:
-                tried = again(candidate)
-            except SceneError as failed:
-                steps.append(Trial(round_, words(added), False, f"cannot be played: {failed}", float("nan")))
-                break
-            reached = spread(visible(tried.recording, seen_by), robot, model)
-            taken = reached < LEAST * error
-            refused = "" if taken else "the points that were seen lie no closer to one curve"
-            steps.append(Trial(round_, words(added), taken, refused, reached))
+            taken = False
+            # All together, then each alone: what a poor run cannot tell apart may be too much of everything.
+            for some in (new, *([one] for one in new if len(new) > 1)):
+                # What was taken before is fitted anew with it: the numbers of one camera hang together.
+                tried_names = tuple(dict.fromkeys([*names, *some]))
+                added = named_camera_effects(visible(present.recording, seen_by), robot, extended, tried_names)
+                progress(share + 0.06, f"round {round_}: {words(added)}")
+                candidate = with_effects(extended, added)
+                try:
+                    tried = again(candidate)
+                except SceneError as failed:
+                    steps.append(Trial(round_, words(added), False, f"cannot be played: {failed}", float("nan")))
+                    continue
+                reached = spread(visible(tried.recording, seen_by), robot, model)
+                taken = reached < LEAST * error
+                refused = "" if taken else "the points that were seen lie no closer to one curve"
+                steps.append(Trial(round_, words(added), taken, refused, reached))
+                if taken:
+                    extended, present, error, names = candidate, tried, reached, tried_names
+                    break
             if not taken:
                 break
-            extended, present, error = candidate, tried, reached
         progress(0.75, "oracle")
         told = with_effects(model, named_camera_effects(run, robot, model, undeclared)) if undeclared else model
         oracle = again(told) if undeclared else before
