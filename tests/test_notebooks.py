@@ -18,11 +18,12 @@ def read(path: Path) -> nbformat.NotebookNode:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_committed_without_outputs_and_has_an_exercise(path: Path) -> None:
+def test_a_notebook_is_committed_without_outputs_and_has_an_exercise_and_a_slider(path: Path) -> None:
     book = read(path)
     nbformat.validate(book)
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in book.cells)
     assert any("## Exercise" in cell.source for cell in book.cells)
+    assert any("ipywidgets.interactive(" in cell.source for cell in book.cells if cell.cell_type == "code")
 
 
 def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
