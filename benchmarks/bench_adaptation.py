@@ -1,6 +1,7 @@
 """An hour of warm-up in compressed time: the ideal robot with a fixed model, with adaptation, with perfect knowledge.
 
     python benchmarks/bench_adaptation.py [--minutes 60] [--compression 20] [--figure docs/pictures/adaptation.png]
+    python benchmarks/bench_adaptation.py --individuals 1-3      # each arm with the model of its own motions
 
 The arm starts cold (22 °C) and draws the circle of scene ``iso9283_3`` again and again; the model was identified at
 35 °C. The oracle reads the true friction at the true gear temperatures from the simulator, which no model may, and uses
@@ -22,9 +23,11 @@ from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
+from scenes.commands.common import whole_numbers
 from scenes.models import model_for
+from scenes.options import chosen
 from scenes.path.cell import PathCell
-from scenes.path.scene import joint_path
+from scenes.path.scene import PathScene, joint_path
 from sim.arm.arm import SimulatedArm
 from sim.arm.friction import steady_friction
 from sim.arm.specimen import draw_specimen
@@ -38,12 +41,25 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--compression", type=float, default=20.0)
-    parser.add_argument("--figure", type=Path, default=Path("docs/pictures/adaptation.png"))
+    parser.add_argument("--figure", type=Path)
+    parser.add_argument("--individuals", default="", help="a list 1,2,5 or a range 1-3; the shipped model if none")
     options = parser.parse_args()
-    scene = load_scene("iso9283_3")
+    for individual in whole_numbers(options.individuals, "--individuals") or [None]:
+        if individual is not None:
+            print(f"\nindividual {individual}")
+        warm_up(chosen(load_scene("iso9283_3"), individual=individual), options)
+
+
+def warm_up(scene: PathScene, options: argparse.Namespace) -> None:
+    """One arm's hour with each method.
+
+    Args:
+        scene: the circle, the arm and its model.
+        options: minutes, compression, figure.
+    """
     robot = Robot.load(scene.robot)
-    world = World.default(robot.name).replace(correction_delay=False, start_temperature=22.0,
-                                              time_compression=options.compression)
+    world = World.from_table(robot.name, scene.arm_world).replace(
+        correction_delay=False, start_temperature=22.0, time_compression=options.compression)
     path = joint_path(scene, robot, world.t_ipo)
     place = PathCell(robot, world, model_for(scene, robot), path, "tcp", scene.seed)
     loop = place.loop()
@@ -65,9 +81,10 @@ def main() -> None:
     print("\nwhole hour: " + ", ".join(f"{name} {1e3 * value:.3f} mm" for name, value in whole.items())
           + f"; adapted / oracle = {whole['adapted'] / whole['oracle']:.2f}, "
           f"fixed / oracle = {whole['fixed'] / whole['oracle']:.2f}")
-    options.figure.parent.mkdir(parents=True, exist_ok=True)
-    _figure(minutes, results, temperature).savefig(options.figure, dpi=130, bbox_inches="tight")
-    print(f"figure: {options.figure}")
+    if options.figure is not None:
+        options.figure.parent.mkdir(parents=True, exist_ok=True)
+        _figure(minutes, results, temperature).savefig(options.figure, dpi=130, bbox_inches="tight")
+        print(f"figure: {options.figure}")
 
 
 def _hour(robot: Robot, world: World, loop: LoopModel, once: Array, count: int, x_d: Array, name: str
