@@ -28,7 +28,7 @@ BRAKING = 2.0
 REST = 12
 """Cycles for which the recording goes on after a stop."""
 LONGEST = 60.0
-"""A run that has not ended by then is stuck [s]."""
+"""A run that has not ended so long after the time of its path is stuck [s]."""
 
 
 def methods(task: str = "surface") -> tuple[str, ...]:
@@ -64,9 +64,9 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
         camera = None if glue is None else CarriedCamera(glue.rendered, arm, knock_of(scene.camera))
         task.connect(sensor, camera)
         started = time.perf_counter()
+        duration = cell.profile.duration
         play_cycles(EquippedArm(arm, [sensor] if camera is None else [camera, sensor]), cell.robot, task, task.log,
-                    CycleSettings(BRAKING, REST * arm.t_ipo, LONGEST, cell.profile.duration + 2.0, method.key),
-                    progress)
+                    CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method.key), progress)
         wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
         result = _result(cell, method.key, task, glue, arm, contact, wall)
