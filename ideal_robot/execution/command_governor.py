@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, LimitError
 from ideal_robot.robots.robot import Robot
 
 ACCELERATION = 2.0
@@ -28,6 +28,7 @@ changes over a cycle, and controllers trip at about twice the limit."""
 _STEPS = 2000
 """Cycles in which a braking motion has to end."""
 _HALVINGS = 20
+_ROUNDING = 1e-7
 _SLACK = 1e-9
 """Relative slack of the comparisons, for rounding."""
 
@@ -109,6 +110,10 @@ class CommandGovernor:
         start = np.array(q, dtype=float)
         if start.shape != (robot.n,) or not np.all((start >= self._low) & (start <= self._high)):
             raise InputError("expected a start within the joint limits", field="q", value=start.tolist())
+        # Within rounding beyond a limit an arm would refuse the command and stop at once.
+        for limit, inward in ((self._low, 1.0), (self._high, -1.0)):
+            finite = np.isfinite(limit)
+            limit[finite] += inward * 3.0 * _SLACK * (1.0 + np.abs(limit[finite]))
         self._last = np.tile(start, (3, 1))
 
     def allowed(self, q_c: Array) -> Array:
@@ -117,6 +122,24 @@ class CommandGovernor:
                             self._J)
         self.passed(command)
         return command
+
+    def require_room(self, q_c: Array, *, start: float = 0.0) -> None:
+        """Refuses a command that keeps the limits but leaves no room to come to rest within them.
+
+        Args:
+            q_c: command ``(n,)`` that is to be handed over next [rad].
+            start: its time, for the message [s].
+
+        Raises:
+            LimitError: the arm could not be braked any more.
+        """
+        near = _governed(np.asarray(q_c, dtype=float), self._last, self._T, self._low, self._high, self._V, self._A,
+                         self._J)
+        off = np.abs(near - q_c) > _ROUNDING * (1.0 + np.abs(q_c))
+        if off.any():
+            j = int(np.argmax(off))
+            raise LimitError(j + 1, f"position at {start:.3f} s after which the arm can still be braked [rad]",
+                             float(q_c[j]), float(near[j]), "slow down before the limit")
 
     def passed(self, q_c: Array) -> None:
         """Remembers a command ``(n,)`` that was handed over as it is, having been checked elsewhere."""

@@ -148,6 +148,7 @@ class _Player:
                 q_c = self.governor.allowed(q_c)
             else:
                 check_limits(np.vstack([self.last, q_c]), self.robot, T, start=(len(self.q_c) - 2) * T)
+                self.governor.require_room(q_c, start=len(self.q_c) * T)
                 self.governor.passed(q_c)
         taken = time.perf_counter() - begun
         measured = self.driver.cycle(q_c)

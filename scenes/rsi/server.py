@@ -124,6 +124,7 @@ class RsiServer:
             q_c, after = law.step(state, ahead[k : k + law.n_d])
             try:
                 check_limits(np.vstack([last, q_c]), robot, T, start=(k - 2) * T)
+                governor.require_room(q_c, start=k * T)
             except LimitError as error:
                 self.stop(f"stopped on the path at {k * T:.3f} s: {error}")
                 break

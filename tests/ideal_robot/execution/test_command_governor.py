@@ -107,3 +107,14 @@ def test_every_feedforward_behind_it_keeps_the_limits(key: str) -> None:
         path.append(governor.allowed(q_c))
     found = _largest(ROBOT, np.array(path), 2.0 * ACCELERATION * ROBOT.a_max / ROBOT.t_ipo)
     assert max(found.values()) <= 1.0 + 1e-6, found
+
+
+def test_no_command_is_outside_a_position_limit_by_so_much_as_rounding() -> None:
+    """An arm refuses such a command and stops at once; seen where braking ends at the limit."""
+    rng, governor = np.random.default_rng(5), CommandGovernor(ROBOT, ROBOT.home)
+    goal = np.where(rng.random(ROBOT.n) < 0.5, ROBOT.q_min, ROBOT.q_max)
+    for k in range(3000):
+        if k % 150 == 0:
+            goal = np.where(rng.random(ROBOT.n) < 0.5, ROBOT.q_min - 0.1, ROBOT.q_max + 0.1)
+        command = governor.allowed(goal + 1e-3 * rng.normal(size=ROBOT.n))
+        assert np.all((command >= ROBOT.q_min) & (command <= ROBOT.q_max))
