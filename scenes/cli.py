@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import warnings
+from importlib import metadata
 from typing import Annotated
 
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
@@ -53,8 +54,6 @@ app = typer.Typer(
 
 def _say_version(wanted: bool) -> None:
     if wanted:
-        from importlib import metadata
-
         typer.echo(f"ideal-robot {metadata.version('ideal-robot')}")
         raise typer.Exit
 
