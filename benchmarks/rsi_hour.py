@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import os
 import resource
 import subprocess
 import sys
@@ -93,7 +94,9 @@ def main(minutes: float, virtual: bool) -> int:
                           f"{server.link.counts.late}  lost {server.link.counts.lost}", flush=True)
 
             words = [sys.executable, __file__, "--controller", str(server.link.address[1])]
-            with subprocess.Popen([*words, *(["--virtual"] if virtual else [])]) as other:
+            root = Path(__file__).resolve().parents[1]
+            with subprocess.Popen([*words, *(["--virtual"] if virtual else [])],
+                                  env={**os.environ, "PYTHONPATH": str(root)}) as other:
                 run = server.play(patience=60.0, progress=progress)
                 other.terminate()
     cycles, counts = len(run.recording.t), run.counts

@@ -238,4 +238,4 @@ def test_a_controller_that_no_one_answers_says_so(tmp_path: Path, capsys: pytest
 
 @pytest.mark.slow
 def test_an_hour_at_four_milliseconds_has_no_end_of_our_own_making() -> None:
-    assert rsi_hour.main(60.0) == 0
+    assert rsi_hour.main(60.0, virtual=True) == 0
