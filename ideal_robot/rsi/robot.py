@@ -148,7 +148,6 @@ class RsiRobot:
         self._late = first.late or 0
         self._begin = held.copy()
         self.commanded = self._wanted = self.axes.joints(held)
-        self._began = self._link.arrived
         if self.relative and first.late is None:
             # Increments may get lost without a word: they add up until the next rest.
             self._watch.tolerance *= _UNTOLD
@@ -298,9 +297,12 @@ class RsiRobot:
 
     def _check_pace(self) -> None:
         """Where time stamps do not tell the cycle, the clock tells at least that it is not a much shorter one."""
+        if self.counts.cycles == 1:
+            # From the first packet after an answer: the one before it may have waited for the program to be ready.
+            self._began = self._link.arrived
         if self.stamps.rise in (None, self.stamps.step) or self.counts.cycles != _PACE:
             return
-        pace = (self._link.arrived - self._began) / self.counts.cycles
+        pace = (self._link.arrived - self._began) / (self.counts.cycles - 1)
         if pace * self.too_fast < self.t_ipo:
             raise RsiError(f"packets come every {1e3 * pace:.1f} ms, {1e3 * self.t_ipo:.0f} ms are expected; tell the "
                            "controller's cycle with --cycle")

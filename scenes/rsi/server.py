@@ -74,6 +74,9 @@ class RsiServer:
         """
         # Compiled code is loaded before the first packet has to be answered.
         self.feedforward.step(self.feedforward.init(self.q_d[0]), self.q_d[: self.feedforward.n_d])
+        robot = self.link.robot
+        anywhere = np.clip(robot.home, robot.q_min, robot.q_max)
+        CommandGovernor(robot, anywhere, t_ipo=self.link.t_ipo).allowed(anywhere)
         log = CycleLog(len(self.q_d) + round((_SETTLING + 2.0 * _BRAKING_MAX) / self.link.t_ipo), self.link.robot.n)
         with undisturbed(core) as granted:
             self.link.connect(patience)

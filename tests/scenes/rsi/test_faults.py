@@ -163,11 +163,17 @@ def test_the_port_that_fails_ends_the_run_and_keeps_the_recording(tmp_path: Path
         def __getattr__(self, name: str):
             return getattr(self.wrapped, name)
 
-        def recvfrom(self, size: int):
+        def recvfrom(self, *sizes: int):
+            return self._read(self.wrapped.recvfrom, sizes)
+
+        def recvmsg(self, *sizes: int):
+            return self._read(self.wrapped.recvmsg, sizes)
+
+        def _read(self, read, sizes: tuple[int, ...]):
             self.reads += 1
             if self.reads > 150:
                 raise OSError(100, "Network is down")
-            return self.wrapped.recvfrom(size)
+            return read(*sizes)
 
         def sendto(self, data: bytes, to: tuple[str, int]) -> None:
             self.wrapped.sendto(data, to)
