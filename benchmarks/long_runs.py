@@ -70,12 +70,12 @@ def table(kind: str, unit: str, lengths: list[float], job: Callable[[float], obj
 
 def follow_line(seconds: float) -> None:
     """Follows a straight line so slowly that it takes as long."""
-    run_scene(load_scene("straight"), speed=LINE / seconds)
+    run_scene(load_scene("straight"), speed=LINE / seconds, max_duration=2.0 * seconds)
 
 
 def press(seconds: float) -> None:
     """Presses along the wavy surface so slowly that it takes as long."""
-    run_scene(load_scene("force_wave"), speed=FORCE / seconds)
+    run_scene(load_scene("force_wave"), speed=FORCE / seconds, max_duration=2.0 * seconds)
 
 
 def many(count: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import os
 import signal
 import sys
@@ -15,6 +16,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import typer  # noqa: E402
+from typer.core import TyperCommand  # noqa: E402
 
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 from scenes.terminal import shown  # noqa: E402
@@ -64,9 +66,23 @@ def _common(version: Annotated[bool, typer.Option("--version", callback=_say_ver
     """Makes a position-controlled industrial arm ideal, and lets sensors decide where its path is."""
 
 
+class Verb(TyperCommand):
+    """A verb none of whose numbers may be ``nan`` or ``inf``, which ``float`` accepts."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """As the library does it, then looks at the numbers."""
+        rest = super().parse_args(ctx, args)
+        for param in self.params:
+            value = ctx.params.get(param.name or "")
+            for one in value if isinstance(value, (list, tuple)) else (value,):
+                if isinstance(one, float) and not math.isfinite(one):
+                    raise typer.BadParameter(f"{one} is no finite number", ctx=ctx, param_hint=" / ".join(param.opts))
+        return rest
+
+
 def _register() -> None:
     for verb, module in VERBS.items():
-        app.command(verb)(importlib.import_module(f"scenes.commands.{module}").command)
+        app.command(verb, cls=Verb)(importlib.import_module(f"scenes.commands.{module}").command)
 
 
 def main() -> None:

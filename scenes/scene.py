@@ -45,6 +45,9 @@ class Scene(pydantic.BaseModel):
     """Where the ideal robot's model comes from: ``shipped`` (identified beforehand on recordings of the robot's
     default world, ``make models``), ``own`` (identified on recordings of the very arm of the scene, ``ideal-robot
     prepare``) or the path of a model file."""
+    max_duration: float = pydantic.Field(default=120.0, gt=0.0, le=7200.0)
+    """Longest motion along the path [s]; a scene that asks for more, by too low a speed for instance, is refused before
+    anything moves."""
     world: dict[str, Any] = pydantic.Field(default_factory=dict)
     workshop: ClassVar[dict[str, dict[str, Any]]] = {}
     """What the world ``workshop`` of this kind of scene has, by table; a kind without one plays on the bench."""
@@ -100,6 +103,20 @@ class Scene(pydantic.BaseModel):
         if len(text) > 500 or not text.isprintable():
             raise ValueError("expected one line of up to 500 printable characters")
         return text
+
+    def check_duration(self, lasts: float) -> None:
+        """Refuses a motion along the path that takes longer than the scene allows.
+
+        Args:
+            lasts: of the planned motion [s].
+
+        Raises:
+            InputError: longer than ``max_duration``.
+        """
+        if not lasts <= self.max_duration:
+            raise InputError(f"the motion would last {lasts:.3g} s, the scene allows {self.max_duration:g} s: move "
+                             "faster, or give the scene a larger max_duration", file=f"scene {self.name}",
+                             field="max_duration", value=self.max_duration)
 
     def played(self) -> dict[str, Any]:
         """What every ``--json`` says of what was played: the scene, its seed, world and arm, and whose model it was."""

@@ -37,8 +37,8 @@ BRAKING = 2.0
 """Deceleration of a stop on the path [m/s²]."""
 CLEAR = 0.03
 """Distance from the surface's nominal place that the tip keeps while the camera is calibrated [m]."""
-LONGEST = 120.0
-"""A run that has not ended by then is stuck [s]."""
+LONGEST = 60.0
+"""A run that has not ended so long after its travel is stuck [s]."""
 SILENCE = 0.1
 """Time without a sound reading of the force sensor after which the arm is stopped [s]."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
@@ -81,7 +81,7 @@ class ForceJob:
         calibration: of the camera of a ``glue`` scene.
     """
 
-    braking, longest = BRAKING, LONGEST
+    braking = BRAKING
 
     def __init__(self, scene: ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
                  answers_within: float, calibration: CalibratedCamera) -> None:
@@ -93,6 +93,7 @@ class ForceJob:
         self._known = Known(scene=self.scene, robot=robot, delay=delay, model=model, reference=reference,
                             profile=profile, camera=calibration.camera)
         self.expected = profile.duration + 4.0
+        self.longest = self.expected + LONGEST
         self._task = self._new_task()
         self.log: ForceLog = self._task.log
         self.detection = (self._task.vision.detection if self._task.vision is not None else DetectionSettings())

@@ -87,7 +87,7 @@ def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[Ref
         points: of the reference ``(N, 3)`` [m].
 
     Raises:
-        InputError: path out of reach, unreachable speed.
+        InputError: path out of reach, unreachable speed, a motion longer than the scene allows.
     """
     out = scene.surface.pose().rotation[:, 2]
     if scene.task == "contour":
@@ -100,4 +100,5 @@ def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[Ref
     except OutOfReachError as error:
         raise InputError(f"the path is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
+    scene.check_duration(profile.duration)
     return reference, profile

@@ -62,7 +62,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
         latency: usual age of a field when it arrives [s].
 
     Raises:
-        InputError: line out of reach, unreachable speed.
+        InputError: line out of reach, unreachable speed, a motion longer than the scene allows.
     """
     up = scene.surface.pose().rotation[:, 2]
     height, tilt = FollowerSettings.height, FollowerSettings.tilt
@@ -72,6 +72,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
     reference = ReferencePath(points, up=up, turning=1.0)
     try:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
+        scene.check_duration(profile.duration)
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
             eye=camera.T_tool_camera.translation,

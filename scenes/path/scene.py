@@ -106,7 +106,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
     rotation = _about([0.0, 1.0, 0.0], -figure.tool_tilt_deg) @ home.rotation
     turn = ((0.0, 0.0, 1.0), float(np.radians(figure.turn_deg))) if figure.turn_deg else None
     tool = tool_path(shape_of(figure.shape, 1e-3 * figure.size_mm), plane, scene.speed, figure.acceleration, t_ipo,
-                     rotation=rotation, turn=turn)
+                     rotation=rotation, turn=turn, max_duration=scene.max_duration)
     try:
         q = robot.home
         # From home in small steps: the arm keeps the posture (elbow, wrist) it has there.

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from planning.path.speed_profile import LONGEST
 from tests.fuzz import mutate_table, mutate_text, originals
 
 
@@ -22,14 +20,12 @@ class Case:
         words: of the command line.
         files: name → bytes, in the working folder.
         must_fail: whether exit code 0 would be wrong: a required column is lost.
-        motion: time of motion that a scene itself may ask for, a metre at its speed [s]; it is played, not hung up.
     """
 
     name: str
     words: list[str]
     files: dict[str, bytes] = field(default_factory=dict)
     must_fail: bool = False
-    motion: float = 0.0
 
 
 Maker = Callable[[np.random.Generator, Path], Case]
@@ -135,20 +131,8 @@ def _questions(rng: np.random.Generator, folder: Path) -> Case:
 
 def _scene(rng: np.random.Generator, folder: Path) -> Case:
     kind = ("line", "path")[rng.integers(2)]
-    text = mutate_text.mutated(originals.SCENES[kind], rng)
-    return Case(f"run {kind} scene", ["run", "s.toml", "--out", "o", "--json", "j.json"], {"s.toml": text},
-                motion=_motion(text))
-
-
-def _motion(scene: bytes) -> float:
-    """A metre at the scene's speed [s]; zero where it is no scene, and where it lasts so long that it is refused."""
-    try:
-        speed = tomllib.loads(scene.decode()).get("speed")
-    except (ValueError, RecursionError):
-        return 0.0
-    if not isinstance(speed, (int, float)) or not speed > 0 or speed < 1.0 / LONGEST:
-        return 0.0
-    return 1.0 / float(speed)
+    return Case(f"run {kind} scene", ["run", "s.toml", "--out", "o", "--json", "j.json"],
+                {"s.toml": mutate_text.mutated(originals.SCENES[kind], rng)})
 
 
 def _view(rng: np.random.Generator, folder: Path) -> Case:

@@ -80,9 +80,8 @@ def play(case: Case, seconds: float = SECONDS) -> Played:
 
     Args:
         case: what is called.
-        seconds: of processor time, after which it is killed, beside half of the motion that it asks for itself.
+        seconds: of processor time, after which it is killed.
     """
-    seconds += 0.5 * case.motion
     folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     try:
         _write(case, folder)

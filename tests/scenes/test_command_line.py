@@ -114,3 +114,11 @@ def test_the_help_lists_the_methods_of_the_registry(verb: str, tmp_path: Path) -
     told = " ".join(done.stdout.replace("│", " ").split())
     assert ", ".join(methods_of(verb)) in told
     assert completed(verb, "id") == ["ideal"]
+
+
+@pytest.mark.parametrize("words", [("identify", "r.csv", "--robot", "kr6", "--decimate-to", "nan"),
+                                   ("run", "line", "--speed", "inf")])
+def test_numbers_that_are_none_are_refused_by_every_verb(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = ideal_robot(*words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "no finite number" in done.stderr
