@@ -10,6 +10,7 @@ from pathlib import Path
 
 import ideal_robot
 from ideal_robot.robots.robot import Robot
+from ideal_robot.summary import Summarised
 from scenes.identification.models import identified_model
 from scenes.result import Progress, silent
 from sim.arm.world import World
@@ -18,8 +19,8 @@ PROCEDURE = 1
 """Counts the ways in which models have been prepared; another one makes kept models void."""
 
 
-@dataclass(frozen=True)
-class PreparedModel:
+@dataclass(frozen=True, repr=False)
+class PreparedModel(Summarised):
     """Where an arm's own model lies.
 
     Attributes:
@@ -29,6 +30,10 @@ class PreparedModel:
 
     path: Path
     fresh: bool
+
+    def summary(self) -> list[tuple[str, str]]:
+        """Where the model lies."""
+        return [("model", f"{self.path}{', identified just now' if self.fresh else ''}")]
 
 
 def cache_folder() -> Path:

@@ -5,27 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from ideal_robot.progress import Progress, silent
+from ideal_robot.progress import Progress, part_of, silent
 
 if TYPE_CHECKING:
     from ideal_robot.diagnosis import Diagnosis
 
 __all__ = ["CompareResult", "LoopResult", "Progress", "RunResult", "part_of", "silent"]
-
-
-def part_of(progress: Progress, start: float, share: float, key: str = "") -> Progress:
-    """Progress of a part of a job.
-
-    Args:
-        progress: of the whole job.
-        start: fraction of the job done before the part.
-        share: the part's share of the job.
-        key: what the part is about; shown in front of what is being done.
-    """
-    def move(fraction: float, text: str) -> None:
-        progress(start + share * fraction, text if key in ("", text) else f"{key}: {text}")
-
-    return move
 
 
 class RunResult(Protocol):

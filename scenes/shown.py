@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 from ideal_robot.plain import plain
-from ideal_robot.summary import Summarised, html_table
+from ideal_robot.summary import Summarised, html_table, in_lines, shown_cell
 
 
 class ShownRun(Summarised):
@@ -20,9 +20,9 @@ class ShownRun(Summarised):
         """The content of ``--json``."""
 
     def __repr__(self) -> str:
-        figures = "; ".join(f"{label} {value}" for label, value in self.summary()[:8])
         early = f", ended early: {self.failure}" if self.failure else ""
-        return f"{type(self).__name__}({self.scene.name!r}{early})\n  {figures}"
+        return in_lines(type(self).__name__, f"{self.scene.name!r}{early}",
+                        [f"{label} {value}" for label, value in self.summary()[:8]])
 
     def to_dict(self) -> dict[str, Any]:
         """The content of ``--json`` as plain values."""
@@ -45,8 +45,9 @@ class ShownTable(ABC):
 
     def __repr__(self) -> str:
         (_, first, *_), rows = self.rows()
-        figures = "; ".join(f"{row[0]} {row[1]:.4g}" for row in rows)
-        return f"{type(self).__name__}({self.scene.name!r}: {len(rows)} plays)\n  {first}: {figures}"
+        figures = [f"{row[0]} {shown_cell(row[1])}" for row in rows]
+        return in_lines(type(self).__name__, f"{self.scene.name!r}: {len(rows)} plays",
+                        [f"{first}: {figures[0]}", *figures[1:]] if figures else [])
 
     def _repr_html_(self) -> str:
         return html_table(*self.rows())

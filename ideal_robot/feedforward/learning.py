@@ -25,6 +25,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
+from ideal_robot.summary import Summarised
 
 _SMALLEST_STEP = 0.2
 """Learning stops when a step this much smaller than the full one still makes the path worse."""
@@ -66,8 +67,8 @@ class LearningLaw:
         return np.asarray(correction)
 
 
-@dataclass(frozen=True)
-class Learned:
+@dataclass(frozen=True, repr=False)
+class Learned(Summarised):
     """Outcome of learning one path.
 
     Attributes:
@@ -81,6 +82,11 @@ class Learned:
     criterion: tuple[float, ...]
     kept: tuple[Array, ...]
     stopped: str | None
+
+    def summary(self) -> list[tuple[str, str]]:
+        """How far the criterion came down."""
+        return [("plays", f"{len(self.criterion)} plays, {self.stopped or 'learned to the last step'}"),
+                ("criterion", f"{self.criterion[0]:.3g} → {self.best:.3g}")]
 
     @property
     def best(self) -> float:

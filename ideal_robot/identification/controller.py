@@ -18,12 +18,13 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised, listed
 
 _K_I_RANGE = (1e-4, 2.0)
 
 
-@dataclass(frozen=True)
-class ControllerIdentification:
+@dataclass(frozen=True, repr=False)
+class ControllerIdentification(Summarised):
     """Result of ``identify_controller``.
 
     Attributes:
@@ -42,6 +43,11 @@ class ControllerIdentification:
     measured: Array
     simulated: Array
     drifting: Array
+
+    def summary(self) -> list[tuple[str, str]]:
+        """How well the simulated controllers explain the torque."""
+        return [("controllers", f"of {len(self.error_percent)} joints"),
+                ("error of the torque", listed(self.error_percent, "%"))]
 
 
 def identify_controller(recordings: Sequence[Recording], t_cycle: float,

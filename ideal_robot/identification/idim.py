@@ -31,10 +31,11 @@ from ideal_robot.signals.error_budget import ErrorBudget, error_budget
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.stamps import on_its_clock
+from ideal_robot.summary import Summarised, listed
 
 
-@dataclass(frozen=True)
-class Identification:
+@dataclass(frozen=True, repr=False)
+class Identification(Summarised):
     """What identification returns.
 
     Attributes:
@@ -57,6 +58,13 @@ class Identification:
     warnings: tuple[str, ...]
     recordings: tuple[Recording, ...]
     unseen: tuple[Recording, ...]
+
+    def summary(self) -> list[tuple[str, str]]:
+        """How well the model explains what was measured."""
+        errors = [(title, listed(relative_error(predictions), "%")) for title, predictions in
+                  (("error of the torque", self.estimation), ("on what was not used", self.validation)) if predictions]
+        return [("model", f"{self.model.robot_name!r}: {len(self.recordings)} recordings"), *errors,
+                ("warnings", str(len(self.warnings)))]
 
 
 def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Sequence[Recording] = (),

@@ -24,7 +24,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
 from ideal_robot.plain import plain
 from ideal_robot.plots import over_time
-from ideal_robot.progress import Progress, silent
+from ideal_robot.progress import Progress, Steps, silent
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import expect, recordings_of
 from ideal_robot.signals.preprocess import preprocess
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
     from ideal_robot.plots import Figure
 
 METHODS = ("joint", "two-step")
+
+SHARES = {"friction and rigid body": 0.8, "controller": 0.2}
+"""Measured shares of the time without the controllers' own cycles."""
+SHARES_WITH_CASCADE = {"friction and rigid body": 0.14, "controller": 0.86}
+"""With them."""
 
 _WARMTH = 3.0
 """A gear has to warm up by this before its warm-up can be fitted [K]."""
@@ -165,7 +170,8 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
     recordings, validation, without_integrator = (
         recordings_of(given, name) for given, name in ((recordings, "recordings"), (validation, "validation"),
                                                        (without_integrator, "without_integrator")))
-    progress(0.05, "friction and rigid body")
+    steps = Steps(progress, SHARES_WITH_CASCADE if cascade else SHARES)
+    steps.begin("friction and rigid body")
     two_step = None
     if method == "joint":
         result = identify(recordings, robot, validation=validation, friction=friction, cutoff=cutoff,
@@ -173,7 +179,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
     else:
         result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
     warnings, missing = list(result.warnings), []
-    progress(0.6, "controller")
+    steps.begin("controller")
     controller, loop, model = None, None, result.model
     with_command = [r for r in result.recordings if r.has("q_c")]
     if with_command:

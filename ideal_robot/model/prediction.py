@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.summary import Summarised, listed
 
 
-@dataclass(frozen=True)
-class Prediction:
+@dataclass(frozen=True, repr=False)
+class Prediction(Summarised):
     """Predicted and measured torque of a recording, both through the same decimation filter.
 
     Attributes:
@@ -24,6 +25,12 @@ class Prediction:
     tau: Array
     std: Array
     measured: Array
+
+    def summary(self) -> list[tuple[str, str]]:
+        """How far the model is from what was measured."""
+        samples, joints = self.tau.shape
+        return [("torques", f"{joints} joints, {samples} samples"),
+                ("relative error", listed(self.relative_error_percent, "%"))]
 
     @property
     def relative_error_percent(self) -> Array:

@@ -18,6 +18,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
 from ideal_robot.model.model import Model
+from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.play import configurations, record
 from scenes.clamped.scene import ClampedScene
@@ -29,6 +30,10 @@ from scenes.metrics import PathErrors
 from scenes.path.cell import PathCell, set_up, training_path
 from scenes.result import Progress, silent
 from sim.contact.clamp_world import ClampWorld
+
+SHARES = {"before": 0.14, "clamping the flange": 0.13, "stiffness": 0.11, "after": 0.13,
+          "with a tracker, and with the truth": 0.29, "report": 0.2}
+"""Measured shares of the time."""
 
 
 def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path | None = None,
@@ -51,9 +56,10 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
     cell = set_up(scene, delay=False)
     truth = cell.world.per_joint("stiffness", cell.robot.n)
     without = dataclasses.replace(cell.model, stiffness=None, damping=None)
-    progress(0.05, "before")
+    job = Steps(progress, SHARES)
+    job.begin("before")
     before = _played(cell, without)
-    progress(0.2, "clamping the flange")
+    job.begin("clamping the flange")
     rng = np.random.default_rng(scene.seed)
     clamped = ClampedScene(name=scene.name, kind="clamped", title=scene.title, robot=scene.robot, seed=scene.seed,
                            clamp=scene.clamp)
@@ -61,13 +67,13 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
     recordings, _ = record(clamped, cell.robot, world, configurations(clamped, cell.robot, rng), rng)
     if measured == "motor":
         recordings = [_without_wrench(one) for one in recordings]
-    progress(0.5, "stiffness")
+    job.begin("stiffness")
     analysis = analyse_stiffness(recordings, cell.robot)
     found = stiffness_of(analysis, cell.robot.n)
     extended = dataclasses.replace(without, stiffness=found)
-    progress(0.6, "after")
+    job.begin("after")
     after = _played(cell, extended)
-    progress(0.75, "with a tracker, and with the truth")
+    job.begin("with a tracker, and with the truth")
     moved = cell.play(PassThrough(cell.world.t_ipo), path=training_path(cell.path, cell.world.t_ipo)).recording
     by_tracker, damping = stiffness_from_arm([moved], cell.model)
     tracker = _played(cell, dataclasses.replace(without, stiffness=by_tracker, damping=damping))
@@ -75,6 +81,7 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
     result = CloseClampedResult(scene, before, after, tracker, oracle,
                                 {"after": found, "tracker": by_tracker, "oracle": np.array(truth)}, analysis,
                                 measured)
+    job.begin("report")
     return result if out is None else write_close_clamped(result, extended, recordings, out)
 
 

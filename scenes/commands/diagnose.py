@@ -7,6 +7,9 @@ from typing import Annotated
 
 import typer
 
+SHARES = {"reading": 0.7, "drawing": 0.3}
+"""Measured shares of the time: the diagnosis itself, and its page."""
+
 
 def command(
     recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")],
@@ -32,6 +35,7 @@ def command(
     """
     from ideal_robot.diagnosis import diagnose
     from ideal_robot.model.model import Model
+    from ideal_robot.progress import Steps
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
@@ -43,11 +47,12 @@ def command(
 
     check_outputs({"--out": out}, json=json, model_out=model_out)
     with progress_bar("diagnose") as progress:
+        steps = Steps(progress, SHARES)
         arm = Robot.load(robot, drive_data)
         found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
-                         validate=None if validate is None else Recording.read(validate), seed=seed, progress=progress,
-                         cutoff=cutoff)
-        progress(0.97, "drawing")
+                         validate=None if validate is None else Recording.read(validate), seed=seed, cutoff=cutoff,
+                         progress=steps.begin("reading"))
+        steps.begin("drawing")
         page = out / "report.html"
         better = None if found.model is None else model_out
         with whole_files(page, json, better) as (page_file, json_file, model_file):

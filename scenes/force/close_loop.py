@@ -16,6 +16,7 @@ from ideal_robot.diagnosis.validation.oracle import named_force_effects
 from ideal_robot.effects import SENSOR, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
+from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from scenes.force.close_loop_page import write_force_circle
 from scenes.force.close_loop_result import CloseForceResult
@@ -27,6 +28,9 @@ from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
+
+SHARES = {"before": 0.09, "diagnosis": 0.14, "after": 0.1, "oracle": 0.08, "true": 0.08, "report": 0.51}
+"""Measured shares of the time."""
 
 
 def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = None,
@@ -46,6 +50,7 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
     seen_by = checked_measured(measured)
     robot = Robot.load(scene.robot)
     model = model_for(scene, robot)
+    job = Steps(progress, SHARES)
     with tempfile.TemporaryDirectory() as folder:
         def again(known: Model, own: ForceScene = scene) -> ForceResult:
             file = known.save(Path(folder) / "model.json")
@@ -54,14 +59,13 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
         def fitted(run: ForceResult, names: Sequence[str]) -> tuple[FittedEffect, ...]:
             return named_force_effects(visible(run.recording, seen_by), robot, model, names)
 
-        progress(0.0, "before")
+        job.begin("before")
         before = after = play(scene, IDEAL)
-        progress(0.25, "diagnosis")
-        found = diagnose(visible(before.recording, seen_by), robot, model=model)
+        found = diagnose(visible(before.recording, seen_by), robot, model=model, progress=job.begin("diagnosis"))
         extended, steps = model, list[Trial]()
         added = of_sensor(found)
         if added:
-            progress(0.4, words(added))
+            job.begin("after", words(added))
             candidate = with_effects(model, added)
             tried = again(candidate)
             named = [effect.name for effect in added]
@@ -70,15 +74,16 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
             steps.append(Trial(1, words(added), taken, "" if taken else "as much is left after it as before", reached))
             if taken:
                 extended, after = candidate, tried
-        progress(0.7, "oracle")
+        job.begin("oracle")
         oracle = again(with_effects(model, fitted(before, undeclared)))
-        progress(0.9, "true")
+        job.begin("true")
         right = scene.model_copy(update={
             "sensor": scene.sensor.model_copy(update={"drift": ()}),
             "assumed": scene.assumed.model_copy(update={"elasticity_ratio": 1.0})})
         true = again(model, right)
     result = CloseForceResult(scene, undeclared, before.figures, after.figures, oracle.figures, true.figures, found,
                               before.recording, size(added, scene), tuple(steps))
+    job.begin("report")
     return result if out is None else write_force_circle(result, extended, out)
 
 

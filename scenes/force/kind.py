@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ideal_robot.progress import Steps
 from scenes.force.cell import scene_curves
 from scenes.force.close_loop import close_loop
 from scenes.force.compare import ForceComparison, compare_forces
@@ -20,8 +21,8 @@ from scenes.kind import SceneKind
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent
 
-_CALIBRATED = 0.6
-"""Measured share of time of calibrating tool and contact."""
+SHARES = {"calibrating by moving": 0.15, "playing": 0.55, "report": 0.3}
+"""Measured shares of the time."""
 
 
 def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
@@ -42,9 +43,11 @@ def run(scene: ForceScene, *, method: Any = None, out: Path | None = None, progr
     if chosen.key == DIRECT and gains is None:
         gains = scene.gains or best_gains(scene, progress=lambda part, text: progress(0.8 * part, text))[0]
         progress = part_of(progress, 0.8, 0.2)
-    progress(0.0, "calibrating by moving")
-    result = play(scene, chosen, gains, part_of(progress, _CALIBRATED, 0.9 - _CALIBRATED))
-    progress(0.9, "report")
+    steps = Steps(progress, SHARES)
+    steps.begin("calibrating by moving")
+    # The first thing that playing says is that it has calibrated.
+    result = play(scene, chosen, gains, steps.part("playing"))
+    steps.begin("report")
     return result if out is None else write_run(result, out)
 
 

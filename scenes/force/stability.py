@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import whole_file
 from scenes import load_scene
 from scenes.force.play import play
@@ -47,11 +48,18 @@ class StabilityPoint:
     reason: str
 
 
-@dataclass(frozen=True)
-class StabilityMap:
+@dataclass(frozen=True, repr=False)
+class StabilityMap(Summarised):
     """The measured range of both ratios."""
 
     points: tuple[StabilityPoint, ...]
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The stable range of each ratio."""
+        ranges = [(f"{quantity}{' with estimation' if estimated else ''}",
+                   " to ".join(f"{bound:g}" for bound in self.bounds(quantity, estimated)))
+                  for quantity in FREE for estimated in (False, True)]
+        return [("runs", f"{len(self.points)} runs"), *ranges]
 
     def of(self, quantity: str, estimated: bool) -> list[StabilityPoint]:
         """The runs of one curve."""

@@ -18,6 +18,7 @@ from ideal_robot.identification.program import Program, finite_limits, plan_two_
 from ideal_robot.identification.workspace import Workspace
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import write_text
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -26,8 +27,8 @@ _TRIES = 8
 """How often a motion is looked for."""
 
 
-@dataclass(frozen=True)
-class Plan:
+@dataclass(frozen=True, repr=False)
+class Plan(Summarised):
     """A planned motion.
 
     Attributes:
@@ -41,6 +42,11 @@ class Plan:
     commands: Array
     t_ipo: float
     source: FourierMotion | Program
+
+    def summary(self) -> list[tuple[str, str]]:
+        """Method and length of the motion."""
+        samples, joints = self.commands.shape
+        return [("method", f"{self.method!r}, {joints} joints"), ("duration", f"{samples * self.t_ipo:.1f} s")]
 
     def json(self) -> dict[str, Any]:
         """The plan's figures, and the program of the two-step method."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
+from ideal_robot.summary import Summarised
 from scenes.line.cell import Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.scene import LineScene
@@ -24,8 +25,8 @@ MARGIN = 0.9
 """Share of the tolerance that a prediction may use up: a line played again has other noise."""
 
 
-@dataclass(frozen=True)
-class Fastest:
+@dataclass(frozen=True, repr=False)
+class Fastest(Summarised):
     """What the trials gave.
 
     Attributes:
@@ -39,6 +40,11 @@ class Fastest:
     tolerance: float
     predicted: float
     trials: tuple[tuple[float, float], ...]
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The speed and what it keeps."""
+        return [("speed", f"{self.speed:.3g} m/s within {1e3 * self.tolerance:g} mm"),
+                ("95 % predicted", f"{1e3 * self.predicted:.3g} mm"), ("trials", str(len(self.trials)))]
 
     def json(self) -> dict[str, Any]:
         """For ``--json``."""

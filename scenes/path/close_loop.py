@@ -7,7 +7,6 @@ its size from the same recording.
 from __future__ import annotations
 
 import dataclasses
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from ideal_robot.diagnosis.validation.oracle import with_named_effects
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.model.model import Model
+from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.measured import checked_measured, visible
@@ -37,6 +37,12 @@ from scenes.scene import OWN
 
 ROUNDS = 3
 """Of run and diagnosis, at most."""
+SHARES = {"before": 0.02, "rounds": 0.78, "oracle": 0.1, "report": 0.1}
+"""Measured shares of the time."""
+SHARES_OF_ROUND = {"moving": 0.12, "diagnosis": 0.63, "adopting": 0.1, "asking": 0.15}
+"""Those of a round; a motion is asked for in one of them at most."""
+_LEFT = 0.4
+"""Of the rounds' time, what a round leaves to those after it, which need not come."""
 
 
 def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out: Path | None = None,
@@ -82,7 +88,8 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         progress: called with the fraction done.
     """
     seen_by = checked_measured(measured)
-    progress(0.0, "before")
+    job = Steps(progress, SHARES)
+    job.begin("before")
     known, before = cell.model, cell.play(cell.feedforward(IDEAL))
     first = measured_error(before, cell.path, cell.robot, known, seen_by)
     steps: tuple[Step, ...] = ()
@@ -91,18 +98,20 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
     plan: AskedMotion | None = None
     with last_good(out) as keep:
         for round_ in range(1, rounds_at_most + 1):
-            share = 0.05 + 0.8 * (round_ - 1) / rounds_at_most
-            progress(share, f"round {round_}: diagnostic motion")
+            before_it = 1.0 - _LEFT ** (round_ - 1)
+            within = Steps(part_of(job.part("rounds"), before_it, (1.0 - _LEFT) * (1.0 - before_it)), SHARES_OF_ROUND)
+            within.begin("moving", f"round {round_}: diagnostic motion")
             keep.round = round_
             moved = visible(cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording, seen_by)
             # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
-            diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=partial(_shifted, progress, share))
+            diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=within.part("diagnosis"))
             rounds.append((diagnosis, moved))
+            within.begin("adopting", f"round {round_}: what was found is tried")
             model, present, tried = adopt_on_path(cell, diagnosis, moved, present, known, seen_by, round_)
             steps += tried
             if ask and model is cell.model and plan is None:
                 # Before it gives up: what could not be told apart may be told by another motion.
-                plan = asked_motion(cell, diagnosis, moved, seen_by, round_, part_of(progress, share + 0.15, 0.1))
+                plan = asked_motion(cell, diagnosis, moved, seen_by, round_, within.part("asking"))
                 if plan is not None and plan.diagnosis is not None and plan.recording is not None:
                     model, present, tried = adopt_on_path(cell, plan.diagnosis, plan.recording, present, known,
                                                           seen_by, round_)
@@ -112,7 +121,7 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
             keep.model(model)
             cell = dataclasses.replace(cell, model=model)
         keep.round = 0
-        progress(0.9, "oracle")
+        job.begin("oracle")
         found, recording = rounds[0]
         if oracle is None and not undeclared:
             told = before.errors
@@ -122,11 +131,8 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
             told = cell.play(oracle).errors
         result = CloseLoopResult(scene, undeclared, before.errors, present.errors, told, found, recording, seen_by,
                                  first, steps, plan)
+        job.begin("report")
         return result if out is None else write_circle(result, cell.model, out)
-
-
-def _shifted(progress: Progress, start: float, share: float, word: str) -> None:
-    progress(start + 0.15 * share, word)
 
 
 def diagnostic_motion(cell: PathCell) -> JointPath:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from ideal_robot.feedforward.practice import ITERATIONS
 from scenes.methods import SceneMethod
 from scenes.path.cell import PathCell
 from scenes.path.result import PathResult
 from scenes.path.scene import PathScene
-from scenes.result import Progress, part_of
+from scenes.result import Progress
+
+_LEARNING = ITERATIONS / (ITERATIONS + 1.0)
+"""Share of the plays that learning takes, where there is something to learn; the last one counts."""
 
 
 def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress: Progress) -> PathResult:
@@ -23,8 +27,14 @@ def play_method(scene: PathScene, cell: PathCell, method: SceneMethod, progress:
     Raises:
         InputError: no such method.
     """
-    feedforward = cell.feedforward(method, part_of(progress, 0.0, 0.5))
-    progress(0.5, method.key)
+    learned: list[float] = []
+
+    def learning(fraction: float, text: str) -> None:
+        learned.append(fraction)
+        progress(_LEARNING * fraction, text)
+
+    feedforward = cell.feedforward(method, learning)
+    progress(_LEARNING if learned else 0.0, method.key)
     played = cell.play(feedforward)
     progress(1.0, method.key)
     meta = {**played.recording.meta, "scene": scene.name, "method": method.key, "seed": scene.seed}

@@ -9,10 +9,11 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised, shown_cell
 
 
-@dataclass(frozen=True)
-class RsiRun:
+@dataclass(frozen=True, repr=False)
+class RsiRun(Summarised):
     """A path played over RSI.
 
     Attributes:
@@ -35,6 +36,12 @@ class RsiRun:
     precautions: list[str]
     begun: int
     rows: int
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What came of the cycles."""
+        _, rows = self.table()
+        return [("path", f"{rows[0][1]} cycles answered{f', ended early: {self.failure}' if self.failure else ''}"),
+                *((str(label), shown_cell(value)) for label, value in rows[1:])]
 
     def json(self) -> dict[str, Any]:
         """Key figures."""

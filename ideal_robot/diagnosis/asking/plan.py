@@ -39,6 +39,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from ideal_robot.summary import Summarised
 
 LONGEST = 30.0
 """Length of a motion [s], at most, unless asked otherwise."""
@@ -79,8 +80,8 @@ class PlannedPair:
                 "only": self.only or None}
 
 
-@dataclass(frozen=True)
-class DiagnosisPlan:
+@dataclass(frozen=True, repr=False)
+class DiagnosisPlan(Summarised):
     """The answer.
 
     Attributes:
@@ -96,6 +97,12 @@ class DiagnosisPlan:
     t_ipo: float
     not_asked: tuple[str, ...] = ()
     still_undecided: tuple[int, ...] = ()
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What the motion tells apart."""
+        told = sum(pair.told_apart for pair in self.pairs)
+        return [("motion", f"{self.seconds:.1f} s that tell {told} of {len(self.pairs)} pairs"),
+                ("not asked", str(len(self.not_asked)))]
 
     @property
     def seconds(self) -> float:

@@ -69,7 +69,8 @@ class Search:
         for one in sorted(start, key=lambda c: c.share):
             self._drop_if_small(one)
         for round_ in range(self.options.most):
-            self.progress(min(0.9, 0.1 + 0.8 * round_ / (round_ + 4.0)), f"round {round_ + 1}")
+            # How many rounds there will be is not known: each takes a share of what is left.
+            self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             choice = self._next()
             if choice is None:
                 break
