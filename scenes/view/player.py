@@ -20,6 +20,8 @@ _ARROW = 0.4
 """Length of a large force's arrow [m]."""
 _ABOVE = 0.012
 """How far above where it was the tool's path is drawn [m]."""
+_MARGIN, _WIDTH, _CONTROLS = 15, 320, 255
+"""On a wide page: plot and picture are so far from the right edge, so wide, and below the controls [px]."""
 _PLOTTED = 600
 """Most points of the error's plot."""
 _COLOURS = ((40, 40, 40), (10, 110, 189), (120, 80, 160), (43, 138, 62))
@@ -51,13 +53,27 @@ class Player:
         # The plot takes no gaps: only where the error counts.
         counts = np.flatnonzero(np.isfinite(replay.error))
         self._rows = counts[np.unique(np.linspace(0, len(counts) - 1, _PLOTTED).astype(int))] if len(counts) else counts
-        self.plot = None if len(counts) < 2 else gui.add_uplot(self._plotted(0), (
-            {"label": "t [s]"}, {"label": f"{replay.error_name} [{replay.unit}]", "stroke": "#e06a00", "width": 1.5},
-            {"label": "until now", "stroke": "#1c2430", "width": 1, "fill": "rgba(28, 36, 48, 0.25)"}),
-            scales={"x": {"time": False}}, axes=({"label": "t [s]"}, {"label": replay.unit}), aspect=1.8)
-        self.picture = None if not self._pictures else gui.add_image(self._pictures[0][1], label="camera")
+        self.plot: Any = None
+        self.picture: Any = None
+        if len(counts) > 1 or self._pictures:
+            self._add_pictures(len(counts) > 1)
         self.slider.on_update(lambda event: self.show(self._at(float(self.slider.value))))
         self.show(0)
+
+    def _add_pictures(self, plotted: bool) -> None:
+        """The error's plot and the camera's picture, in a panel of their own: a phone's page begins with it closed."""
+        gui, replay = self.viewer.server.gui, self.replay
+        panel = gui.add_panel()
+        panel.float(x=-_MARGIN, y=_CONTROLS, width=_WIDTH)
+        with panel.add_tab("error and camera" if plotted and self._pictures else "error" if plotted else "camera"):
+            if plotted:
+                self.plot = gui.add_uplot(self._plotted(0), (
+                    {"label": "t [s]"},
+                    {"label": f"{replay.error_name} [{replay.unit}]", "stroke": "#e06a00", "width": 1.5},
+                    {"label": "until now", "stroke": "#1c2430", "width": 1, "fill": "rgba(28, 36, 48, 0.25)"}),
+                    scales={"x": {"time": False}}, axes=({"label": "t [s]"}, {"label": replay.unit}), aspect=1.8)
+            if self._pictures:
+                self.picture = gui.add_image(self._pictures[0][1], label="camera")
 
     def _set_up_scene(self) -> None:
         viewer, replay = self.viewer, self.replay

@@ -14,6 +14,10 @@ from scenes.report.arm_shapes import link_poses, polygons
 
 GHOST = "ghost"
 ARM = "arm"
+_FARTHEST = 1.4
+"""How much farther away a page looks from that is higher than wide, at most."""
+_ABOVE_CONTROLS = 0.12
+"""How far below the scene's middle it looks, as a share of the distance: there lie the controls."""
 
 
 class Viewer:
@@ -40,6 +44,7 @@ class Viewer:
         self.server.initial_camera.position = (2.6, -2.2, 1.7)
         self.server.initial_camera.look_at = (0.5, 0.0, 0.6)
         self.server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.25)
+        self.server.on_client_connect(self._step_back)
         self._arrows: dict[str, Any] = {}
         self.frames: dict[str, list[Any]] = {ARM: self._add(ARM, None)}
         self.show(robot.home)
@@ -116,6 +121,18 @@ class Viewer:
         aim = np.asarray(place) + 0.12 * distance * np.array([0.66, 0.75, 0.0])
         camera.position = tuple(aim + distance * np.array([0.68, -0.6, 0.42]))
         camera.look_at = tuple(aim)
+
+    def _step_back(self, client: Any) -> None:
+        """A page that is higher than wide, as a phone's, sees the arm from farther away, above the controls."""
+        if client.camera.aspect >= 1.0:
+            return
+        # The page tells of its camera before it has taken the first view.
+        first = self.server.initial_camera
+        aim, position = np.asarray(first.look_at), np.asarray(first.position)
+        away = min(1.0 / client.camera.aspect, _FARTHEST) * (position - aim)
+        aim = aim - [0.0, 0.0, _ABOVE_CONTROLS * float(np.linalg.norm(away))]
+        with client.atomic():
+            client.camera.position, client.camera.look_at = tuple(aim + away), tuple(aim)
 
     def surface(self, corners: Array) -> None:
         """Draws a flat surface with ``corners (4, 3)`` [m]."""

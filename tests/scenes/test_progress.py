@@ -20,7 +20,6 @@ from scenes.path import close_loop, kind
 from scenes.scene_file import load_scene
 from tests.ideal_robot.test_door import ROBOT, frame
 
-
 diagnosing = importlib.import_module("ideal_robot.diagnosis.diagnose")
 
 

@@ -23,6 +23,8 @@ SCENE = (slice(200, None), slice(None, 640))
 """Rows and columns of the screenshot that show the scene and nothing else."""
 PANEL = (slice(None), slice(660, None))
 """Those that show the controls."""
+PHONE = (slice(140, 560), slice(None))
+"""Rows of a phone's page between viser's notice and the controls."""
 
 
 def seen(page: Page, arrived: Callable[[np.ndarray], bool]) -> np.ndarray:
@@ -44,7 +46,11 @@ def scene_is_there(picture: np.ndarray) -> bool:
 
 def arm(picture: np.ndarray) -> np.ndarray:
     """Where the scene is orange."""
-    return np.asarray((picture[..., 0] - picture[..., 2] > 30)[SCENE])
+    return orange(picture)[SCENE]
+
+
+def orange(picture: np.ndarray) -> np.ndarray:
+    return np.asarray(picture[..., 0] - picture[..., 2] > 30)
 
 
 def png(colour: tuple[int, int, int]) -> bytes:
@@ -89,6 +95,9 @@ def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp
             player.slider.value = 3.9
             second = seen(page, lambda picture: bool((arm(first) & ~arm(picture)).sum() > 300
                                                      and near(picture[PANEL], (0, 255, 255)).sum() > 3000))
+            page.open(f"http://127.0.0.1:{viewer.port}/", 400, 800)
+            phone = seen(page, lambda picture: bool(orange(picture[PHONE]).sum() > 1500
+                                                    and (picture[PHONE].max(axis=2) < 80).sum() > 300))
     finally:
         viewer.server.stop()
     pictures = [first, second]
@@ -104,3 +113,7 @@ def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp
     assert near(pictures[1][PANEL], (255, 0, 255)).sum() == 0
     assert near(pictures[1][PANEL], (0, 255, 255)).sum() > 3000, "the camera's picture of the other instant"
     assert near(pictures[0][PANEL], (224, 106, 0)).sum() > 100, "the error over time"
+    assert orange(phone[PHONE]).sum() > 1500, "the arm on a phone"
+    assert np.ptp(np.nonzero(orange(phone[PHONE]))[0]) > 100, "all of it"
+    assert (phone[PHONE].max(axis=2) < 80).sum() > 300, "the line on a phone"
+    assert near(phone, (0, 255, 255)).sum() == 0, "plot and picture are closed until they are touched"
