@@ -59,7 +59,10 @@ def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: 
     """
     robot, reference, start, at = arm.robot, piece.reference, piece.start, piece.at
     postures = calibration_postures(robot, reference, by_hand, at, piece.clear)
-    commands = moves(robot, [start, *postures, start], REST)
+    way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
+    commands = np.concatenate([way, over, back])
+    # On the way there and back another piece of the line is seen, or none: that fits no common curve.
+    begin, end = robot.t_ipo * len(way), robot.t_ipo * (len(way) + len(over))
     sag = GearDeflection(model, robot.t_ipo).along(commands)
     view = CalibrationView(robot, reference, by_hand, camera.detection, FoundBefore(), start)
     arm.begin()
@@ -71,8 +74,8 @@ def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: 
         q = arm.cycle(q_c).q
         view.history.add(arm.t, q - sag[k])
         for field in camera.arrived(arm.t):
-            fields += 1
-            if fields % SPARING == 0:
+            fields += begin <= field.t_stamp <= end
+            if begin <= field.t_stamp <= end and fields % SPARING == 0:
                 view.look(field, view.predicted(field.t_stamp), 0.0)
     looked = fields // SPARING
     if len(view.observations) < max(looked // 2, 3):
