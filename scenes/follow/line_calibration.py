@@ -19,8 +19,6 @@ from sensing.camera.hand_eye import HandEye
 
 REST = 0.16
 """Rest at each pose, in which vibrations die out [s]."""
-SPARING = 4
-"""One field in so many is looked at: neighbours tell the same."""
 _PIECE, _STEP = 0.25, 0.001
 _PATIENCE = 60.0
 """How long the computation may take; the arm is held meanwhile [s]."""
@@ -74,12 +72,11 @@ def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: 
         q = arm.cycle(q_c).q
         view.history.add(arm.t, q - sag[k])
         for field in camera.arrived(arm.t):
-            fields += begin <= field.t_stamp <= end
-            if begin <= field.t_stamp <= end and fields % SPARING == 0:
+            if begin <= field.t_stamp <= end:
+                fields += 1
                 view.look(field, view.predicted(field.t_stamp), 0.0)
-    looked = fields // SPARING
-    if len(view.observations) < max(looked // 2, 3):
-        raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {looked} fields showed "
+    if len(view.observations) < max(fields // 2, 3):
+        raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {fields} fields showed "
                          "the line; check where the line is, how it looks (line.gray, line.width_mm), and the camera")
     near = reference.position(np.arange(at - _PIECE, at + _PIECE, _STEP))
     camera.calibrate(by_hand, view.observations, near, reference.frames(np.array([at])).up[0])
