@@ -15,10 +15,7 @@ ASKED_EVERY = 0.1
 AGAIN = 0.5
 """Time between two attempts to connect [s]."""
 _PIECE = 1 << 18
-_LONGER = 1.5
-"""A question that took so much longer than the quickest tells nothing: which way was slow is not known."""
-_SLACK = 1e-4
-_FORGET = 1.01
+_FORGET = 1.001
 """Growth of the quickest time a question, so that a network that has become slower is believed in the end."""
 
 
@@ -118,6 +115,8 @@ class StreamConnection:
             took = arrived - struct.unpack(">d", package.payload)[0]
             if not 0.0 <= took < 1.0:
                 return
+            # Of a slow exchange it is not known which way was slow. What the answer alone took is never below the
+            # least, half of the quickest exchange; a question that waited does not count at all.
             self._quickest = min(self._quickest * _FORGET, took)
-            if took <= _LONGER * self._quickest + _SLACK:
-                self.clock.add(package.stamp, arrived - 0.5 * took)
+            self.clock.least_delay = 0.5 * self._quickest
+            self.clock.add(package.stamp, arrived)

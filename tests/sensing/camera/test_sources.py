@@ -167,6 +167,27 @@ def test_a_stream_of_another_clock_is_translated_without_any_delay_given() -> No
     assert min(ages) == pytest.approx(0.040, abs=0.003)
 
 
+def test_questions_that_wait_at_the_device_do_not_shift_its_clock() -> None:
+    asked = []
+
+    def clock() -> float:
+        asked.append(1)
+        if len(asked) < 6:
+            time.sleep(0.02)
+        return time.perf_counter() - 5000.0
+
+    with device(HELLO, lambda k: field(k, time.perf_counter() - 5000.0), clock=clock) as (host, port):
+        camera = StreamCamera(host, port)
+        end = time.perf_counter() + 1.2
+        while time.perf_counter() < end:
+            camera.read(0.1)
+        at = time.perf_counter()
+        error = camera.clock.host(at - 5000.0) - at
+        camera.close()
+    assert len(asked) > 8
+    assert abs(error) < 0.003
+
+
 def test_pictures_of_another_size_are_refused_and_a_camera_that_comes_back_goes_on() -> None:
     def message(k: int) -> bytes | None:
         return None if k == 10 else field(k, time.perf_counter(), width=63 if k == 5 else 64)
