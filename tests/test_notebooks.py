@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import nbformat
 import pytest
+from jupyter_client import AsyncKernelManager
 from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+LONGEST_CELL = 600
+"""Time after which a cell counts as hanging [s]."""
 DATA = ROOT.parent / "shared" / "data"
 
 
@@ -34,7 +38,12 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("IDEAL_ROBOT_DATA", str(DATA))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("MPLBACKEND", "agg")
-    NotebookClient(read(path), timeout=900, resources={"metadata": {"path": str(ROOT)}}).execute()
+    # Sockets in a folder of its own: the ports that a kernel is given may be taken by another one until it opens them,
+    # and who then waits for an answer waits until the end of his patience.
+    with tempfile.TemporaryDirectory(prefix="ir") as folder:
+        kernel = AsyncKernelManager(transport="ipc", ip=f"{folder}/ipc", connection_file=f"{folder}/kernel.json")
+        NotebookClient(read(path), km=kernel, timeout=LONGEST_CELL, startup_timeout=120,
+                       resources={"metadata": {"path": str(ROOT)}}).execute()
 
 
 @pytest.mark.parametrize("path", [one for one in NOTEBOOKS if read(one).metadata.get("quick")],

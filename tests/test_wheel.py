@@ -54,7 +54,8 @@ def build(folder: Path) -> None:
 def run(command: list[str], folder: Path, path: Path | None = None) -> str:
     """Runs a command in a folder, with packages from ``path`` first; returns what it printed."""
     environment = {**os.environ, "PYTHONPATH": "" if path is None else str(path)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False,
+                          timeout=600)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
