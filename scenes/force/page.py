@@ -63,17 +63,13 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
     by = {one.method: one.figures.rms for one in comparison.results}
     shown = ", ".join(f"{rms:.2f} N with {method.replace('_', ' ')}" for method, rms in reversed(by.items()))
     page = Report(f"{scene.title}: methods compared", f"RMS force error {shown}.")
-    page.table(*comparison.table())
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    axis = figure.subplots()
-    for one in comparison.results:
-        axis.plot(one.history["t"], one.history["normal"], lw=0.9, color=COLOURS.get(one.method), label=one.method)
-    axis.axhline(scene.force, color="black", lw=0.7)
-    axis.set_ylim(0, 3 * scene.force)
-    axis.set_xlabel("t [s]")
-    axis.set_ylabel("normal force [N]")
-    axis.legend()
-    page.figure(figure, "True normal force of all methods.")
+    columns, rows = comparison.table()
+    if not any(row[-1] for row in rows):
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
+    page.table(columns, rows)
+    page.figure(forces_figure(comparison), "True normal force, a panel for each method on the same scale; dashed: the "
+                f"{scene.force:g} N that are wanted. What counts in the table is the travel, without touching down and "
+                "lifting off.")
     if comparison.troubles:
         page.heading("The camera in trouble")
         page.text("The same scene with the ideal robot: the map carries the tool on, and what contradicts it or itself "
@@ -85,9 +81,27 @@ def write_comparison(comparison: ForceComparison, out: Path) -> ForceComparison:
                     for name, one in comparison.troubles])
     if comparison.trials:
         page.heading("Search for the best direct feedback")
-        page.table(["K_p [µm/N]", "K_d [µm/N]", "RMS force error [N]"],
-                   [[1e6 * one.k_p, 1e6 * one.k_d, one.error] for one in comparison.trials])
+        page.table(["K_p [µm/N per cycle]", "K_d [µm/N]", "RMS force error [N]"],
+                   [[1e6 * one.k_p, 1e6 * one.k_d, one.error] for one in comparison.trials],
+                   "Each line is a play; the best gains are those of direct_feedback above. –: ended early.")
     return replace(comparison, report=page.write(out / "report.html"))
+
+
+def forces_figure(comparison: ForceComparison) -> Figure:
+    """The true normal force of each method, one below the other: laid over each other the best could not be seen."""
+    results, wanted = comparison.results, comparison.scene.force
+    figure = Figure(figsize=(6.5, 0.5 + 1.35 * len(results)), layout="constrained")
+    axes = figure.subplots(len(results), sharex=True, sharey=True, squeeze=False).ravel()
+    for axis, one in zip(axes, results, strict=True):
+        axis.axhline(wanted, color="black", lw=0.7, ls="--")
+        axis.plot(one.history["t"], one.history["normal"], lw=0.9, color=COLOURS.get(one.method, "#2b8a3e"))
+        axis.set_title(f"{one.method}: {one.figures.rms:.2f} N RMS", loc="left", fontsize=9)
+        axis.grid(alpha=0.25)
+    highest = max(float(np.max(one.history["normal"])) for one in results)
+    axes[0].set_ylim(0.0, min(1.1 * highest, 3.0 * wanted))
+    axes[-1].set_xlabel("t [s]")
+    figure.supylabel("normal force [N]", fontsize=10)
+    return figure
 
 
 def _camera_story(result: ForceResult) -> str:

@@ -39,7 +39,8 @@ def identification_page(analysis: IdentificationResult) -> Report:
     for role, recording, prediction in shown[:4]:
         page.figure(torque_figure(prediction), f"{Path(recording.source).name} ({role}): measured and predicted torque "
                     "with two standard deviations of the prediction (cut off at reversals, where the angle over which "
-                    "friction turns decides), and the residual on the same scale.")
+                    "friction turns decides), and the residual on the same scale. Above each panel: "
+                    "std(residual) / std(torque).")
     page.heading("Friction")
     page.figure(friction_figure(analysis), "Friction over speed. Gray points: what is left of the measured torque "
                 "when everything else is subtracted (estimation data). Line: the law at constant speed without load. "
@@ -232,7 +233,8 @@ def friction_spread(analysis: IdentificationResult) -> tuple[list[str], list[lis
         curve = law.torque(points.speed[:, j, None])[:, 0]
         about, left = (float(np.std(points.torque[:, j] - of)) for of in (curve, points.modelled[:, j]))
         rows.append([j + 1, law.label, about, float(np.std(points.modelled[:, j] - curve)), left])
-    return ["joint", "law", "points about the line [N m or N]", "of that load and reversals", "left"], rows
+    return ["joint", "law", "points about the line [N m or N]", "of that by load and reversals [N m or N]",
+            "left [N m or N]"], rows
 
 
 def drift_figure(found: ControllerIdentification) -> Figure:
