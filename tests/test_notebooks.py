@@ -7,7 +7,6 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from jupyter_client import AsyncKernelManager
 from nbclient import NotebookClient
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -41,9 +40,11 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Sockets in a folder of its own: the ports that a kernel is given may be taken by another one until it opens them,
     # and who then waits for an answer waits until the end of his patience.
     with tempfile.TemporaryDirectory(prefix="ir") as folder:
-        kernel = AsyncKernelManager(transport="ipc", ip=f"{folder}/ipc", connection_file=f"{folder}/kernel.json")
-        NotebookClient(read(path), km=kernel, timeout=LONGEST_CELL, startup_timeout=120,
-                       resources={"metadata": {"path": str(ROOT)}}).execute()
+        client = NotebookClient(read(path), timeout=LONGEST_CELL, startup_timeout=120,
+                                resources={"metadata": {"path": str(ROOT)}})
+        kernel = client.create_kernel_manager()
+        kernel.transport, kernel.ip, kernel.connection_file = "ipc", f"{folder}/ipc", f"{folder}/kernel.json"
+        client.execute()
 
 
 @pytest.mark.parametrize("path", [one for one in NOTEBOOKS if read(one).metadata.get("quick")],
