@@ -15,6 +15,7 @@ from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import RowLog
 from planning.planning_error import PlanningError
 from scenes.result import Progress
 
@@ -99,10 +100,10 @@ class CycleLog:
         failure: why the play ended early, or None.
     """
 
-    t: list[float] = field(default_factory=list)
-    q_d: list[Array] = field(default_factory=list)
-    q_c: list[Array] = field(default_factory=list)
-    cycles: list[float] = field(default_factory=list)
+    t: RowLog = field(default_factory=RowLog)
+    q_d: RowLog = field(default_factory=RowLog)
+    q_c: RowLog = field(default_factory=RowLog)
+    cycles: RowLog = field(default_factory=RowLog)
     limited: int = 0
     failure: str | None = None
 

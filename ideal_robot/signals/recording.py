@@ -14,6 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.plain import plain
 from ideal_robot.plots import over_time
+from ideal_robot.signals.column_store import in_file
 from ideal_robot.signals.ros_bag import SUFFIXES, read_joint_states
 from ideal_robot.signals.table_file import read_table
 from ideal_robot.summary import Summarised
@@ -28,6 +29,8 @@ OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
 """Quantities that every joint has."""
 WRITTEN = (".parquet", ".csv")
 """Endings of files that recordings are written to."""
+WRITTEN_ROWS = 65536
+"""Rows that are written at a time."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -205,14 +208,20 @@ class Recording(Summarised):
         if path.suffix not in WRITTEN:
             raise InputError(f"recordings are written as {' or '.join(WRITTEN)}; give the file one of these endings",
                              file=path, field="path", value=path.suffix)
-        frame = pd.DataFrame(self.columns)
+        names, meta = list(self.columns), {"ideal_robot": json.dumps(self.meta, default=str)}
+        parts = [slice(first, first + WRITTEN_ROWS) for first in range(0, max(len(self.t), 1), WRITTEN_ROWS)]
         with whole_file(path) as partial:
             if path.suffix == ".csv":
-                frame.to_csv(partial, index=False)
+                for part in parts:
+                    pd.DataFrame({name: self.columns[name][part] for name in names}).to_csv(
+                        partial, index=False, header=part.start == 0, mode="a")
             else:
-                table = pa.Table.from_pandas(frame, preserve_index=False)
-                table = table.replace_schema_metadata({"ideal_robot": json.dumps(self.meta, default=str)})
-                pq.write_table(table, partial)
+                schema = pa.schema([(name, pa.array(self.columns[name][:0]).type) for name in names], metadata=meta)
+                with pq.ParquetWriter(partial, schema) as file:
+                    for part in parts:
+                        # What is not a number is none in the file, as data frames have it.
+                        file.write_table(pa.table([pa.array(self.columns[name][part], from_pandas=True)
+                                                   for name in names], schema=schema), WRITTEN_ROWS)
         return path
 
     @classmethod
@@ -238,7 +247,8 @@ class Recording(Summarised):
 
 def _own(values: Any, source: str, name: str) -> Array:
     """A read-only array of its own, so that neither the caller's can change it nor it the caller's."""
-    if isinstance(values, np.ndarray) and values.base is None and not values.flags.writeable and values.ndim == 1:
+    if isinstance(values, np.ndarray) and not values.flags.writeable and values.ndim == 1 and (
+            values.base is None or in_file(values)):
         return values
     array = np.array(values)
     if array.dtype.kind not in "fiub":

@@ -173,8 +173,8 @@ class ForceJob:
             order = np.argsort(felt[:, 0])
             columns["f_normal"] = np.interp(t, felt[order, 0], felt[order, 1])
         if self._force is not None and self._force.samples:
-            times = np.array([sample.t for sample in self._force.samples])
-            sensed = np.array([sample.wrench for sample in self._force.samples])
+            sensed = np.array(self._force.samples)
+            times, sensed = sensed[:, 0], sensed[:, 1:]
             order = np.argsort(times)
             for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
                 columns[name] = np.interp(t, times[order], sensed[order, i])

@@ -21,8 +21,9 @@ from scenes.follow.live_camera import FoundBefore, LiveCamera
 from scenes.follow.live_force import LiveForce
 from scenes.follow.rehearsal import ImaginedCamera, rehearse
 from scenes.line.known import START, Known, line_follower, span_of
+from scenes.line.log import LineLog
 from scenes.line.scene import LineScene
-from scenes.line.task import LineLog, LineTask
+from scenes.line.task import LineTask
 from scenes.methods import SceneMethod
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
@@ -139,15 +140,7 @@ class LineJob:
 
     def columns(self, t: Array) -> dict[str, Array]:
         """See ``Job``: ``cam_t`` and the line points of each field, as in recordings of line scenes."""
-        fields, count = self.log.fields, 5
-        stamps, points = np.full(len(t), np.nan), np.full((len(t), count, 3), np.nan)
-        for seen in fields:
-            row = min(int(np.searchsorted(t, seen.t)), len(t) - 1)
-            stamps[row] = seen.t
-            some = min(len(seen.points_tcp), count)
-            points[row, :some][seen.used[:some]] = seen.points_tcp[:some][seen.used[:some]]
-        return {"cam_t": stamps, **{f"line_{axis}_{i + 1}": points[:, i, j] for i in range(count)
-                                    for j, axis in enumerate("xyz")}}
+        return dict(self.log.field_columns(t, self.scene.points))
 
     def figures(self) -> dict[str, Any]:
         """See ``Job``."""

@@ -8,6 +8,7 @@ from collections import deque
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.row_log import RowLog
 from scenes.follow.live_arm import LiveArm
 from sensing.force.wrench import WrenchSample
 from sensing.force.wrench_source import WrenchSource
@@ -28,13 +29,13 @@ class LiveForce:
         arm: whose time the samples are given.
 
     Attributes:
-        samples: all that were handed on.
+        samples: of all that were handed on the time [s] and the wrench [N, N m].
         stuck, impossible, untimely: readings that count as missing.
     """
 
     def __init__(self, source: WrenchSource, arm: LiveArm) -> None:
         self.source, self._arm = source, arm
-        self.samples: list[WrenchSample] = []
+        self.samples = RowLog(7)
         self.stuck = self.impossible = self.untimely = 0
         self._alike, self._last = 0, np.full(6, np.nan)
         self._sound = 0.0
@@ -62,7 +63,8 @@ class LiveForce:
                     found.append(WrenchSample(at, t, wrench))
         if found:
             self._sound = max(self._sound, max(sample.t for sample in found))
-            self.samples += found
+            for sample in found:
+                self.samples.append((sample.t, *sample.wrench))
         return found
 
     def silent(self, t: float) -> float:
@@ -73,7 +75,7 @@ class LiveForce:
         """The run's time begins anew."""
         self._readings.clear()
         self._sound = 0.0
-        self.samples = []
+        self.samples = RowLog(7)
 
     def why_silent(self) -> str:
         """What came instead of readings."""

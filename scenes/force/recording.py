@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from ideal_robot.signals.column_store import ColumnStore
 from ideal_robot.signals.recording import Recording
 from scenes.force.scene import ForceScene
 from scenes.force.task import ForceTask
 from sim.arm.arm import SimulatedArm
+
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+"""Columns of a force sensor."""
 
 
 def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: ForceTask) -> Recording:
@@ -23,20 +27,20 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
         task: what was done.
     """
     recording, log = arm.recording(external=True), task.log
-    columns = dict(recording.columns)
-    t, q_d = np.array(log.t), np.array(log.q_d)
+    t, q_d, felt, sensed = recording.t, np.asarray(log.q_d), np.asarray(log.samples), np.asarray(log.wrenches)
+    names = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
+    names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(sensed) else [])
+    store = ColumnStore(names, len(t))
     for i in range(q_d.shape[1]):
-        columns[f"q_d_{i + 1}"] = np.interp(recording.t, t, q_d[:, i])
-    if log.samples:
-        felt = np.array(log.samples)
+        store.fill(names[i], 0, np.interp(t, np.asarray(log.t), q_d[:, i]))
+    if len(felt):
         order = np.argsort(felt[:, 0])
-        columns["f_normal"] = np.interp(recording.t, felt[order, 0], felt[order, 1])
-    if log.wrenches:
-        times, sensed = np.array([s.t for s in log.wrenches]), np.array([s.wrench for s in log.wrenches])
-        for i, name in enumerate(("fx", "fy", "fz", "mx", "my", "mz")):
-            columns[name] = np.interp(recording.t, times, sensed[:, i])
+        store.fill("f_normal", 0, np.interp(t, felt[order, 0], felt[order, 1]))
+    if len(sensed):
+        for name, values in zip(WRENCH, sensed.T[1:], strict=True):
+            store.fill(name, 0, np.interp(t, sensed[:, 0], values))
     tool = {"bias": task.tool.bias.tolist(), "mass": task.tool.mass, "com": task.tool.com.tolist()}
     meta = {**recording.meta, "tool": tool, "contact_stiffness": task.assumed_stiffness, "scene": scene.name,
             "method": method, "speed": scene.speed, "seed": scene.seed,
             "stopped_because": log.failure}
-    return Recording(columns, meta, recording.source)
+    return Recording({**recording.columns, **store.finished()}, meta, recording.source)

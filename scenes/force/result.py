@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.row_log import RowLog
 from ideal_robot.signals.recording import Recording
 from planning.follower import ForceFollower
 from planning.force.contact import Phase
 from scenes.cycle import CycleLog
 from scenes.force.scene import ForceScene
 from scenes.shown import ShownRun
-from sensing.force.wrench import WrenchSample
 
 
 @dataclass
@@ -25,15 +25,15 @@ class ForceLog(CycleLog):
     Attributes:
         phase, s, planned: of the follower in each cycle: phase, arc length [m], planned deviation [m].
         samples: of each cycle with samples: time of the newest [s], normal force [N], innovation squared per value.
-        wrenches: all samples of the force sensor.
+        wrenches: of all samples of the force sensor the time [s] and the wrench [N, N m].
         fields: for ``glue``: time stamp [s], values used, why not all.
     """
 
     phase: list[str] = field(default_factory=list)
-    s: list[float] = field(default_factory=list)
-    planned: list[Array] = field(default_factory=list)
-    samples: list[tuple[float, float, float]] = field(default_factory=list)
-    wrenches: list[WrenchSample] = field(default_factory=list)
+    s: RowLog = field(default_factory=RowLog)
+    planned: RowLog = field(default_factory=RowLog)
+    samples: RowLog = field(default_factory=RowLog)
+    wrenches: RowLog = field(default_factory=RowLog)
     fields: list[tuple[float, int, str]] = field(default_factory=list)
 
     def add(self, t: float, follower: ForceFollower) -> None:

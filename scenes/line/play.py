@@ -15,10 +15,11 @@ from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_world import knock_of
 from scenes.cycle import CycleSettings, play_cycles
 from scenes.line.cell import Cell, Prepared, prepared, set_up
+from scenes.line.log import LineLog
 from scenes.line.recording import line_recording
 from scenes.line.result import SETTLING, ControlError, LineResult, Timing
 from scenes.line.scene import LineScene
-from scenes.line.task import LineLog, LineTask
+from scenes.line.task import LineTask
 from scenes.line.world import LineWorld, mounted
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
 from scenes.metrics import PathErrors, path_errors
@@ -77,19 +78,17 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),
                     progress)
         wall = time.perf_counter() - started
-        if log.failure and len(arm.history()["t"]) < 2:
+        t, tcp = arm.tcp_path()
+        if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
-        history = arm.history()
-        tcp = np.array([arm.tcp_of(q).translation for q in history["q_a"]])
         shown = [(arm.tcp_at(t), seen) for t, seen in log.shown] if pictures else []
-        recording = line_recording(arm, scene, method.key, np.array(log.t), np.array(log.q_d), log.fields, log.failure,
-                                   cell.camera)
-    whole, error, followed_from = _control_error(cell, history["t"], tcp, log.first_used)
+        recording = line_recording(arm, scene, method.key, log, cell.camera)
+    whole, error, followed_from = _control_error(cell, t, tcp, log.first_used)
     return LineResult(
         scene=scene, method=method.key, control_error=error, control_error_from_start=whole,
-        path_errors=_path_errors(cell, log, history["t"], tcp), fields_seen=len(log.fields), fields_used=log.used,
+        path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
-                                           float(history["t"][-1])),
+                                           float(t[-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
         shown=tuple(replace(seen, image=shared.camera.frame(pose)) for pose, seen in shown),
         world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.warning,
@@ -99,15 +98,14 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
 
 def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple[ControlError, ControlError, float]:
     """Distance of the true TCP from the drawn line: over all of it, and from 0.3 s after it is first followed."""
-    up = cell.geometry.plane.rotation[:, 2]
-    nearest = cell.line.nearest(tcp - np.outer((tcp - cell.geometry.plane.translation) @ up, up))
-    inside = (nearest.s > 1e-6) & (nearest.s < cell.line.length - 1e-6)
+    s, lateral = cell.line.beside(tcp)
+    inside = (s > 1e-6) & (s < cell.line.length - 1e-6)
     if not inside.any() or not np.isfinite(first_used):
         nothing = ControlError.of(np.empty(0), np.empty(0), np.empty(0))
         return nothing, nothing, float("nan")
     followed_from = max(first_used, float(t[np.argmax(inside)]))
     counts = inside & (t >= followed_from + SETTLING)
-    whole, counted = (ControlError.of(t[which], nearest.s[which], nearest.lateral[which]) for which in (inside, counts))
+    whole, counted = (ControlError.of(t[which], s[which], lateral[which]) for which in (inside, counts))
     return whole, counted, followed_from
 
 

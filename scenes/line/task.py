@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
-from scenes.cycle import CycleLog
 from scenes.line.known import START, Known
+from scenes.line.log import LineLog
 from scenes.line.result import FieldShown
 from scenes.methods import DIRECT, SceneMethod
 from sensing.camera.camera_device import Camera
@@ -37,31 +37,6 @@ RECENT = 32
 def assumed_latency(model: Model) -> float:
     """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
     return SensorChange.of(model.effects).latency
-
-
-@dataclass
-class LineLog(CycleLog):
-    """What is written down while a line is followed.
-
-    Attributes:
-        fields: camera fields that arrived; used: how many of them gave a measurement.
-        shown: fields for the report, with their true time stamps [s].
-        with_field: whether a field was worked on in each cycle.
-        s: arc length of the reference at each cycle [m].
-        believed: desired deviation there [m].
-        first_used: when a field was used first [s]; NaN if never.
-        sensor_values, sensor_used: how many values each further sensor gave, and how many went into the fusion.
-    """
-
-    fields: list[LineField] = field(default_factory=list)
-    used: int = 0
-    shown: list[tuple[float, FieldShown]] = field(default_factory=list)
-    with_field: list[bool] = field(default_factory=list)
-    s: list[float] = field(default_factory=list)
-    believed: list[float] = field(default_factory=list)
-    first_used: float = np.nan
-    sensor_values: dict[str, int] = field(default_factory=dict)
-    sensor_used: dict[str, int] = field(default_factory=dict)
 
 
 class LineTask:
@@ -142,8 +117,7 @@ class LineTask:
         """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""
         for arrived in self._new:
             seen = self._sense(arrived)
-            self.log.fields.append(seen)
-            self.log.used += int(seen.seen)
+            self.log.add_field(seen, self.cell.scene.points)
             if seen.seen and not np.isfinite(self.log.first_used):
                 self.log.first_used = t
         for sensor in self.sensors:
@@ -197,12 +171,12 @@ class LineTask:
             measured: what the controller reported at its end.
         """
         self._state = self.feedforward.observe(self._state, measured)
-        k, fields = round(t0 / self._T), self.log.fields
+        k, latest = round(t0 / self._T), self.log.latest
         if k not in self._picture_at:
             return
         self._picture_at.discard(k)
-        if self._new and fields and fields[-1].seen:
-            self.log.shown.append((fields[-1].t, self._picture(fields[-1], self._new[-1])))
+        if self._new and latest is not None and latest.seen:
+            self.log.shown.append((latest.t, self._picture(latest, self._new[-1])))
         else:
             self._picture_at.add(k + 1)
 

@@ -113,19 +113,16 @@ class ServedCell:
             "held_up": session.held_up, "slipped": session.slipped,
             "largest_acceleration_share": float(np.max(sharp / limits)),
             "at_rest": bool(np.abs(steps[-3:]).max() < 1e-9) if len(steps) > 3 else True}
-        history = self.arm.history()
         if self._line is not None:
-            figures["control_error_mm"] = self._beside(history["t"], history["q_a"], self._line)
+            figures["control_error_mm"] = self._beside(*self.arm.tcp_path(), self._line)
         if self.contact is not None:
             figures["force_N"] = self._pressed(self.contact)
         return figures
 
-    def _beside(self, t: Array, q_a: Array, line: DrawnLine) -> dict[str, float]:
+    def _beside(self, t: Array, tcp: Array, line: DrawnLine) -> dict[str, float]:
         """Distance of the tool from the drawn line in the surface, while the tool is at it."""
-        tcp = np.array([self.arm.tcp_of(q).translation for q in q_a])
-        up = line.plane.rotation[:, 2]
-        nearest = line.nearest(tcp - np.outer((tcp - line.plane.translation) @ up, up))
-        inside = (nearest.s > 1e-6) & (nearest.s < line.length - 1e-6)
+        s, lateral = line.beside(tcp)
+        inside = (s > 1e-6) & (s < line.length - 1e-6)
         if not inside.any():
             return {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
         # A calibration before has visited the line, too; what counts is the last visit.
@@ -133,7 +130,7 @@ class ServedCell:
         outside = np.flatnonzero(~inside[:last])
         first = int(outside[-1]) + 1 if len(outside) else 0
         visit = slice(first, last)
-        size = 1e3 * np.abs(nearest.lateral[visit][t[visit] >= t[first] + SETTLING])
+        size = 1e3 * np.abs(lateral[visit][t[visit] >= t[first] + SETTLING])
         if not len(size):
             return {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
         return {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)), "max": float(size.max())}

@@ -224,6 +224,15 @@ class SimulatedArm:
         """
         return self._history.columns()
 
+    def tcp_path(self) -> tuple[Array, Array]:
+        """Times ``(N,)`` [s] of the history, and where the TCP truly was then ``(N, 3)`` [m]."""
+        t, place = np.empty(self._history.rows), np.empty((self._history.rows, 3))
+        for first, logged in self._history.parts():
+            t[first : first + len(logged["t"])] = logged["t"]
+            for i, q in enumerate(logged["q_a"], start=first):
+                place[i] = self.tcp_of(q).translation
+        return t, place
+
     def recording(self, external: bool = False) -> Recording:
         """What a controller would have logged, every ``world.log_cycle``.
 

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
-import weakref
-from collections.abc import Callable
-from typing import IO, Any
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -14,75 +11,45 @@ from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import KEPT, RowLog
+from ideal_robot.signals.column_store import ColumnStore
 from ideal_robot.signals.recording import Recording
 from sim.arm.kernel import LOGGED
 from sim.arm.world import World
 from sim.simulation_error import SimError
 
-KEPT = 32768
-"""Rows kept in memory at most, about a minute; a power of two times the first ones."""
 _ANGLE, _SPEED = LOGGED.index("q_a"), LOGGED.index("qd_a")
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+"""Columns of an external measuring device."""
 
 
-class History:
-    """The log of one run, row by row; of long runs the rows before the last minute are in a file without a name.
+class History(RowLog):
+    """The log of one run, row by row: time, then ``kernel.LOGGED`` with ``n`` values each.
 
     Args:
         n: number of joints.
         step: time between two rows [s].
-
-    Attributes:
-        rows: how many rows are filled; whoever fills ``next_row`` counts it.
     """
 
     def __init__(self, n: int, step: float) -> None:
+        super().__init__(1 + len(LOGGED) * n)
         self._n, self.step = n, step
-        self._log = np.zeros((2048, 1 + len(LOGGED) * n))
-        self._file: IO[bytes] | None = None
-        self._stored = np.zeros((0, self._log.shape[1]))
-        self._first = 0
-        self.rows = 0
-
-    @property
-    def next_row(self) -> Array:
-        """The row that is filled next: time, then ``kernel.LOGGED`` with ``n`` values each."""
-        return self._log[self.rows - self._first]
-
-    @property
-    def kept(self) -> int:
-        """Rows there is memory for."""
-        return len(self._log)
-
-    def reserve(self, count: int) -> None:
-        """Makes room for ``count`` further rows."""
-        if self.rows - self._first + count <= len(self._log):
-            return
-        if len(self._log) < KEPT:
-            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
-        else:
-            self._store()
 
     def columns(self) -> dict[str, Array]:
         """``t (N,)`` [s] and every logged quantity ``(N, n)``; of a long run they are read from its file when used."""
+        return self.split(self.mapped())
+
+    def split(self, rows: Array) -> dict[str, Array]:
+        """Rows ``(m, width)`` as ``t (m,)`` [s] and every logged quantity ``(m, n)``."""
         n = self._n
-        if self._first:
-            self._store()
-        log = self._stored if self._first else self._log[: self.rows].copy()
-        return {"t": log[:, 0], **{name: log[:, 1 + i * n: 1 + (i + 1) * n] for i, name in enumerate(LOGGED)}}
+        return {"t": rows[:, 0], **{name: rows[:, 1 + i * n: 1 + (i + 1) * n] for i, name in enumerate(LOGGED)}}
 
-    def _store(self) -> None:
-        """Brings the rows in memory to the file; what was handed out before stays valid."""
-        if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the history is)
-            weakref.finalize(self, self._file.close)
-        self._file.seek(0, os.SEEK_END)
-        self._file.write(self._log[: self.rows - self._first].tobytes())
-        self._file.flush()
-        self._first = self.rows
-        self._stored = np.asarray(np.memmap(self._file, dtype=float, mode="r", shape=(self.rows, self._log.shape[1])))
-
-    def _row(self, i: int) -> Array:
-        return self._stored[i] if i < self._first else self._log[i - self._first]
+    def parts(self, every: int = 1) -> Iterator[tuple[int, dict[str, Array]]]:
+        """Every so manieth row, block by block: number of the first one among them, and ``columns`` of the block."""
+        for first, rows in self.blocks():
+            start = -first % every
+            if start < len(rows):
+                yield (first + start) // every, self.split(rows[start::every])
 
     def pose(self, t: float, t_now: float, q_now: Array, qd_now: Array) -> Array:
         """Arm angles ``(n,)`` [rad] at a time, from angles and velocities of the neighbouring rows.
@@ -103,10 +70,10 @@ class History:
             return q_now.copy()
         i = min(int(t / self.step), rows - 1)
         angle, speed = (slice(1 + column * n, 1 + (column + 1) * n) for column in (_ANGLE, _SPEED))
-        here = self._row(i)
+        here = self.row(i)
         t0, q0, v0 = here[0], here[angle], here[speed]
         if i + 1 < rows:
-            after = self._row(i + 1)
+            after = self.row(i + 1)
             t1, q1, v1 = after[0], after[angle], after[speed]
         else:
             t1, q1, v1 = t_now, q_now, qd_now
@@ -129,32 +96,57 @@ def recording_of(robot: Robot, world: World, history: History, tcp_of: Callable[
         tcp_of: true pose of the tool frame at arm angles ``(n,)`` [rad], for the columns of an external measuring
             device; None leaves them out.
     """
-    logged = history.columns()
     every = max(1, round(world.log_cycle / history.step))
-    columns: dict[str, Array] = {"q_c": logged["q_c"][::every], "q": logged["q"][::every],
-                                 "tau": logged["tau"][::every],
-                                 "current": logged["tau"][::every] / robot.drive_gain}
-    if world.thermal:
-        columns["temp"] = logged["temperature"][::every]
-    if tcp_of is not None:
-        columns.update(_external(world, tcp_of, logged["q_a"][::every]))
+    length, n = -(-history.rows // every), robot.n
+    names = ["q_c", "q", "tau", "current", *(["temp"] if world.thermal else []), *([] if tcp_of is None else ["qa"])]
+    store = ColumnStore(["t", *(f"{name}_{i + 1}" for name in names for i in range(n)),
+                         *([] if tcp_of is None else POSE)], length)
+    device = None if tcp_of is None else _ExternalDevice(world, tcp_of, length, n)
+    for first, logged in history.parts(every):
+        values: dict[str, Array] = {"q_c": logged["q_c"], "q": logged["q"], "tau": logged["tau"],
+                                    "current": logged["tau"] / robot.drive_gain, "temp": logged["temperature"]}
+        store.fill("t", first, logged["t"])
+        if device is not None:
+            values["qa"], pose = device.measured(logged["q_a"])
+            for name, column in zip(POSE, pose.T, strict=True):
+                store.fill(name, first, column)
+        for name in names:
+            for i in range(n):
+                store.fill(f"{name}_{i + 1}", first, values[name][:, i])
+        store.release()
     meta: dict[str, Any] = {
         "robot": robot.name, "urdf": str(robot.urdf), "urdf_hash": robot.urdf_hash, "cycle_time": world.log_cycle,
         "t_ipo": world.t_ipo, "units": {"t": "s", "q": "rad", "tau": "N m", "current": "A", "temp": "degC", "x": "m"},
         "source": "simulated arm", "correction_delay": world.correction_delay,
     }
-    return Recording.from_arrays(logged["t"][::every], meta=meta, source="simulated arm", **columns)
+    return Recording(store.finished(), meta, "simulated arm")
 
 
-def _external(world: World, tcp_of: Callable[[Array], pin.SE3], q_a: Array) -> dict[str, Array]:
-    """An external device's view of the arm; its noise is the same whenever the same recording is asked for."""
-    rng = np.random.default_rng([world.individual, len(q_a), 104729])
-    poses = [tcp_of(q) for q in q_a]
-    position = np.array([pose.translation for pose in poses])
-    rotation = Rotation.from_matrix(np.array([pose.rotation for pose in poses]))
-    position = position + world.external_position_noise * rng.standard_normal(position.shape)
-    rotation = Rotation.from_rotvec(world.external_rotation_noise * rng.standard_normal(position.shape)) * rotation
-    quaternion = rotation.as_quat()
-    angles = q_a + world.external_rotation_noise * rng.standard_normal(q_a.shape)
-    return {"qa": angles, **dict(zip("xyz", position.T, strict=True)),
-            **dict(zip(("qx", "qy", "qz", "qw"), quaternion.T, strict=True))}
+class _ExternalDevice:
+    """A measuring device's view of the arm, piece by piece; its noise is the same however often and in what pieces.
+
+    Args:
+        world: with the device's noise.
+        tcp_of: true pose of the tool frame at arm angles ``(n,)`` [rad].
+        length: rows that will be measured.
+        n: number of joints.
+    """
+
+    def __init__(self, world: World, tcp_of: Callable[[Array], pin.SE3], length: int, n: int) -> None:
+        self._world, self._tcp_of, self._n = world, tcp_of, n
+        # First all draws of positions, then those of rotations, then those of angles.
+        self._position, self._rotation, self._angles = (
+            np.random.default_rng([world.individual, length, 104729]) for _ in range(3))
+        for rng, before in ((self._rotation, 3 * length), (self._angles, 6 * length)):
+            for first in range(0, before, KEPT):
+                rng.standard_normal(min(KEPT, before - first))
+
+    def measured(self, q_a: Array) -> tuple[Array, Array]:
+        """Angles ``(m, n)`` [rad] and poses ``x y z qx qy qz qw (m, 7)`` of the next ``m`` rows."""
+        world, m = self._world, len(q_a)
+        poses = np.array([self._tcp_of(q).homogeneous for q in q_a])
+        position = poses[:, :3, 3] + world.external_position_noise * self._position.standard_normal((m, 3))
+        turned = Rotation.from_rotvec(world.external_rotation_noise * self._rotation.standard_normal((m, 3)))
+        quaternion = (turned * Rotation.from_matrix(poses[:, :3, :3])).as_quat()
+        angles = q_a + world.external_rotation_noise * self._angles.standard_normal((m, self._n))
+        return angles, np.column_stack([position, quaternion])

@@ -13,6 +13,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing.camera.polyline import Nearest, Polyline
 
+AT_A_TIME = 32768
+"""Positions whose places on the line are looked for at a time."""
 FeatureKind = Literal["gap", "crossing", "parallel", "scratch", "glare", "shade"]
 
 
@@ -152,6 +154,19 @@ class DrawnLine:
     def nearest(self, points: Array) -> Nearest:
         """Exact nearest points of the line to points ``(m, 3)`` [m] in the base frame."""
         return self.polyline.nearest(points, self.plane.rotation[:, 2])
+
+    def beside(self, tool: Array) -> tuple[Array, Array]:
+        """Arc length of the line ``(m,)`` [m] at tool positions ``(m, 3)`` [m], and how far left of it they are [m].
+
+        The height above the plane counts for nothing.
+        """
+        up, s, lateral = self.plane.rotation[:, 2], np.empty(len(tool)), np.empty(len(tool))
+        # Many positions at a time take several times their own memory.
+        for first in range(0, len(tool), AT_A_TIME):
+            part = slice(first, first + AT_A_TIME)
+            nearest = self.nearest(tool[part] - np.outer((tool[part] - self.plane.translation) @ up, up))
+            s[part], lateral[part] = nearest.s, nearest.lateral
+        return s, lateral
 
     def distance(self, points: Array) -> Array:
         """Distance ``(m,)`` [m] of points ``(m, 3)`` [m] in the base frame from the analytic line."""

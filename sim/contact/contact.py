@@ -19,6 +19,7 @@ from numba import njit
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.row_log import RowLog
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
 from sim.bullet import pybullet
@@ -119,17 +120,15 @@ class TipContact:
                                 for w in surface.waves]).reshape(-1, 5)
         self._R, self._origin = np.array(surface.plane.rotation), np.array(surface.plane.translation)
         self._before = np.full(3, np.nan)
-        self._log = np.zeros((4096, 9))
-        self._rows = 0
+        self._log = RowLog(9)
         arm.step_hook = self._push
 
     def _push(self, t: float) -> None:
         arm = self._arm
         tip = arm.tcp_of(arm.q_a).translation
-        if self._rows == len(self._log):
-            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
-        row = self._log[self._rows]
-        self._rows += 1
+        self._log.reserve(1)
+        row = self._log.next_row
+        self._log.rows += 1
         row[0] = t
         _contact(tip, self._before, self._R, self._origin, self._law, self._waves, row)
         if self._extra is not None:
@@ -139,18 +138,18 @@ class TipContact:
                                         physicsClientId=arm.client)
 
     def history(self) -> dict[str, Array]:
-        """The contact every 0.5 ms.
+        """The contact every 0.5 ms; of a long run it is read from its file when used.
 
         Keys: ``t (N,)`` [s], ``normal`` force ``(N,)`` [N], ``force`` on the tip in the base frame ``(N, 3)`` [N],
         ``height`` of the surface ``(N,)`` and ``tip (N, 3)`` in plane coordinates [m].
         """
-        rows = self._log[: self._rows].copy()
+        rows = self._log.mapped()
         return {"t": rows[:, 0], "normal": rows[:, 1], "force": rows[:, 2:5], "height": rows[:, 5], "tip": rows[:, 6:]}
 
     def force_at(self, t: float) -> Array:
         """Force on the tip in the base frame ``(3,)`` at ``t`` [s], zero before the start."""
-        index = min(round(t / STEP), self._rows - 1)
-        return self._log[index, 2:5].copy() if index >= 0 else np.zeros(3)
+        index = min(round(t / STEP), self._log.rows - 1)
+        return self._log.row(index)[2:5].copy() if index >= 0 else np.zeros(3)
 
 
 @njit(cache=True)

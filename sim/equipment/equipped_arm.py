@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.row_log import RowLog
 from sensing.camera.camera_device import WindowsAt
 from sensing.camera.field import Field, Window
 from sensing.force.wrench import WrenchSample
@@ -108,13 +109,13 @@ class CarriedForceSensor:
         contact: of the tool's tip.
 
     Attributes:
-        samples: all that was measured.
+        samples: of all that was measured the time [s] and the wrench [N, N m].
     """
 
     def __init__(self, sensor: ForceSensor, arm: SimulatedArm, contact: TipContact) -> None:
         self._sensor, self._arm, self._contact = sensor, arm, contact
         self._late: Arrivals[WrenchSample] = Arrivals()
-        self.samples: list[WrenchSample] = []
+        self.samples = RowLog(7)
 
     def arrived(self, t: float) -> list[WrenchSample]:
         """See ``ForceSensor.arrived``."""
@@ -123,7 +124,8 @@ class CarriedForceSensor:
     def carry(self, t0: float, t1: float) -> None:
         """Measures between ``t0`` and ``t1`` [s]."""
         measured = self._sensor.due(t0, t1, self._arm.tcp_at, self._contact.force_at)
-        self.samples += measured
+        for one in measured:
+            self.samples.append((one.t, *one.wrench))
         self._late.send(measured)
 
 

@@ -3,9 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from sim.arm.history import KEPT, History
+from ideal_robot import row_log
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import KEPT
+from ideal_robot.signals import column_store
+from ideal_robot.signals.recording import Recording
+from sim.arm import history as of_arm
+from sim.arm.arm import SimulatedArm
+from sim.arm.history import History
 from sim.arm.kernel import LOGGED
+from sim.arm.world import World
 
 
 def fill(history: History, rows: int) -> None:
@@ -38,3 +48,22 @@ def test_a_pose_of_long_ago_is_known() -> None:
     for row in (3, KEPT - 1, KEPT, KEPT + 50):
         at = history.pose(row * 0.002, 1e9, now, now)
         np.testing.assert_allclose(at, row + (1 + LOGGED.index("q_a")) / 100.0, atol=1e-9)
+
+
+def test_a_recording_of_many_pieces_is_that_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def played() -> tuple[Recording, Array]:
+        robot = Robot.load("kr6")
+        with SimulatedArm(robot, World.from_table("kr6", {}), np.random.default_rng(3)) as arm:
+            for k in range(150):
+                arm.cycle(robot.home + 1e-4 * k)
+            return arm.recording(external=True), arm.tcp_path()[1]
+
+    whole, tool = played()
+    for module in (row_log, of_arm, column_store):
+        monkeypatch.setattr(module, "KEPT", 512)
+    pieces, tool_of_pieces = played()
+    assert len(whole.t) > 512
+    assert column_store.in_file(pieces.t)
+    assert not column_store.in_file(whole.t)
+    assert pieces.hash == whole.hash
+    np.testing.assert_array_equal(tool_of_pieces, tool)

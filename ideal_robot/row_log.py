@@ -1,0 +1,138 @@
+"""Rows of numbers that are added one by one; of long logs only the last rows are held in memory."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import weakref
+from collections.abc import Iterator
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import DTypeLike
+
+from ideal_robot.arrays import Array
+
+KEPT = 32768
+"""Rows held in memory at most; a power of two times the first ones."""
+_BEGIN = 512
+
+
+class RowLog:
+    """Rows of equal width, appended; all but the last ``KEPT`` are in a file without a name, which ends with the log.
+
+    Reads like a list of arrays, or of numbers where numbers were appended; ``np.array(log)`` is all of it.
+
+    Args:
+        width: values in a row; None: as many as the first one that is appended has.
+
+    Attributes:
+        rows: how many rows are filled; whoever fills ``next_row`` counts it.
+    """
+
+    def __init__(self, width: int | None = None) -> None:
+        self._numbers = False
+        self._log = np.zeros((_BEGIN, width or 0))
+        self._file: IO[bytes] | None = None
+        self._stored = np.zeros((0, width or 0))
+        self._first = 0
+        self.rows = 0
+
+    @property
+    def next_row(self) -> Array:
+        """The row that is filled next."""
+        return self._log[self.rows - self._first]
+
+    @property
+    def kept(self) -> int:
+        """Rows there is memory for."""
+        return len(self._log)
+
+    def reserve(self, count: int) -> None:
+        """Makes room for ``count`` further rows."""
+        if self.rows - self._first + count <= len(self._log):
+            return
+        if len(self._log) < KEPT:
+            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
+        else:
+            self._store()
+
+    def append(self, value: Any) -> None:
+        """One more row ``(width,)``, or one more number."""
+        if not self.rows and not self._log.shape[1]:
+            shape = np.shape(value)
+            self._numbers = not shape
+            self._log = np.zeros((_BEGIN, shape[0] if shape else 1))
+        self.reserve(1)
+        self.next_row[:] = value
+        self.rows += 1
+
+    def row(self, i: int) -> Array:
+        """Row ``i``, counted from 0; not to be written to."""
+        return self._stored[i] if i < self._first else self._log[i - self._first]
+
+    def mapped(self) -> Array:
+        """All rows ``(N, width)``: a copy, of a long log the file, which is read where it is used."""
+        if not self._first:
+            return self._log[: self.rows].copy()
+        self._store()
+        return self._stored
+
+    def blocks(self) -> Iterator[tuple[int, Array]]:
+        """All rows in blocks of at most ``KEPT``: number of the first one, and the rows; a log not longer is one."""
+        width = self._log.shape[1]
+        for first in range(0, self._first, KEPT):
+            count = min(KEPT, self._first - first)
+            raw = os.pread(self._file.fileno(), 8 * width * count, 8 * width * first)  # type: ignore[union-attr]
+            yield first, np.frombuffer(raw).reshape(count, width)
+        if self.rows > self._first:
+            yield self._first, self._log[: self.rows - self._first].copy()
+
+    def _store(self) -> None:
+        """Brings the rows in memory to the file; what was handed out before stays valid."""
+        if self._file is None:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the log is)
+            weakref.finalize(self, self._file.close)
+        self._file.seek(0, os.SEEK_END)
+        self._file.write(self._log[: self.rows - self._first].tobytes())
+        self._file.flush()
+        # The row that is filled next may have been begun already.
+        begun = self._log[self.rows - self._first :][:1].copy()
+        self._log[:] = 0.0
+        self._log[: len(begun)] = begun
+        self._first = self.rows
+        self._stored = np.asarray(np.memmap(self._file, dtype=float, mode="r", shape=(self.rows, self._log.shape[1])))
+
+    def __len__(self) -> int:
+        return self.rows
+
+    def __iter__(self) -> Iterator[Any]:
+        for _, rows in self.blocks():
+            yield from rows[:, 0].tolist() if self._numbers else rows
+
+    def __getitem__(self, i: int | slice) -> Any:
+        if isinstance(i, slice):
+            return np.asarray(self)[i]
+        if not -self.rows <= i < self.rows:
+            raise IndexError(i)
+        row = self.row(i % self.rows)
+        return float(row[0]) if self._numbers else row.copy()
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> Array:
+        if not self.rows:
+            return np.empty(0, dtype=dtype)
+        whole = np.empty((self.rows, self._log.shape[1]))
+        for first, rows in self.blocks():
+            whole[first : first + len(rows)] = rows
+        found = whole[:, 0] if self._numbers else whole
+        return found if dtype is None else found.astype(dtype, copy=False)
+
+    def __reduce__(self) -> Any:
+        return _made_of, (np.asarray(self),)
+
+
+def _made_of(values: Array) -> RowLog:
+    log = RowLog()
+    for value in values:
+        log.append(value)
+    return log
