@@ -16,6 +16,8 @@ from ideal_robot.arrays import Array
 KEPT = 32768
 """Rows held in memory at most; a power of two times the first ones."""
 _BEGIN = 512
+_BLOCK = 4096
+"""Rows that are read at a time."""
 
 
 class RowLog:
@@ -79,14 +81,14 @@ class RowLog:
         return self._stored
 
     def blocks(self) -> Iterator[tuple[int, Array]]:
-        """All rows in blocks of at most ``KEPT``: number of the first one, and the rows; a log not longer is one."""
+        """All rows in blocks, copied: number of the first one, and the rows."""
         width = self._log.shape[1]
-        for first in range(0, self._first, KEPT):
-            count = min(KEPT, self._first - first)
+        for first in range(0, self._first, _BLOCK):
+            count = min(_BLOCK, self._first - first)
             raw = os.pread(self._file.fileno(), 8 * width * count, 8 * width * first)  # type: ignore[union-attr]
             yield first, np.frombuffer(raw).reshape(count, width)
-        if self.rows > self._first:
-            yield self._first, self._log[: self.rows - self._first].copy()
+        for first in range(self._first, self.rows, _BLOCK):
+            yield first, self._log[first - self._first : min(first + _BLOCK, self.rows) - self._first].copy()
 
     def _store(self) -> None:
         """Brings the rows in memory to the file; what was handed out before stays valid."""
@@ -94,7 +96,7 @@ class RowLog:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the log is)
             weakref.finalize(self, self._file.close)
         self._file.seek(0, os.SEEK_END)
-        self._file.write(self._log[: self.rows - self._first].tobytes())
+        self._file.write(self._log[: self.rows - self._first].data)
         self._file.flush()
         # The row that is filled next may have been begun already.
         begun = self._log[self.rows - self._first :][:1].copy()

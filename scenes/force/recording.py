@@ -33,12 +33,14 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
     store = ColumnStore(names, len(t))
     for i in range(q_d.shape[1]):
         store.fill(names[i], 0, np.interp(t, np.asarray(log.t), q_d[:, i]))
+        store.release()
     if len(felt):
         order = np.argsort(felt[:, 0])
         store.fill("f_normal", 0, np.interp(t, felt[order, 0], felt[order, 1]))
     if len(sensed):
         for name, values in zip(WRENCH, sensed.T[1:], strict=True):
             store.fill(name, 0, np.interp(t, sensed[:, 0], values))
+            store.release()
     tool = {"bias": task.tool.bias.tolist(), "mass": task.tool.mass, "com": task.tool.com.tolist()}
     meta = {**recording.meta, "tool": tool, "contact_stiffness": task.assumed_stiffness, "scene": scene.name,
             "method": method, "speed": scene.speed, "seed": scene.seed,

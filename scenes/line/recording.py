@@ -34,8 +34,10 @@ def line_recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLo
     store = ColumnStore([*desired, *field_columns(scene.points)], len(rows))
     for name, angle in zip(desired, q_d.T, strict=True):
         store.fill(name, 0, np.interp(rows, t, angle))
+        store.release()
     for name, values in log.field_columns(rows, scene.points):
         store.fill(name, 0, values)
+        store.release()
     columns = {**recording.columns, **store.finished()}
     meta: dict[str, Any] = {**recording.meta, "scene": scene.name, "method": method, "speed": scene.speed,
                             "seed": scene.seed, "stopped_because": log.failure}
