@@ -2,7 +2,8 @@
 
 A sample that is taken late by ``delta`` has every joint further along its way by ``qd delta``. What all joints have in
 common of the fast part of their positions, each in proportion to its speed, is the clock's; what they do not have in
-common is vibration, friction or noise of a joint.
+common is vibration, friction or noise of a joint. Joints that are moved in step have their motion in common as well;
+that is smooth, however, and a clock's scatter is not.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ _MOTION = 5.0
 """Frequency above which positions hold more of a jitter of the clock than of the motion [Hz]."""
 _SHARE = 0.5
 """Share of the fast part of the positions that the other joints have to foretell, for it to be the clock's."""
+_SMOOTH = 0.5
+"""Correlation of neighbouring samples' lateness from which on it is motion of the joints in step, not the clock's."""
 _FARTHEST = 0.45
 """Instants are moved by less than that share of a step; samples keep their order."""
 _FEWEST = 200
@@ -32,7 +35,7 @@ _ROUNDS = 3
 def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
     """Instants at which samples were taken ``(N,)`` [s], and their standard deviation about the stamps [s].
 
-    The stamps themselves and zero, unless the positions of all joints say the same of the clock.
+    The stamps themselves and zero, unless the positions of all joints say the same of a clock that scatters.
 
     Args:
         t: stamps ``(N,)`` [s], increasing.
@@ -44,7 +47,7 @@ def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
     if 0.2 / dt < _MOTION:
         return t, 0.0
     fast, speed = _fast_part(t, t, q, dt)
-    if _foretold(fast, speed) < _SHARE:
+    if _foretold(fast, speed) < _SHARE or _smoothness(_common(fast, speed)) > _SMOOTH:
         return t, 0.0
     late = np.zeros(len(t))
     for _ in range(_ROUNDS):
@@ -90,6 +93,11 @@ def _common(fast: Array, speed: Array) -> Array:
         late = raw / (gain + 1.0 / variance)
         weights = _precision(fast, speed, late)
     return np.asarray(late)
+
+
+def _smoothness(late: Array) -> float:
+    """Correlation of neighbours in ``late (N,)``."""
+    return float(late[1:] @ late[:-1]) / max(float(late @ late), 1e-300)
 
 
 def _foretold(fast: Array, speed: Array) -> float:

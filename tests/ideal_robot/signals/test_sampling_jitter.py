@@ -54,3 +54,12 @@ def test_checked_recording_says_so() -> None:
     (made,), warnings = checked([Recording(columns, {}, "jittery")], robot)
     assert any(text.startswith("irregular-sampling") for text in warnings)
     assert np.std(made.t - t) == pytest.approx(0.0015 / np.sqrt(3.0), rel=0.2)
+
+
+def test_joints_that_move_in_step_are_no_clock() -> None:
+    """Strokes whose acceleration jumps are as fast as any jitter, and in all joints alike."""
+    t = np.arange(0.0, 20.0, 0.01)
+    stroke = np.cumsum(np.cumsum(8.0 * np.sign(np.sin(2 * np.pi * 1.3 * t))) * 0.01) * 0.01
+    stroke -= np.polyval(np.polyfit(t, stroke, 1), t)
+    q = stroke[:, None] * np.array([0.8, -0.5, 1.0, 0.3, -0.7])
+    assert sampling_instants(t, np.round(q / 1e-4) * 1e-4)[1] == 0.0
