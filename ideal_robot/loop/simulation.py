@@ -104,7 +104,12 @@ def simulate(loop: LoopModel, q_c: Array, *, tau_ext: Array | None = None) -> Lo
     tau0 = np.empty(loop.n)
     torque_at(loop.chain, R, p, np.zeros(loop.n), np.zeros(loop.n), 1.0, tau0)
     drives = loop.drives(stiffness, damping)
-    q_a, q_m, tau = _played(loop, drives, reference, external, tau0, q0)
+    try:
+        q_a, q_m, tau = _played(loop, drives, reference, external, tau0, q0)
+    except np.linalg.LinAlgError:
+        raise IdealRobotError("the model's masses and inertias are those of no body (its mass matrix is not positive "
+                              "definite), so its loop cannot be simulated; identify them with physical consistency, or "
+                              "use the URDF's") from None
     if not np.isfinite(q_m).all():
         raise IdealRobotError("the identified loop is unstable in simulation; check its gains, rotor inertias and "
                               "stiffness (a very stiff gear counts as rigid when it is given as infinite)")

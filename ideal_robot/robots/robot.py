@@ -105,7 +105,7 @@ class Robot(Summarised):
 
         Raises:
             InputError: unknown name, missing or broken file, a joint that is not one-degree-of-freedom, a list
-                whose length is not the joint count.
+                whose length is not the joint count, a home beyond the joints' limits.
 
         >>> robot = Robot.load("kr6")
         >>> robot.n, robot.t_ipo
@@ -118,6 +118,9 @@ class Robot(Summarised):
         def per_joint(key: str) -> Array:
             return _frozen(drive.per_joint(key, model.nv, data_path))
 
+        home = per_joint("home")
+        if "home" in drive.joints.model_fields_set:
+            _check_within(home, model, data_path)
         gear_ratio = per_joint("gear_ratio")
         v_max = np.where(model.velocityLimit > 0, model.velocityLimit, np.inf)
         tau_max = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
@@ -138,7 +141,7 @@ class Robot(Summarised):
             t_ipo=float(drive.controller.t_ipo),
             t_position=float(drive.controller.t_position),
             t_velocity=float(drive.controller.t_velocity),
-            home=per_joint("home"),
+            home=home,
             data=values,
         )
 
@@ -187,6 +190,15 @@ def _locate(name_or_urdf: str | Path, data: str | Path | None) -> tuple[Path, Pa
         raise InputError("no such robot data file", field="robot", value=str(data))
     beside = urdf.with_suffix(".toml")
     return urdf, Path(data) if data else (beside if os.path.isfile(beside) else None)
+
+
+def _check_within(home: Array, model: pin.Model, file: Path | None) -> None:
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    outside = np.flatnonzero((low < high) & ((home < low - 1e-6) | (home > high + 1e-6)))
+    if len(outside):
+        j = outside[0]
+        raise InputError(f"joint {j + 1} goes from {low[j]:.4g} to {high[j]:.4g} by the URDF: give a posture within "
+                         "its limits [rad, m]", file=file, field="home", value=home.tolist())
 
 
 def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,6 +36,15 @@ def test_a_name_that_no_file_can_have_is_no_file(name: str) -> None:
 def test_a_period_that_is_none_is_refused(period: float) -> None:
     with pytest.raises(InputError, match="period"):
         design_excitation(Robot.load("kr6"), np.random.default_rng(0), period=period)
+
+
+def test_a_home_beyond_the_joints_limits_is_refused(tmp_path: Path) -> None:
+    shipped = Robot.load("kr6")
+    data = tmp_path / "arm.toml"
+    data.write_text("[joints]\nhome = [0.0, 5e11, 0.0, 0.0, 0.0, 0.0]\n")
+    with pytest.raises(InputError, match="joint 2 goes from") as refused:
+        Robot.load(shipped.urdf, data)
+    assert refused.value.field == "home"
 
 
 class _Drifting:

@@ -124,3 +124,9 @@ def test_bristles_are_as_stiff_at_standstill_as_they_are_while_sliding():
     assert dry * bent == pytest.approx(force, rel=0.02, abs=0.5)
     # The way to 90 % of what is between the two directions grows with the surplus.
     assert abs(dry * bent) < level
+
+
+def test_bodies_that_are_none_are_no_traceback():
+    loop = plant()
+    with pytest.raises(IdealRobotError, match="mass matrix"):
+        simulate(loop.replace(chain=loop.chain._replace(mass=-loop.chain.mass, inertia=-loop.chain.inertia)), motion())
