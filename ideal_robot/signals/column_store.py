@@ -38,7 +38,13 @@ class ColumnStore:
         return self._map is None
 
     def fill(self, name: str, first: int, values: Array) -> None:
-        """Writes values ``(m,)`` of a column from row ``first`` on."""
+        """Writes a piece of a column.
+
+        Args:
+            name: of the column.
+            first: row at which the piece begins.
+            values: ``(m,)``.
+        """
         self._columns[name][first : first + len(values)] = values
 
     def release(self) -> None:

@@ -87,9 +87,10 @@ def test_a_file_that_is_none_of_a_sweep_is_refused(tmp_path: Path) -> None:
 
 
 SLEEPING = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from scenes.workers import work_off
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background of a shell
 def rest(task):
     Path(sys.argv[1], str(task)).touch()
     while True:

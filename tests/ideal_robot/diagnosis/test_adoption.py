@@ -54,7 +54,8 @@ def test_joint_is_taken_as_it_was_fitted_and_a_habit_of_the_other_motion_is_not(
     assert [law.coefficients[1, 0] for law in model.friction.laws] == [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]
     before, after = (m.predict(run).relative_error_percent for m in (known, model))
     assert after[1] < 0.7 * before[1]
-    np.testing.assert_allclose(np.delete(after, 1), np.delete(before, 1))
+    # Without effects a prediction is filtered at the kept instants alone, which is the same to 2e-5 of the torque.
+    np.testing.assert_allclose(np.delete(after, 1), np.delete(before, 1), atol=2e-3)
 
 
 def test_on_the_friction_of_before_the_same_effect_is_worth_less(case):
