@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
+from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
@@ -187,7 +187,7 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
             return
         task.collect(t, t + T, measured)
         # The plan may rest while the command is still on its way to it, as the limits let it.
-        resting = np.all(np.abs(q_c - before) <= ACCELERATION * limits.a_max * T**2)
+        resting = stops_at_once(q_c - before, limits, T)
         before = q_c
         still = still + 1 if stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
         if task.done(t) or still * T > settings.rest:

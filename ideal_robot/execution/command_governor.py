@@ -87,6 +87,17 @@ def _governed(q: Array, last: Array, T: float, low: Array, high: Array, V: Array
     return result
 
 
+def stops_at_once(step: Array, robot: Robot, t_ipo: float) -> bool:
+    """Whether a command that changed by ``step (n,)`` in the last cycle can be held from now on.
+
+    Args:
+        step: change of the command ``(n,)`` [rad].
+        robot: its acceleration limits.
+        t_ipo: cycle [s].
+    """
+    return bool(np.all(np.abs(step) <= ACCELERATION * robot.a_max * t_ipo**2))
+
+
 class CommandGovernor:
     """Keeps the commands of one motion within an arm's limits.
 

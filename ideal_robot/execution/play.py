@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
-from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
 from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
@@ -187,7 +187,7 @@ class _Player:
         if self.robot is None:
             return
         T = self.driver.t_ipo
-        if np.all(np.abs(self.last[1] - self.last[0]) <= 2.0 * self.robot.a_max * T**2):
+        if stops_at_once(self.last[1] - self.last[0], self.robot, T):
             return
         for _ in range(int(np.ceil(_LONGEST_STOP / T))):
             self.cycle(q_d, np.tile(q_d, (self.feedforward.n_d, 1)), braking=True)

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import gammaincinv
+from scipy.special import chdtri  # scipy.stats, which has the quantiles too, is large
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
@@ -137,7 +136,7 @@ class DeviationFilter:
             size += len(sigmas)
             variances += [sigma**2 for sigma in sigmas]
         self._size, self._bias_variances = size, variances
-        self._bounds = np.concatenate([[0.0], _chi2(1.0 - significance, np.arange(1, 65))])
+        self._bounds = np.concatenate([[0.0], chdtri(np.arange(1, 65), significance)])
         self._track = self._fresh()
         self._rival: _Track | None = None
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
@@ -265,7 +264,7 @@ class DeviationFilter:
             return None
         nis, likelihood = self._likelihood(self._track, measurement, H)
         if self._shaken is None:
-            if nis <= float(_chi2(1.0 - DOUBT, len(measurement.value))):
+            if nis <= float(chdtri(len(measurement.value), DOUBT)):
                 return None
             self._shaken = self._begun_anew(measurement.sensor, sigmas)
         shaken = self._shaken
@@ -324,16 +323,6 @@ class DeviationFilter:
         kf.update(measurement.value[used], R=R, H=H)
         track.agreed += 1
         return Fused(used, innovation, nis, dof, reason)
-
-
-def _chi2(probability: float, dof: NDArray[np.integer] | int) -> Array:
-    """Quantiles of chi-square; ``scipy.stats``, which has them too, is large.
-
-    Args:
-        probability: below the quantile.
-        dof: degrees of freedom.
-    """
-    return np.asarray(2.0 * gammaincinv(0.5 * np.asarray(dof), probability))
 
 
 def _check(measurement: Measurement, directions: int) -> None:

@@ -13,9 +13,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-
-LONGEST = 7200.0
-"""Time that a path may last [s]."""
+from planning.path.speed_profile import LONGEST
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, LimitError
-from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
 from ideal_robot.execution.path_limits import check_limits
 from ideal_robot.execution.stopping import stopping_rows
 from ideal_robot.feedforward.base import Feedforward
@@ -137,7 +137,7 @@ class RsiServer:
         else:
             for _ in range(round(_SETTLING / T)):
                 # Where the path ends in motion, to be held at once would be more than the arm's acceleration.
-                moving = np.any(np.abs(last[1] - last[0]) > 2.0 * robot.a_max * T**2)
+                moving = not stops_at_once(last[1] - last[0], robot, T)
                 if not moving and (self.link.settled or self._reason is not None):
                     break
                 q_c, state = law.step(state, ahead[-law.n_d :])
@@ -156,7 +156,7 @@ class RsiServer:
             yield at, q_c
         for _ in range(round(_BRAKING_MAX / T)):
             # The limits may let the commands arrive later than the plan.
-            if np.all(np.abs(last[1] - last[0]) <= 2.0 * robot.a_max * T**2):
+            if stops_at_once(last[1] - last[0], robot, T):
                 return
             q_c, state = law.step(state, np.tile(at, (law.n_d, 1)))
             q_c = governor.allowed(q_c)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincinv
+from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from sensing.sensing_error import SensingError
@@ -139,8 +139,7 @@ def fit_of_lowest_order(
         count = int(fit.used.sum())
         free = count - len(fit.coefficients)
         # A point dropped at a low order may be the line's shape: all points have to fit.
-        bound = 2.0 * gammaincinv(0.5 * free, 1.0 - significance)  # the quantile of chi-square
-        if order == highest or (count == len(s) and fit.residual**2 * count <= bound):
+        if order == highest or (count == len(s) and fit.residual**2 * count <= chdtri(free, significance)):
             return fit
     return fit
 

@@ -103,8 +103,6 @@ def test_a_healthy_recording_of_our_world_against_the_model_of_another_one():
         assert found.verdict == ("effects" if there else "none")
 
 
-
-
 def test_a_model_made_of_late_torques_is_no_other_than_one_made_of_punctual_ones(tmp_path):
     two = an_arm(seed=5, n=4)
     plant, rng = a_plant(two, kind=TANH), np.random.default_rng(8)
