@@ -9,13 +9,13 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
-from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.line.line_follower import FollowerSettings
 from scenes.cycle import Task
 from scenes.drawn_line import reference_points
 from scenes.follow.camera_file import CalibratedCamera
 from scenes.follow.line_calibration import Piece, calibrated_by_moving
+from scenes.follow.line_task import AT_ONCE, LiveLineTask
 from scenes.follow.live_arm import LiveArm
 from scenes.follow.live_camera import FoundBefore, LiveCamera
 from scenes.follow.live_force import LiveForce
@@ -23,7 +23,6 @@ from scenes.follow.rehearsal import ImaginedCamera, rehearse
 from scenes.line.known import START, Known, line_follower, span_of
 from scenes.line.log import LineLog
 from scenes.line.scene import LineScene
-from scenes.line.task import LineTask
 from scenes.methods import SceneMethod
 from scenes.scene_error import SceneError
 from sensing.camera.camera_model import CameraModel
@@ -32,35 +31,7 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine
 _CONTRAST = 0.3
 """Share of the line's contrast below which a cross-section does not count."""
 _UNDER_WAY = 2
-"""Cycles from a picture's arrival until its line points are there."""
-
-
-class LiveLineTask(LineTask):
-    """``LineTask`` with an arm that may have to be stopped."""
-
-    arm: LiveArm | None = None
-
-    def plan(self, t: float, q_d: Array) -> Array:
-        """See ``scenes.cycle.Task``."""
-        if self.arm is not None:
-            self.arm.check(t)
-        return super().plan(t, q_d)
-
-    def command(self, t: float, q_d: Array) -> Array:
-        """See ``scenes.cycle.Task``."""
-        if self.arm is not None:
-            self.arm.q_d = q_d[0]
-        return super().command(t, q_d)
-
-    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """Lets a feedforward that adapts learn; the pictures are in another process, none is kept.
-
-        Args:
-            t0: begin of the cycle [s].
-            t1: its end [s].
-            measured: what the controller reported at its end.
-        """
-        self._state = self.feedforward.observe(self._state, measured)
+"""Cycles from a picture's arrival until a plan is made with its line points; one more where plans are made ahead."""
 
 
 class LineJob:
@@ -111,6 +82,8 @@ class LineJob:
         task = self._new_task(known, LineLog(), camera)
         camera.predict = lambda t: _predicted(known, t)
         rehearse(task, self.robot, math.ceil((START + 0.6) / self.robot.t_ipo))
+        # The first plan is a whole new one: longer than any answer may wait.
+        self._task.prepare(0.0)
 
     def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
         """See ``Job``.
@@ -123,7 +96,8 @@ class LineJob:
         if camera is None:
             raise SceneError("following a line needs a camera")
         camera.use(self.calibration.camera, self.calibration.time_offset)
-        self._task.camera, self._task.arm = camera, arm
+        self._task.camera = camera
+        self._task.lead(arm)
         camera.predict = lambda t: _predicted(self._known, t)
         return self._task
 
@@ -158,7 +132,7 @@ class LineJob:
         scene, T = self.scene, self.robot.t_ipo
         reference, follower = line_follower(scene, self.robot, reference_points(scene), self.calibration.camera,
                                             self.calibration.surface,
-                                            latency=FollowerSettings.latency + _UNDER_WAY * T)
+                                            latency=FollowerSettings.latency + (_UNDER_WAY + (T < AT_ONCE)) * T)
         return Known(scene=scene, robot=self.robot, delay=self._delay, camera=self.calibration.camera,
                      reference=reference, follower=follower, detector=FoundBefore())
 

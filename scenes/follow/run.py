@@ -25,6 +25,7 @@ from scenes.follow.force_job import ForceJob
 from scenes.follow.given_back import give_back
 from scenes.follow.job import Job
 from scenes.follow.journal import Journal, remove
+from scenes.follow.later import Later
 from scenes.follow.line_job import LineJob
 from scenes.follow.live_arm import LiveArm
 from scenes.follow.live_camera import LiveCamera
@@ -171,8 +172,10 @@ def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Pro
 def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
     opened.arm.approach(job.q_start)
     task = job.ready(opened.arm, opened.camera, opened.force)
+    shown = Later(progress)
+    opened.arm.between.append(shown.catch_up)
     opened.arm.begin()
-    play_cycles(opened.arm, job.robot, task, job.log, settings, progress)
+    play_cycles(opened.arm, job.robot, task, job.log, settings, shown)
 
 
 def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress, work: Work

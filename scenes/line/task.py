@@ -105,16 +105,34 @@ class LineTask:
             q: motor angles ``(n,)`` [rad].
             q_d: horizon of the last cycle ``(n_d, n)`` [rad], from which the gears' deflection follows.
         """
+        self.take_fields(t)
+        self.take_angles(t, q, q_d)
+
+    def take_fields(self, t: float) -> None:
+        """Takes the fields that have arrived by ``t`` [s]; the next ``plan`` uses them."""
         self._new = []
         for one in self.camera.arrived(t):
             # A field that a network delivers twice is one measurement.
             if one.t_stamp not in self._stamps:
                 self._new.append(one)
                 self._stamps.append(one.t_stamp)
+
+    def take_angles(self, t: float, q: Array, q_d: Array) -> None:
+        """See ``observe``.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
         self.follower.observe(t, self._arm.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d)))
 
     def plan(self, t: float, q_d: Array) -> Array:
         """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""
+        return self.sensed_plan(t)
+
+    def sensed_plan(self, t: float) -> Array:
+        """The horizon ``(n_d, n)`` [rad] from ``t`` [s] on, with the fields taken last; see ``plan``."""
         for arrived in self._new:
             seen = self._sense(arrived)
             self.log.add_field(seen, self.cell.scene.points)

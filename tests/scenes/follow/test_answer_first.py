@@ -1,0 +1,132 @@
+"""Behind short cycles the answer goes first: what a field costs is paid when nobody waits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.interface import RobotState
+from planning.planning_error import PlanningError
+from scenes.cycle import CycleSettings, play_cycles
+from scenes.follow.devices import Devices
+from scenes.follow.journal import Journal
+from scenes.follow.later import Later
+from scenes.follow.line_job import LineJob
+from scenes.follow.live_arm import LiveArm
+from scenes.follow.rehearsal import ImaginedCamera
+from scenes.follow.run import _job
+from scenes.follow.scene_of_cell import load_cell
+from scenes.line.known import START
+from scenes.line.log import LineLog
+from scenes.result import silent
+from sensing.camera.field import Field
+from tests.scenes.follow.parts import Tame
+
+_CYCLES = round(START / 0.004) + 40
+_EVERY = 5
+
+
+class Wire(Tame):
+    """Writes down what goes over it."""
+
+    said: list[str]
+
+    def send(self, q_c: Array) -> None:
+        super().send(q_c)
+        self.said.append("answer")
+
+    def receive(self) -> RobotState:
+        state = super().receive()
+        self.said.append("packet")
+        return state
+
+
+class Seen(ImaginedCamera):
+    """A field every few cycles, of a picture taken ``_EVERY`` cycles before it arrives; lies 0.2 mm beside the line."""
+
+    def __init__(self, T: float, later: int) -> None:
+        super().__init__()
+        self._T, self._later = T, later
+
+    def arrived(self, t: float) -> list[Field]:
+        k = round(t / self._T) - self._later
+        if k < 2 * _EVERY or k % _EVERY:
+            return []
+        field = self._field((k - _EVERY) * self._T)
+        field.seen.points_tcp[:, 1] += 2e-4
+        return [field]
+
+
+def _played(tmp_path: Path, *, ahead: bool, later: int = 0, failing: int = -1) -> tuple[Wire, LineLog]:
+    """Forty cycles on the way; ``later``: cycles by which fields are late, ``failing``: one that cannot be planned."""
+    job = _job(load_cell("line"), Devices("rsi:", cycle=0.004), None, None)
+    assert isinstance(job, LineJob)
+    link = Wire(robot=job.robot)
+    link.said, link.commanded = [], job.q_start
+    arm, task, known = LiveArm(link, Journal(tmp_path, link.robot, {})), job._task, job._known
+    camera = Seen(job.robot.t_ipo, later)
+    camera.predict = lambda t: known.follower.predict(t).seen_from(known.follower.history.pose(t))
+    task.prepare(0.0)
+    task.camera = camera  # type: ignore[assignment]
+    update, plan = known.follower.update, task.sensed_plan
+
+    def fused(*given: Any) -> Any:
+        link.said.append("field")
+        return update(*given)
+
+    def planned(t: float) -> Array:
+        link.said.append("plan")
+        if round(t / job.robot.t_ipo) == failing:
+            raise PlanningError("nothing to be planned")
+        return plan(t)
+
+    known.follower.update = fused  # type: ignore[method-assign]
+    task.sensed_plan = planned  # type: ignore[method-assign]
+    task.arm = arm
+    if ahead:
+        task.lead(arm)
+    arm.begin()
+    end = _CYCLES * job.robot.t_ipo
+    play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
+    return link, job.log
+
+
+def test_between_packet_and_answer_there_is_no_field(tmp_path: Path) -> None:
+    link, log = _played(tmp_path, ahead=True)
+    fields = [i for i, said in enumerate(link.said) if said == "field"]
+    assert len(fields) >= _CYCLES // _EVERY - 2
+    assert {link.said[i - 2 : i] == ["answer", "plan"] for i in fields} == {True}
+    # Nor is a plan made there, not even the first.
+    assert not [i for i, said in enumerate(link.said) if said == "plan" and link.said[i - 1] != "answer"]
+    assert log.failure is not None
+    assert "not done" in log.failure
+
+
+def test_with_the_same_fields_the_plan_made_ahead_is_the_plan_made_at_once(tmp_path: Path) -> None:
+    ahead, _ = _played(tmp_path / "ahead", ahead=True)
+    at_once, _ = _played(tmp_path / "at_once", ahead=False)
+    np.testing.assert_array_equal(ahead.taken[:_CYCLES], at_once.taken[:_CYCLES])
+    unseen, _ = _played(tmp_path / "unseen", ahead=True, later=_CYCLES)
+    assert np.max(np.abs(np.subtract(ahead.taken[:_CYCLES], unseen.taken[:_CYCLES]))) > 1e-5
+
+
+def test_a_plan_that_cannot_be_made_ahead_stops_the_arm_in_its_own_cycle(tmp_path: Path) -> None:
+    failing = _CYCLES - 20
+    _, log = _played(tmp_path, ahead=True, failing=failing)
+    assert log.failure == "nothing to be planned"
+    assert len(log.t) > failing
+    np.testing.assert_array_equal(log.q_d[-1], log.q_d[-2])
+
+
+def test_progress_is_shown_when_nobody_waits() -> None:
+    shown: list[float] = []
+    later = Later(lambda done, text: shown.append(done))
+    later(0.1, "")
+    later(0.2, "")
+    assert not shown
+    later.catch_up()
+    later.catch_up()
+    assert shown == [0.2]
