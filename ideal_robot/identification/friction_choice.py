@@ -7,8 +7,9 @@ coarse search and a bounded optimiser, and the law is chosen by its error on hel
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize
@@ -17,6 +18,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.friction import Arctan, CubeRoot, FrictionModel, PerJointFriction, ViscousCoulomb
 from ideal_robot.friction.laws import Asymmetric
 from ideal_robot.friction.presliding import sliding_direction
+from ideal_robot.identification.friction_projection import FoldEquations, FrictionProjection
 from ideal_robot.signals.preprocess import FilteredSignals
 
 AUTO: tuple[type[FrictionModel], ...] = (ViscousCoulomb, CubeRoot, Arctan, Asymmetric)
@@ -30,7 +32,6 @@ _CLEARLY = 0.9
 """Once presliding lowers the held-out error to this share, laws without it are not tried any more."""
 _VARIES = 0.1
 """Least share of its size by which a load must vary; else its friction is dry friction by another name."""
-_RIDGE = 1e-9
 _KEPT = 16
 """Directions of sliding kept at a time: they are as long as the recordings."""
 
@@ -53,7 +54,7 @@ class Candidate:
         """Number of parameters."""
         return len(self.law.coefficient_names) + self.loaded + len(self.bounds)
 
-    @property
+    @cached_property
     def braking(self) -> np.ndarray:
         """Mask of the coefficients that may not be negative: they would drive the joint instead of braking it."""
         return braking(self.make([1.0] * len(self.bounds)))
@@ -112,7 +113,8 @@ class FrictionChoice:
         size = np.abs(np.concatenate(load))
         self._load_varies = np.std(size, axis=0) > _VARIES * np.sqrt(np.mean(size**2, axis=0))
         self._load_varies[list(barred)] = False
-        self._folds = np.arange(len(y)) * _FOLDS // len(y)
+        ends = [-(-len(y) * fold // _FOLDS) for fold in range(_FOLDS + 1)]
+        self._folds = [slice(first, last) for first, last in itertools.pairwise(ends)]
         self._motions: dict[int, list[tuple[Array, Array, Array]]] = {}
         self._filtered: dict[tuple[int, float, int], Array] = {}
         self._directed: dict[tuple[int, float], list[Array]] = {}
@@ -120,7 +122,7 @@ class FrictionChoice:
         self._size = np.maximum(np.linalg.norm(self._rigid.reshape(-1, rigid.shape[2]), axis=0), 1e-12)
         self._rigid /= self._size
         self._information = information / np.outer(self._size, self._size)
-        self._gram = [self._gram_of(self._folds == fold) for fold in range(_FOLDS)]
+        self._equations = [self._equations_of(rows) for rows in self._folds]
 
     def columns(self, joint: int, candidate: Candidate, shape: tuple[float, ...]) -> Array:
         """Decimated, weighted regressor ``(M, m)`` of a law at a joint.
@@ -207,7 +209,7 @@ class FrictionChoice:
     def _start(self, option: Candidate) -> tuple[float, ...]:
         return tuple(float(np.sqrt(low * high)) for low, high in option.bounds)
 
-    def _shape(self, projection: _Projection, joint: int, option: Candidate, known: dict[str, float],
+    def _shape(self, projection: FrictionProjection, joint: int, option: Candidate, known: dict[str, float],
                polish: bool) -> tuple[float, ...]:
         """Bounded search for the shape parameters in logarithmic scale: each from a grid, then Nelder and Mead.
 
@@ -240,115 +242,33 @@ class FrictionChoice:
             known.setdefault(name, value)
         return shape
 
-    def _gram_of(self, mask: np.ndarray) -> tuple[Array, Array, float]:
-        W = self._rigid[mask].reshape(-1, self._rigid.shape[2])
-        y = self._y[mask].reshape(-1)
-        return W.T @ W, W.T @ y, float(y @ y)
+    def _equations_of(self, rows: slice) -> FoldEquations:
+        W = self._rigid[rows].reshape(-1, self._rigid.shape[2])
+        y = self._y[rows].reshape(-1)
+        return FoldEquations(W.T @ W, W.T @ y, float(y @ y))
 
-    def _projection(self, chosen: Sequence[tuple[Candidate, tuple[float, ...]]], joint: int) -> _Projection:
+    def _projection(self, chosen: Sequence[tuple[Candidate, tuple[float, ...]]], joint: int) -> FrictionProjection:
         """Everything but this joint's friction, as normal equations of each fold."""
         others = [(j, self.columns(j, *chosen[j])) for j in range(self._y.shape[1]) if j != joint]
-        return _Projection.of(self._gram, self._information, self._rigid, self._y, others, joint, self._folds)
-
-
-@dataclass(frozen=True)
-class _Projection:
-    """Normal equations of all parameters but one joint's friction, fold by fold, and that joint's own rows."""
-
-    grams: list[tuple[Array, Array, float]]
-    known: Array
-    own: Array
-    y: Array
-    folds: np.ndarray
-    rests: dict[tuple[bool, ...], tuple[Array, Array, float, Array, Array, np.ndarray | None]] = field(
-        default_factory=dict)
-
-    @classmethod
-    def of(cls, rigid_grams: Sequence[tuple[Array, Array, float]], information: Array, rigid: Array, y: Array,
-           others: Sequence[tuple[int, Array]], joint: int, folds: np.ndarray) -> _Projection:
-        b = rigid.shape[2]
+        b = self._rigid.shape[2]
         total = b + sum(columns.shape[1] for _, columns in others)
         known = np.zeros((total, total))
-        known[:b, :b] = information
-        grams = []
-        for fold, (A, r, yy) in enumerate(rigid_grams):
-            mask = folds == fold
-            full, rhs = np.zeros((total, total)), np.zeros(total)
-            full[:b, :b], rhs[:b] = A, r
+        known[:b, :b] = self._information
+        folds = []
+        for rows, own in zip(self._folds, self._equations, strict=True):
+            full, side = np.zeros((total, total)), np.zeros(total)
+            full[:b, :b], side[:b] = own.gram, own.side
             at = b
             for j, columns in others:
-                F = columns[mask]
+                F = columns[rows]
                 span = slice(at, at + F.shape[1])
                 full[span, span] = F.T @ F
-                full[:b, span] = rigid[mask, j].T @ F
+                full[:b, span] = self._rigid[rows, j].T @ F
                 full[span, :b] = full[:b, span].T
-                rhs[span] = F.T @ y[mask, j]
+                side[span] = F.T @ self._y[rows, j]
                 at = span.stop
-            grams.append((full, rhs, yy))
-        own = np.zeros((len(y), total))
-        own[:, :b] = rigid[:, joint]
-        return cls(grams, known, own, y[:, joint], folds)
-
-    def _bordered(self, F: Array, use: Callable[[int], bool]) -> tuple[Array, Array, float, Array]:
-        A, r, yy, own, y, keep = self._rest(tuple(use(fold) for fold in range(len(self.grams))))
-        size = np.maximum(np.linalg.norm(F, axis=0), 1e-12)
-        scaled = (F if keep is None else F[keep]) / size
-        first, total = len(r), len(r) + F.shape[1]
-        full = np.empty((total, total))
-        full[:first, :first] = A
-        full[:first, first:] = own.T @ scaled
-        full[first:, :first] = full[:first, first:].T
-        full[first:, first:] = scaled.T @ scaled
-        full[np.diag_indices_from(full)] += _RIDGE * np.maximum(np.diag(full), 1e-9)
-        return full, np.concatenate([r, scaled.T @ y]), yy, size
-
-    def _rest(self, used: tuple[bool, ...]) -> tuple[Array, Array, float, Array, Array, np.ndarray | None]:
-        """What does not depend on the law, of the folds used: normal equations, own rows, and which rows those are."""
-        if used not in self.rests:
-            A = self.known + sum(gram[0] for gram, use in zip(self.grams, used, strict=True) if use)
-            r = sum(gram[1] for gram, use in zip(self.grams, used, strict=True) if use)
-            yy = float(sum(gram[2] for gram, use in zip(self.grams, used, strict=True) if use))
-            keep = None if all(used) else np.array(used)[self.folds]
-            own, y = (self.own, self.y) if keep is None else (self.own[keep], self.y[keep])
-            self.rests[used] = A, np.asarray(r), yy, own, y, keep
-        return self.rests[used]
-
-    def _solved(self, F: Array, use: Callable[[int], bool], bounded: np.ndarray) -> tuple[Array, Array, float, Array]:
-        """Parameters, right-hand side, ``yᵀy`` and column sizes.
-
-        Bounded coefficients of F that want to be negative are zero, worst first.
-        """
-        full, rhs, yy, size = self._bordered(F, use)
-        free = np.ones(len(rhs), dtype=bool)
-        first = self.own.shape[1]
-        while True:
-            p = np.zeros(len(rhs))
-            some = full if free.all() else full[np.ix_(free, free)]
-            p[free] = np.linalg.solve(some, rhs[free])
-            wrong = np.where(bounded, p[first:], 0.0)
-            if np.all(wrong >= 0.0):
-                return p, rhs, yy, size
-            free[first + int(np.argmin(wrong))] = False
-
-    def error(self, F: Array, bounded: np.ndarray) -> float:
-        """Sum of squares of the full fit with this friction regressor; ``bounded (m,)`` may not be negative."""
-        p, rhs, yy, _ = self._solved(F, lambda _: True, bounded)
-        return float(yy - rhs @ p)
-
-    def coefficients(self, F: Array, bounded: np.ndarray) -> Array:
-        """Those of this joint's law ``(m,)`` in the full fit."""
-        p, _, _, size = self._solved(F, lambda _: True, bounded)
-        return np.asarray(p[self.own.shape[1] :] / size)
-
-    def held_out(self, F: Array, bounded: np.ndarray) -> float:
-        """Standard deviation of the joint's residual on folds that the fit has not seen."""
-        total = 0.0
-        split = self.own.shape[1]
-        for fold in range(len(self.grams)):
-            p, _, _, size = self._solved(F, lambda other, fold=fold: other != fold, bounded)  # type: ignore[misc]
-            mask = self.folds == fold
-            total += float(np.sum((self.y[mask] - self.own[mask] @ p[:split] - (F[mask] / size) @ p[split:]) ** 2))
-        return float(np.sqrt(total / len(self.y)))
+            folds.append(FoldEquations(full, side, own.square))
+        return FrictionProjection(folds, self._folds, known, self._rigid[:, joint], self._y[:, joint])
 
 
 def _leaders(options: Sequence[Candidate], scores: dict[str, float]) -> list[Candidate]:
