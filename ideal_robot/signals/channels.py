@@ -58,6 +58,7 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
     tau, q = recording.joints("tau"), recording.joints("q")
     grid, _ = uniform_time(recording)
     rate = 1.0 / float(grid[1] - grid[0])
+    edges = filtered_above(resampled(recording.t, tau, grid), rate)
     for j in range(recording.n):
         name, values = f"tau_{j + 1}", tau[:, j]
         zeros = float(np.mean(values == 0.0))
@@ -73,7 +74,7 @@ def channel_findings(recording: Recording) -> tuple[ChannelFinding, ...]:
         if clipped > _AT_LIMIT:
             found.append(ChannelFinding(CLIPPED, name, j, f"{name} stands at its extreme value in {100 * clipped:.1f} "
                                         "% of the samples; the drive was at its limit, a slower motion avoids it"))
-        edge = filtered_above(resampled(recording.t, values[:, None], grid)[:, 0], rate)
+        edge = edges[j]
         if edge is not None:
             found.append(ChannelFinding(FILTERED, name, j, f"{name} was filtered before it was logged: it holds "
                                         f"nothing above {edge:.2g} Hz; its lag would be taken for friction"))
@@ -131,20 +132,23 @@ def _limits(values: Array, step: float) -> Iterator[np.ndarray]:
             yield top
 
 
-def filtered_above(values: Array, rate: float) -> float | None:
-    """The frequency above which a channel holds nothing, not even noise [Hz]; None if it holds something.
+def filtered_above(values: Array, rate: float) -> list[float | None]:
+    """The frequency above which each channel holds nothing, not even noise [Hz]; None if it holds something.
 
     None as well where nothing can be said: a channel of zeros alone, or of numbers whose squares overflow.
 
     Args:
-        values: uniformly sampled ``(N,)``.
+        values: uniformly sampled ``(N, n)``.
         rate: sampling rate [Hz].
     """
-    f, power = signal.welch(values, fs=rate, window="blackmanharris", nperseg=min(len(values), 1024))
-    largest = float(np.max(power[1:]))
-    if not 0.0 < largest < np.inf or np.median(power[f > 0.35 * rate]) > _SILENT * largest:
-        return None
-    return float(f[np.flatnonzero(power > 1e-8 * largest)[-1]])
+    f, spectra = signal.welch(np.ascontiguousarray(values.T), fs=rate, window="blackmanharris",
+                              nperseg=min(len(values), 1024))
+    found: list[float | None] = []
+    for power in spectra:
+        largest = float(np.max(power[1:]))
+        nothing = 0.0 < largest < np.inf and np.median(power[f > 0.35 * rate]) <= _SILENT * largest
+        found.append(float(f[np.flatnonzero(power > 1e-8 * largest)[-1]]) if nothing else None)
+    return found
 
 
 def _stamps(recording: Recording) -> list[ChannelFinding]:

@@ -19,6 +19,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.filtered_at import filtered_at, not_zero
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.stamps import on_its_clock
+from ideal_robot.signals.zero_phase import forwards_and_backwards
 
 ORDER = 4
 """Order of the Butterworth filter; run forwards and backwards it acts as twice that."""
@@ -230,7 +231,8 @@ def lowpass(values: Array, dt: float, cutoff: float) -> Array:
     sos = _sections(2.0 * cutoff * dt)
     # Padding as long as the filter remembers; the default is too short for low cut-offs.
     pad = min(len(values) - 1, int(np.ceil(1.5 / (cutoff * dt))) + 3 * (ORDER + 1))
-    return _column_by_column(values, lambda rows: scipy.signal.sosfiltfilt(sos, rows, axis=1, padlen=pad))
+    values = np.asarray(values, dtype=float)
+    return forwards_and_backwards(sos, values.reshape(len(values), -1), pad).reshape(values.shape)
 
 
 @cache

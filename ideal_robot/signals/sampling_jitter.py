@@ -28,6 +28,8 @@ _FARTHEST = 0.45
 """Instants are moved by less than that share of a step; samples keep their order."""
 _FEWEST = 200
 """Samples of which anything is said, at least."""
+_ON_GRID = 1e-7
+"""Instants within this share of a step of an even grid are on it."""
 _ROUNDS = 3
 """Times the smooth motion is drawn through the moved samples again."""
 
@@ -46,15 +48,15 @@ def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
     dt = float(np.median(np.diff(t)))
     if 0.2 / dt < _MOTION:
         return t, 0.0
-    fast, speed = _fast_part(t, t, q, dt)
-    if _foretold(fast, speed) < _SHARE or _smoothness(_common(fast, speed)) > _SMOOTH:
+    seen = _Products(*_fast_part(t, t, q, dt))
+    if _foretold(seen) < _SHARE or _smoothness(_common(seen)) > _SMOOTH:
         return t, 0.0
     late = np.zeros(len(t))
     for _ in range(_ROUNDS):
-        late = np.clip(late + _common(fast, speed), -_FARTHEST * dt, _FARTHEST * dt)
+        late = np.clip(late + _common(seen), -_FARTHEST * dt, _FARTHEST * dt)
         if np.any(np.diff(t + late) <= 0.0):
             return t, 0.0
-        fast, speed = _fast_part(t + late, t, q, dt)
+        seen = _Products(*_fast_part(t + late, t, q, dt))
     return t + late, float(np.std(late))
 
 
@@ -72,26 +74,48 @@ def at_sampling_instants(recording: Recording) -> tuple[Recording, float]:
 def _fast_part(at: Array, t: Array, q: Array, dt: float) -> tuple[Array, Array]:
     """Fast part and speed of the positions ``q (N, n)`` taken at ``at (N,)``, both ``(N, n)``."""
     grid = t[0] + dt * np.arange(round((t[-1] - t[0]) / dt) + 1)
+    if len(at) == len(grid) and np.max(np.abs(at - grid)) < _ON_GRID * dt:
+        low = lowpass(q, dt, _MOTION)
+        slow = interpolate.CubicSpline(grid, low, axis=0)
+        # Knots and their slopes; the last one ends an interval.
+        return q - low, np.concatenate([slow.c[2], slow(grid[-1:], 1)])
     slow = interpolate.CubicSpline(grid, lowpass(interpolate.CubicSpline(at, q, axis=0)(grid), dt, _MOTION), axis=0)
     return q - slow(at), slow(at, 1)
 
 
-def _precision(fast: Array, speed: Array, late: Array) -> Array:
-    """1/σ² of what is left of each joint's fast part ``(n,)`` with samples late by ``late (N,)``."""
-    return np.asarray(1.0 / np.maximum(np.mean((fast - late[:, None] * speed) ** 2, axis=0), 1e-18))
+class _Products:
+    """Mean squares and products of fast part and speed ``(N, n)``, from which joints' clocks follow quickly."""
+
+    def __init__(self, fast: Array, speed: Array) -> None:
+        self.fast, self.speed = fast, speed
+        self.squared, self.product = speed**2, fast * speed
+        self._size = np.mean(fast**2, axis=0)
+
+    def precision(self, late: Array | None = None) -> Array:
+        """1/σ² of what is left of each joint's fast part ``(n,)`` with samples late by ``late (N,)``."""
+        left = self._size
+        if late is not None:
+            left = left - (2.0 * late @ self.product - late**2 @ self.squared) / len(late)
+        return np.asarray(1.0 / np.maximum(left, 1e-18))
 
 
-def _common(fast: Array, speed: Array) -> Array:
-    """By how much each sample is late ``(N,)`` [s], most likely; little is said where no joint moves."""
-    weights, late = _precision(fast, speed, np.zeros(len(fast))), np.zeros(len(fast))
+def _common(of: _Products, without: int | None = None) -> Array:
+    """By how much each sample is late ``(N,)`` [s], most likely; little is said where no joint moves.
+
+    Args:
+        of: fast part and speed.
+        without: a joint that is not looked at.
+    """
+    weights = of.precision()
     for _ in range(2):
-        gain = (speed**2 * weights).sum(axis=1)
-        raw = (fast * speed * weights).sum(axis=1)
+        if without is not None:
+            weights[without] = 0.0
+        gain, raw = of.squared @ weights, of.product @ weights
         # The clock's own scatter, as what the samples say less what their noise makes of it.
         told = gain > np.median(gain)
         variance = max(float(np.mean((raw[told] / gain[told]) ** 2 - 1.0 / gain[told])), 1e-18)
         late = raw / (gain + 1.0 / variance)
-        weights = _precision(fast, speed, late)
+        weights = of.precision(late)
     return np.asarray(late)
 
 
@@ -100,13 +124,11 @@ def _smoothness(late: Array) -> float:
     return float(late[1:] @ late[:-1]) / max(float(late @ late), 1e-300)
 
 
-def _foretold(fast: Array, speed: Array) -> float:
+def _foretold(of: _Products) -> float:
     """Share of the squares of the joints' fast parts that the other joints' foretell, in the median over joints."""
     shares = []
-    for j in range(fast.shape[1]):
-        others = np.arange(fast.shape[1]) != j
-        late = _common(fast[:, others], speed[:, others])
-        made = late * speed[:, j]
-        shares.append(float(made @ fast[:, j]) ** 2 / max(float(made @ made) * float(fast[:, j] @ fast[:, j]), 1e-300)
-                      if made @ fast[:, j] > 0.0 else 0.0)
+    for j in range(of.fast.shape[1]):
+        made, own = _common(of, j) * of.speed[:, j], of.fast[:, j]
+        shares.append(float(made @ own) ** 2 / max(float(made @ made) * float(own @ own), 1e-300)
+                      if made @ own > 0.0 else 0.0)
     return float(np.median(shares))
