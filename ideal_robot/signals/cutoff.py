@@ -212,7 +212,7 @@ def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], start: Array, info
     W, y, block = _in_blocks(fits)
     judged_W, judged_y, judged_block = _in_blocks(judged)
     live = ~np.isnan(judged_y).any(axis=0) & (np.std(judged_y, axis=0) > 0)
-    rest, judged_rest = (y - W @ start)[:, live], (judged_y - judged_W @ start)[:, live]
+    rest, judged_rest = (y - _times(W, start))[:, live], (judged_y - _times(judged_W, start))[:, live]
     W, judged_W = (values if live.all() else values[:, live] for values in (W, judged_W))
     noise = np.maximum(np.std(rest, axis=0), 1e-12)
     # Normal equations of each block and joint, once; the joints' weights come on top.
@@ -229,14 +229,19 @@ def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], start: Array, info
         weight = 1.0 / noise**2
         A, b = np.tensordot(grams, weight, axes=(1, 0)), np.tensordot(sides, weight, axes=(1, 0))
         p = _solved(A.sum(axis=0) + information, b.sum(axis=0))
-        noise = np.maximum(np.std(rest - W @ p, axis=0), 1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
+        noise = np.maximum(np.std(rest - _times(W, p), axis=0), 1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
     error = np.empty_like(judged_rest)
     for k in range(_FOLDS):
         here, others = judged_block[k], np.arange(_FOLDS) != k
         p = _solved(A[others].sum(axis=0) + information, b[others].sum(axis=0))
-        error[here] = judged_rest[here] - judged_W[here] @ p
+        error[here] = judged_rest[here] - _times(judged_W[here], p)
     ratio = np.sqrt(np.mean(error**2, axis=0)) / np.std(judged_y[:, live], axis=0)
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-9)))))
+
+
+def _times(W: Array, p: Array) -> Array:
+    """``W p`` of an observation matrix ``(M, n, P)`` whose samples are neighbours in memory ``(M, n)``."""
+    return np.asarray(np.matmul(p, W.transpose(1, 2, 0)).T)
 
 
 def _in_blocks(parts: Sequence[_Rows]) -> tuple[Array, Array, list[slice]]:
