@@ -1,8 +1,8 @@
 """Fit of one joint's friction together with everything else, of which only what concerns that joint is kept.
 
-Candidates for a joint's friction change few columns in the rows of that joint alone. All other parameters are eliminated
-once by Cholesky's decomposition, those that the joint's rows do not hold first; of the normal equations of a candidate
-then only its own few are left (Schur complement).
+Candidates for a joint's friction change few columns in the rows of that joint alone. All other parameters are
+eliminated once by Cholesky's decomposition, those that the joint's rows do not hold first; of the normal equations of a
+candidate then only its own few are left (Schur complement).
 """
 
 from __future__ import annotations

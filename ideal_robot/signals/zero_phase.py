@@ -1,7 +1,7 @@
 """A recursive filter run forwards and backwards over many columns at once, as ``scipy.signal.sosfiltfilt`` has it.
 
-The same numbers bit by bit, several times as fast: each step waits for the one before it, and the columns are steps that
-do not wait for each other.
+The same numbers bit by bit, several times as fast: each step waits for the one before it, while the columns are steps
+that do not wait for each other.
 """
 
 from __future__ import annotations
