@@ -80,6 +80,13 @@ class RowLog:
         self._store()
         return self._stored
 
+    def column(self, i: int) -> Array:
+        """Value ``i`` of all rows ``(N,)``, a copy."""
+        found = np.empty(self.rows)
+        for first, rows in self.blocks():
+            found[first : first + len(rows)] = rows[:, i]
+        return found
+
     def blocks(self) -> Iterator[tuple[int, Array]]:
         """All rows in blocks, copied: number of the first one, and the rows."""
         width = self._log.shape[1]

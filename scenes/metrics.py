@@ -7,18 +7,22 @@ path accuracy AT).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import minimize_scalar
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_array import let_go
 
 _DELAY_MIN, _DELAY_MAX = -0.1, 0.3
 """Delays looked for [s]."""
+PIECE, OVERLAP = 100_000, 64
+"""Samples of a motion to which one spline is laid, and by how many it reaches further at both ends."""
 _NEIGHBOURHOOD = 0.4
 """How far in time from its own instant a point of the path may be the nearest one [s]; keeps crossings apart."""
 
@@ -78,17 +82,15 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
     if len(t) < 4 or len(t_actual) < 4 or x_d.shape != (len(t), 3) or x_actual.shape != (len(t_actual), 3):
         raise InputError("expected at least four instants and positions (N, 3) at each", field="path",
                          value=(x_d.shape, x_actual.shape))
-    motion = make_interp_spline(t_actual, x_actual, k=3)
-
-    def at(times: Array) -> Array:
-        return np.asarray(motion(np.clip(times, t_actual[0], t_actual[-1])))
+    motion = _Motion(t_actual, x_actual)
+    at = motion.at
 
     def squared(delay: float) -> float:
-        return float(np.mean(np.sum((at(t + delay) - x_d) ** 2, axis=1)))
+        return float(motion.squared(t, x_d, np.array([delay]))[0])
 
     # The squared error is smooth in the delay, but has several minima on paths that repeat: scan, then refine.
     coarse = np.arange(_DELAY_MIN, _DELAY_MAX + 1e-9, 0.004)
-    best = float(coarse[int(np.argmin([squared(delay) for delay in coarse]))])
+    best = float(coarse[int(np.argmin(motion.squared(t, x_d, coarse)))])
     refined = minimize_scalar(squared, bounds=(best - 0.004, best + 0.004), method="bounded",
                               options={"xatol": 1e-7})
     # Removing a delay must never make the error larger; ties at the start of the search count as none.
@@ -100,6 +102,50 @@ def path_errors(t: Array, x_d: Array, t_actual: Array, x_actual: Array) -> PathE
         geometric=Error.of(distance_to_path(t + delay, at(t + delay), t, x_d)),
         delay=delay,
     )
+
+
+class _Motion:
+    """Positions between samples, by a cubic spline; that of a long motion is made piece by piece.
+
+    Args:
+        t: instants ``(M,)`` [s].
+        x: positions ``(M, 3)`` [m].
+    """
+
+    def __init__(self, t: Array, x: Array) -> None:
+        self._t, self._x = t, x
+        self._span = float(t[0]), float(t[-1])
+        self._whole = make_interp_spline(t, x, k=3) if len(t) <= PIECE else None
+
+    def at(self, times: Array) -> Array:
+        """Positions ``(m, 3)`` [m] at rising times ``(m,)`` [s]; the first and the last one hold beyond the ends."""
+        times = np.clip(times, *self._span)
+        if self._whole is not None:
+            return np.asarray(self._whole(times))
+        found = np.empty((len(times), 3))
+        for begin, end, spline in self._pieces():
+            rows = slice(*np.searchsorted(times, (begin, end)))
+            found[rows] = spline(times[rows])
+        return found
+
+    def squared(self, t: Array, x_d: Array, delays: Array) -> Array:
+        """Mean squared distance ``(k,)`` [m²] from positions ``(m, 3)`` at rising ``t`` for each delay ``(k,)`` [s]."""
+        if self._whole is not None:
+            return np.array([np.mean(np.sum((self.at(t + delay) - x_d) ** 2, axis=1)) for delay in delays])
+        total = np.zeros(len(delays))
+        for begin, end, spline in self._pieces():
+            for k, delay in enumerate(delays):
+                rows = slice(*np.searchsorted(t, (begin - delay, end - delay)))
+                total[k] += np.sum((spline(np.clip(t[rows] + delay, *self._span)) - x_d[rows]) ** 2)
+        return total / len(t)
+
+    def _pieces(self) -> Iterator[tuple[float, float, BSpline]]:
+        """Begin, end [s] and spline of pieces; what is beyond its overlap does not reach into one: 0.27**64."""
+        for first in range(0, len(self._t), PIECE):
+            end, beyond = first + PIECE, slice(max(first - OVERLAP, 0), first + PIECE + OVERLAP)
+            yield (float(self._t[first]) if first else -np.inf, float(self._t[end]) if end < len(self._t) else np.inf,
+                   make_interp_spline(self._t[beyond], self._x[beyond], k=3))
+            let_go(self._t, self._x)
 
 
 def distance_to_path(t: Array, x: Array, t_path: Array, x_path: Array) -> Array:

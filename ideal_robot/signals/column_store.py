@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import file_of
 from ideal_robot.row_log import KEPT
 
 
@@ -62,7 +63,4 @@ class ColumnStore:
 
 def in_file(values: Array) -> bool:
     """Whether a read-only array is a column of a ``ColumnStore`` that is in a file."""
-    owner: object = values
-    while isinstance(owner, np.ndarray) and owner.base is not None:
-        owner = owner.base
-    return isinstance(owner, (memoryview, mmap.mmap)) and isinstance(getattr(owner, "obj", owner), mmap.mmap)
+    return file_of(values) is not None

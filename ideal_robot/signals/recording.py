@@ -12,6 +12,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_array import let_go
 from ideal_robot.plain import plain
 from ideal_robot.plots import over_time
 from ideal_robot.signals.column_store import in_file
@@ -117,8 +118,12 @@ class Recording(Summarised):
         return np.array([name in self.columns and bool(np.all(np.isfinite(self.columns[name]))) for name in names],
                         dtype=bool)
 
-    def joints(self, prefix: str) -> Array:
+    def joints(self, prefix: str, rows: Any = slice(None)) -> Array:
         """Columns ``prefix_1 … prefix_n`` side by side, shape ``(N, n)``.
+
+        Args:
+            prefix: the quantity.
+            rows: which rows, as NumPy takes them; all by default.
 
         Raises:
             InputError: one of them is missing.
@@ -127,7 +132,10 @@ class Recording(Summarised):
             if f"{prefix}_{i + 1}" not in self.columns:
                 raise InputError(f"column is missing; {prefix}_1 to {prefix}_{self.n} are needed", file=self.source,
                                  field=f"{prefix}_{i + 1}")
-        return np.column_stack([self.columns[f"{prefix}_{i + 1}"] for i in range(self.n)])
+        columns = [self.columns[f"{prefix}_{i + 1}"] for i in range(self.n)]
+        found = np.column_stack([column[rows] for column in columns])
+        let_go(*columns)
+        return found
 
     @property
     def hash(self) -> str:
@@ -135,7 +143,8 @@ class Recording(Summarised):
         digest = hashlib.sha256()
         for name in sorted(self.columns):
             digest.update(name.encode())
-            digest.update(np.ascontiguousarray(self.columns[name]).tobytes())
+            digest.update(np.ascontiguousarray(self.columns[name]).data)
+            let_go(self.columns[name])
         return digest.hexdigest()[:16]
 
     @classmethod
@@ -215,6 +224,7 @@ class Recording(Summarised):
                 for part in parts:
                     pd.DataFrame({name: self.columns[name][part] for name in names}).to_csv(
                         partial, index=False, header=part.start == 0, mode="a")
+                    let_go(*self.columns.values())
             else:
                 schema = pa.schema([(name, pa.array(self.columns[name][:0]).type) for name in names], metadata=meta)
                 with pq.ParquetWriter(partial, schema) as file:
@@ -222,6 +232,7 @@ class Recording(Summarised):
                         # What is not a number is none in the file, as data frames have it.
                         file.write_table(pa.table([pa.array(self.columns[name][part], from_pandas=True)
                                                    for name in names], schema=schema), WRITTEN_ROWS)
+                        let_go(*self.columns.values())
         return path
 
     @classmethod

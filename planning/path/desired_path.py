@@ -12,7 +12,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.path.reference_table import ReferenceTable
+from planning.path.reference_table import ReferenceTable, poses_of
 from planning.path.smoothing import Smoother
 from planning.path.speed_profile import JointPath, SpeedProfile
 
@@ -103,7 +103,9 @@ class DesiredPath:
 
     def pose(self, t: float) -> pin.SE3:
         """Desired TCP pose at ``t``, as planned so far."""
-        return self._table.poses[self.cycle(t)].copy()
+        k = self.cycle(t)
+        rotations, positions = self._targets(k, k + 1)
+        return pin.SE3(rotations[0], positions[0])
 
     def _replan(self, k: int, estimate: Callable[[Array], Array]) -> None:
         """New desired deviation behind the cycles that are being executed."""
@@ -119,11 +121,6 @@ class DesiredPath:
 
     def _solve(self, first: int, end: int) -> None:
         """Inverse kinematics of the cycles ``first … end - 1``."""
-        d = self._plan[0, first:end]
-        positions = self._table.displaced(slice(first, end), d)
-        rotations = self._table.rotations[first:end]
-        if self._follow_tangent:
-            rotations = self._turned(first, end) @ rotations
         # What was solved before is nearly right; behind it the offset from the reference's joint angles goes on.
         start = self._q[first:end]
         new = self._ever_solved + 1
@@ -131,19 +128,21 @@ class DesiredPath:
             start = start.copy()
             offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
             start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
-        targets = self._table.poses[first:end]
-        for target, R, p in zip(targets, rotations, positions, strict=True):
-            target.translation = p
-            if self._follow_tangent:
-                target.rotation = R
-        self._q[first:end] = self._kinematics.refine(targets, start)
+        self._q[first:end] = self._kinematics.refine(poses_of(*self._targets(first, end)), start)
         self._solved_to = end - 1
         self._ever_solved = max(self._ever_solved, end - 1)
 
+    def _targets(self, first: int, end: int) -> tuple[Array, Array]:
+        """Rotations ``(m, 3, 3)`` and positions ``(m, 3)`` [m] of the tool in the cycles ``first … end - 1``."""
+        rotations = self._table.rotations[first:end]
+        if self._follow_tangent:
+            rotations = self._turned(first, end) @ rotations
+        return rotations, self._table.displaced(slice(first, end), self._plan[0, first:end])
+
     def _turned(self, first: int, end: int) -> Array:
         """Rotations about the surface normal from the reference's tangent to that of the desired path."""
-        frames = self._table.frames
-        speed = np.gradient(self.s, self._T)[first:end]
+        frames, before = self._table.frames, max(first - 1, 0)
+        speed = np.gradient(self.s[before : end + 1], self._T)[first - before :][: end - first]
         forward = speed * (1.0 - frames.curvature[first:end] * self._plan[0, first:end, 0])
         angle = np.where(speed > 0.02, np.arctan2(self._plan[1, first:end, 0], np.maximum(forward, 0.02)), 0.0)
         return np.array([pin.exp3(a * up) for a, up in zip(angle, frames.up[first:end], strict=True)])

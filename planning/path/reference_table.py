@@ -13,6 +13,13 @@ from planning.path.speed_profile import JointPath, SpeedProfile
 
 Rows = slice | NDArray[np.int_]
 """Which cycles: a slice, or their numbers."""
+AT_A_TIME = 4096
+"""Cycles whose poses are held as objects at a time: one takes as much memory as its whole row of the tables."""
+
+
+def poses_of(rotations: Array, positions: Array) -> list[pin.SE3]:
+    """Poses of rotations ``(m, 3, 3)`` and positions ``(m, 3)`` [m]."""
+    return [pin.SE3(R, p) for R, p in zip(rotations, positions, strict=True)]
 
 
 class ReferenceTable:
@@ -29,7 +36,6 @@ class ReferenceTable:
         s: arc length at every cycle ``(K,)`` [m].
         frames: the path's frames there.
         rotations: of the tool in the base frame ``(K, 3, 3)``.
-        poses: of the tool in the base frame, ``K`` of them.
         q: joint angles ``(K, n)`` [rad].
     """
 
@@ -46,10 +52,12 @@ class ReferenceTable:
         self.s = profile.s(T * np.arange(cycles))
         self.frames = reference.frames(self.s)
         self.rotations = reference.rotation(self.s)
-        self.poses = [pin.SE3(R, p) for R, p in zip(self.rotations, self.frames.position, strict=True)]
         path = joint_path or profile.joint_path or JointPath.of(kinematics.robot, reference)
-        guess = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
-        self.q = kinematics.refine(self.poses, guess, tolerance=1e-12)
+        self.q = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
+        for first in range(0, cycles, AT_A_TIME):
+            rows = slice(first, first + AT_A_TIME)
+            self.q[rows] = kinematics.refine(poses_of(self.rotations[rows], self.frames.position[rows]), self.q[rows],
+                                             tolerance=1e-12)
 
     def __len__(self) -> int:
         return len(self.s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,8 @@ LONGEST = 7200.0
 """Time that a path may last [s]."""
 TICK = 0.001
 """Spacing in time of the profile's samples [s]."""
+MOST_TICKS = 600_000
+"""Samples of a profile at most, ten minutes; of a longer travel they are further apart."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class SpeedProfile:
     forwards and backwards bound the acceleration, and an average over time bounds the jerk.
 
     Attributes:
+        tick: spacing of its samples [s].
         duration: time from rest to rest [s].
         length: distance travelled [m].
         top_speed: highest speed that is reached [m/s].
@@ -95,12 +99,13 @@ class SpeedProfile:
         joint_path: the path in joint space that it was planned on; None for a travel given by its samples.
     """
 
-    def __init__(self, s: Array) -> None:
-        """Of samples ``s (K,)`` [m] every ``TICK`` seconds, beginning and ending at rest."""
-        self.duration = TICK * (len(s) - 1)
+    def __init__(self, s: Array, tick: float = TICK) -> None:
+        """Of samples ``s (K,)`` [m] every ``tick`` seconds, beginning and ending at rest."""
+        self.tick = tick
+        self.duration = tick * (len(s) - 1)
         self.length = float(s[-1])
-        self._spline = CubicSpline(TICK * np.arange(len(s)), s, bc_type="clamped")
-        self.top_speed = float(np.max(self.speed(TICK * np.arange(len(s)))))
+        self._spline = CubicSpline(tick * np.arange(len(s)), s, bc_type="clamped")
+        self.top_speed = float(np.max(self.speed(tick * np.arange(len(s)))))
         self.slowed: tuple[tuple[float, float, float, int], ...] = ()
         self.joint_path: JointPath | None = None
 
@@ -115,7 +120,7 @@ class SpeedProfile:
     def at(self, t: float) -> tuple[float, float]:
         """Arc length [m] and speed [m/s] at one instant, without the overhead of arrays."""
         t = min(max(t, 0.0), self.duration)
-        i = min(int(t / TICK), self._spline.c.shape[1] - 1)
+        i = min(int(t / self.tick), self._spline.c.shape[1] - 1)
         a, b, c, d = self._spline.c[:, i].tolist()
         u = t - self._spline.x[i]
         return float(((a * u + b) * u + c) * u + d), float((3.0 * a * u + 2.0 * b) * u + c)
@@ -174,8 +179,9 @@ def _fastest(
         limit = limit * minimum_filter1d(lowered, size=15)
     # What lowering the limit here and there does not cure, going slower as a whole does.
     slower = float(excess.max())
-    ticks = TICK * np.arange(round(profile.duration * slower / TICK) + 1)
-    return SpeedProfile(profile.s(ticks / slower)), limit / slower
+    tick = _tick(profile.duration * slower)
+    ticks = tick * np.arange(round(profile.duration * slower / tick) + 1)
+    return SpeedProfile(profile.s(ticks / slower), tick), limit / slower
 
 
 def _possible(path: JointPath, by_joint: Array, limits: Limits, v_max: Array, a_max: Array) -> float:
@@ -217,22 +223,28 @@ def _travel(path: JointPath, limit: Array, limits: Limits, a_max: Array) -> Spee
         raise InputError(f"the path would last {t[-1]:.3g} s; {LONGEST:g} s is the longest, move faster", field="speed",
                          value=limits.speed)
     # Constant acceleration between the places: the speed is linear in time there.
-    ticks = TICK * np.arange(int(np.ceil(t[-1] / TICK)) + 2)
+    tick = _tick(float(t[-1]))
+    ticks = tick * np.arange(int(np.ceil(t[-1] / tick)) + 2)
     speed = np.interp(ticks, t, v, right=0.0)
-    width = max(int(np.ceil(limits.acceleration / limits.jerk / TICK)), 1)
+    width = max(int(np.ceil(limits.acceleration / limits.jerk / tick)), 1)
     while True:
         kernel = np.convolve(np.ones(width), np.ones(max(width // 4, 1)))
         smooth = np.convolve(np.concatenate([np.zeros(3), speed, np.zeros(3)]), kernel / kernel.sum())
-        if width > 2000 or np.max(np.abs(np.diff(smooth, 2))) <= limits.jerk * TICK**2:
+        if width > 2000 or np.max(np.abs(np.diff(smooth, 2))) <= limits.jerk * tick**2:
             break
         width = int(np.ceil(1.2 * width))
-    s = np.concatenate([[0.0], np.cumsum(0.5 * TICK * (smooth[1:] + smooth[:-1]))])
-    return SpeedProfile(s * (path.s[-1] / s[-1]))
+    s = np.concatenate([[0.0], np.cumsum(0.5 * tick * (smooth[1:] + smooth[:-1]))])
+    return SpeedProfile(s * (path.s[-1] / s[-1]), tick)
+
+
+def _tick(duration: float) -> float:
+    """Spacing of the samples of a travel of that length [s]."""
+    return TICK * max(1, math.ceil(duration / (TICK * MOST_TICKS)))
 
 
 def _excess(profile: SpeedProfile, path: JointPath, v_max: Array, a_max: Array) -> tuple[Array, Array]:
     """How far the joints are beyond their limits over time, as a factor of the speed, and where on the path."""
-    t = np.arange(0.0, profile.duration, 4 * TICK)
+    t = np.arange(0.0, profile.duration, 4 * profile.tick)
     s, v, a = profile.s(t), profile.speed(t), profile.acceleration(t)
     columns = range(path.q.shape[1])
     dq = np.column_stack([np.interp(s, path.s, path.dq[:, i]) for i in columns])
@@ -247,7 +259,7 @@ def _slowed(
     path: JointPath, limit: Array, by_joint: Array, profile: SpeedProfile, speed: float
 ) -> tuple[tuple[float, float, float, int], ...]:
     """Pieces of the path where the limit, and not speeding up or braking, decides."""
-    ticks = TICK * np.arange(round(profile.duration / TICK) + 1)
+    ticks = profile.tick * np.arange(round(profile.duration / profile.tick) + 1)
     travelled = np.interp(path.s, np.maximum.accumulate(profile.s(ticks)), profile.speed(ticks))
     slow = np.concatenate([[False], (limit < 0.98 * speed) & (travelled > 0.9 * limit), [False]])
     edges = np.flatnonzero(np.diff(slow.astype(int)))

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import let_go, new_array
 from scenes.camera_table import believed_camera, true_camera
 from scenes.camera_world import camera_settings
 from scenes.force.cell import Cell
 from scenes.force.line_camera import GlueCamera
+from scenes.thinned import step
 from sim.camera.bullet_camera import BulletCamera
-from sim.camera.surface import DrawnLine
+from sim.camera.surface import AT_A_TIME, DrawnLine
 
 
 class GlueWorld:
@@ -30,6 +32,7 @@ class GlueWorld:
         where = cell.geometry
         self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
                               background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
+        self._surface = cell.surface
         self.rendered = BulletCamera(true, self.line, camera_settings(scene.camera), noise, relief=cell.surface)
 
     def close(self) -> None:
@@ -43,28 +46,31 @@ class GlueWorld:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def control_error(self, seen: GlueCamera, t: Array, tcp: Array) -> tuple[dict[str, Any], tuple[Array, Array]]:
+    def control_error(self, seen: GlueCamera, t: Array, tip: Array) -> tuple[dict[str, Any], tuple[Array, Array]]:
         """Distance of the true tip from the drawn line, seen along the plane's normal, while it is followed.
 
         Args:
             seen: what the camera saw.
             t: instants during the travel ``(N,)`` [s].
-            tcp: true positions of the tip at them ``(N, 3)`` [m].
+            tip: true positions of the tip at them, in the surface's coordinates ``(N, 3)`` [m].
 
         Returns:
-            the figures for ``--json`` and the series (instants, signed distances [m]).
+            the figures for ``--json`` and the series (instants, signed distances [m]), of a long run thinned.
         """
-        plane = self.line.plane
-        up = plane.rotation[:, 2]
-        nearest = self.line.nearest(tcp - np.outer((tcp - plane.translation) @ up, up))
-        inside = (nearest.s > 1e-6) & (nearest.s < self.line.polyline.s[-1] - 1e-6)
+        surface, positions = self._surface.plane, new_array(len(tip), 3)
+        for first in range(0, len(tip), AT_A_TIME):
+            part = slice(first, first + AT_A_TIME)
+            positions[part] = tip[part] @ surface.rotation.T + surface.translation
+            let_go(tip, positions)
+        s, beside = self.line.beside(positions)
+        inside = (s > 1e-6) & (s < self.line.polyline.s[-1] - 1e-6)
         inside &= t >= seen.first_used + 0.3 if np.isfinite(seen.first_used) else False
-        lateral = nearest.lateral[inside]
-        size = 1e3 * np.abs(lateral)
+        lateral = beside[inside]
+        size, every = 1e3 * np.abs(lateral), step(len(lateral))
         nothing = {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
         figures = nothing if not len(size) else {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)),
                                                  "max": float(size.max())}
         used = sum(1 for one in seen.fields if one[1] > 0)
         refused = sum(1 for one in seen.fields if one[1] == 0)
         return ({"control_error_mm": figures, "fields": {"seen": len(seen.fields), "used": used, "left_out": refused}},
-                (t[inside], lateral))
+                (t[np.flatnonzero(inside)[::every]], lateral[::every].copy()))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.file_array import let_go
 from planning.force.contact import Phase
 from scenes.force.compare import ForceComparison
 from scenes.force.replay import force_replay
@@ -16,6 +17,7 @@ from scenes.force.result import ForceResult
 from scenes.outputs import whole_folder
 from scenes.report.page import Report
 from scenes.report.replay_file import replay_beside, write_replay
+from scenes.thinned import extremes, step
 
 COLOURS = {"ideal": "#e06000", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
 
@@ -94,7 +96,9 @@ def forces_figure(comparison: ForceComparison) -> Figure:
     axes = figure.subplots(len(results), sharex=True, sharey=True, squeeze=False).ravel()
     for axis, one in zip(axes, results, strict=True):
         axis.axhline(wanted, color="black", lw=0.7, ls="--")
-        axis.plot(one.history["t"], one.history["normal"], lw=0.9, color=COLOURS.get(one.method, "#2b8a3e"))
+        rows = extremes(one.history["normal"])
+        axis.plot(one.history["t"][rows], one.history["normal"][rows], lw=0.9,
+                  color=COLOURS.get(one.method, "#2b8a3e"))
         axis.set_title(f"{one.method}: {one.figures.rms:.2f} N RMS", loc="left", fontsize=9)
         axis.grid(alpha=0.25)
     highest = max(float(np.max(one.history["normal"])) for one in results)
@@ -121,20 +125,24 @@ def _run_figure(result: ForceResult) -> Figure:
     history, log = result.history, result.log
     figure = Figure(figsize=(9, 5.5), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True)
-    top.plot(history["t"], history["normal"], color=COLOURS["ideal"], lw=0.9, label="true")
+    rows = extremes(history["normal"])
+    top.plot(history["t"][rows], history["normal"][rows], color=COLOURS["ideal"], lw=0.9, label="true")
     top.axhline(result.scene.force, color="black", lw=0.7, label="wanted")
     t = np.array(log.t)
     travel = t[np.array(log.phase) == Phase.TRAVEL.value]
     if len(travel):
         top.axvspan(travel[0], travel[-1], color="#1f5fa8", alpha=0.07)
-    top.set_ylim(0, min(3.2 * result.scene.force, 1.15 * max(history["normal"].max(), 1.0)))
+    top.set_ylim(0, min(3.2 * result.scene.force, 1.15 * max(result.figures.largest, 1.0)))
     top.set_ylabel("normal force [N]")
     top.legend(loc="upper right")
-    bottom.plot(history["t"], 1e3 * history["height"], color="black", lw=0.9, label="surface")
-    bottom.plot(history["t"], 1e3 * history["tip"][:, 2], color=COLOURS["ideal"], lw=0.9, label="undeformed tip")
+    every = step(len(history["t"]))
+    seconds = history["t"][::every]
+    bottom.plot(seconds, 1e3 * history["height"][::every], color="black", lw=0.9, label="surface")
+    bottom.plot(seconds, 1e3 * history["tip"][::every, 2], color=COLOURS["ideal"], lw=0.9, label="undeformed tip")
     bottom.set_ylabel("height over nominal plane [mm]")
     bottom.set_xlabel("t [s]")
     bottom.legend(loc="upper right")
+    let_go(*history.values())
     for axis in (top, bottom):
         axis.grid(alpha=0.3)
     return figure

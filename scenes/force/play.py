@@ -84,10 +84,8 @@ def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, ar
     moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
     if task.vision is not None and glue is not None and moving:
         log.fields = task.vision.fields
-        at = (history["t"] >= moving[0]) & (history["t"] <= moving[-1])
-        plane = cell.surface.plane
-        tip = history["tip"][at] @ plane.rotation.T + plane.translation
-        lateral, series = glue.control_error(task.vision, history["t"][at], tip)
+        first, last = np.searchsorted(history["t"], moving[0]), np.searchsorted(history["t"], moving[-1], side="right")
+        lateral, series = glue.control_error(task.vision, history["t"][first:last], history["tip"][first:last])
     return ForceResult(
         scene=scene, method=method, figures=force_figures(scene, history, log),
         elasticity=(task.follower.settings.elasticity, task.elasticity.std, scene.tip.stiffness),

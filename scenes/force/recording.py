@@ -27,9 +27,9 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
         task: what was done.
     """
     recording, log = arm.recording(external=True), task.log
-    t, q_d, felt, sensed = recording.t, np.asarray(log.q_d), np.asarray(log.samples), np.asarray(log.wrenches)
+    t, q_d, felt = recording.t, np.asarray(log.q_d), np.asarray(log.samples)
     names = [f"q_d_{i + 1}" for i in range(q_d.shape[1])]
-    names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(sensed) else [])
+    names += (["f_normal"] if len(felt) else []) + ([*WRENCH] if len(log.wrenches) else [])
     store = ColumnStore(names, len(t))
     for i in range(q_d.shape[1]):
         store.fill(names[i], 0, np.interp(t, np.asarray(log.t), q_d[:, i]))
@@ -37,9 +37,10 @@ def force_recording(arm: SimulatedArm, scene: ForceScene, method: str, task: For
     if len(felt):
         order = np.argsort(felt[:, 0])
         store.fill("f_normal", 0, np.interp(t, felt[order, 0], felt[order, 1]))
-    if len(sensed):
-        for name, values in zip(WRENCH, sensed.T[1:], strict=True):
-            store.fill(name, 0, np.interp(t, sensed[:, 0], values))
+    if len(log.wrenches):
+        instants = log.wrenches.column(0)
+        for i, name in enumerate(WRENCH, start=1):
+            store.fill(name, 0, np.interp(t, instants, log.wrenches.column(i)))
             store.release()
     tool = {"bias": task.tool.bias.tolist(), "mass": task.tool.mass, "com": task.tool.com.tolist()}
     meta = {**recording.meta, "tool": tool, "contact_stiffness": task.assumed_stiffness, "scene": scene.name,

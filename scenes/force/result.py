@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import let_go
 from ideal_robot.row_log import RowLog
 from ideal_robot.signals.recording import Recording
 from planning.follower import ForceFollower
@@ -16,6 +17,9 @@ from planning.force.contact import Phase
 from scenes.cycle import CycleLog
 from scenes.force.scene import ForceScene
 from scenes.shown import ShownRun
+
+AT_A_TIME = 1_000_000
+"""Values of which squares are taken at a time."""
 
 
 @dataclass
@@ -127,7 +131,11 @@ def force_figures(scene: ForceScene, history: dict[str, Array], log: ForceLog) -
     largest = float(history["normal"].max(initial=0.0))
     if len(moving) < 2:
         return ForceFigures(float("nan"), float("nan"), largest, float("nan"), float("nan"), 0.0)
-    at = (history["t"] >= moving[0]) & (history["t"] <= moving[-1])
-    force = history["normal"][at]
-    return ForceFigures(float(np.sqrt(np.mean((force - scene.force) ** 2))), float(force.mean()), largest,
-                        float(force.min()), float(np.count_nonzero(force <= 0) * 0.0005), moving[-1] - moving[0])
+    first, last = np.searchsorted(history["t"], moving[0]), np.searchsorted(history["t"], moving[-1], side="right")
+    force = history["normal"][first:last]
+    squares = sum(float(np.sum((part - scene.force) ** 2)) for part in
+                  (force[begin : begin + AT_A_TIME] for begin in range(0, len(force), AT_A_TIME)))
+    figures = ForceFigures(float(np.sqrt(squares / len(force))), float(force.mean()), largest, float(force.min()),
+                           float(np.count_nonzero(force <= 0) * 0.0005), moving[-1] - moving[0])
+    let_go(history["t"], force)
+    return figures

@@ -138,21 +138,29 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
     """
     cell = set_up(scene)
     with camera_of(cell) as camera:
-        detection, hand_eye, reasons = DetectionSettings(), None, []
-        moved: list[RobotState] = []
-        span = span_of(scene, cell.reference)
-        model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
-        with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+        found = _looked_at(scene, cell, camera, progress)
+        # The tables of a long path are not held while those of the play are made.
+        del cell
+        yield found
+
+
+def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: Progress) -> Prepared:
+    """What looking at the line and moving over it gives."""
+    detection, hand_eye, reasons = DetectionSettings(), None, []
+    moved: list[RobotState] = []
+    span = span_of(scene, cell.reference)
+    model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
+    with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+        try:
+            detection = look_at_line(cell.robot, cell.reference, cell.camera, arm, camera, span, streams(scene)[4])
+        except SensingError as error:
+            reasons.append(str(error))
+        if model is not None:
+            progress(0.0, "calibrating the camera")
             try:
-                detection = look_at_line(cell.robot, cell.reference, cell.camera, arm, camera, span, streams(scene)[4])
-            except SensingError as error:
+                hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera,
+                                               GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
+                                               cell.detector, moved)
+            except (SceneError, SensingError) as error:
                 reasons.append(str(error))
-            if model is not None:
-                progress(0.0, "calibrating the camera")
-                try:
-                    hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera,
-                                                   GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
-                                                   cell.detector, moved)
-                except (SceneError, SensingError) as error:
-                    reasons.append(str(error))
-        yield Prepared(camera, detection, hand_eye, moved=tuple(moved), warning="; ".join(reasons))
+    return Prepared(camera, detection, hand_eye, moved=tuple(moved), warning="; ".join(reasons))

@@ -18,6 +18,7 @@ from scenes.line.replay import line_replay, surface_corners, with_ghost
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
 from scenes.report.world_table import COLUMNS, world_rows
+from scenes.thinned import step
 from sim.arm.picture import picture
 
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
@@ -177,8 +178,9 @@ def _cell(result: LineResult) -> Figure:
     # No wider than a phone shows whole: there are no letters in it.
     figure = Figure(figsize=(6.8, 5.1))
     axes = figure.subplots()
-    q = result.recording.joints("q")
-    axes.imshow(picture(Robot.load(result.scene.robot), q[len(q) // 2], lines=(result.geometry.drawn,),
+    middle = len(result.recording.t) // 2
+    q = result.recording.joints("q", slice(middle, middle + 1))[0]
+    axes.imshow(picture(Robot.load(result.scene.robot), q, lines=(result.geometry.drawn,),
                         surface=surface_corners(result)))
     axes.set_axis_off()
     figure.tight_layout()
@@ -192,11 +194,12 @@ def _from_above(result: LineResult) -> Figure:
     drawn, reference = (1e3 * _in_plane(points, plane) for points in (result.geometry.drawn, result.geometry.reference))
     axes.plot(*reference.T, "--", color=BLUE, lw=1.2, label="reference path x_r")
     axes.plot(*drawn.T, color=INK, lw=3.5, alpha=0.75, label="drawn line")
+    every = step(len(result.recording.t))
     if all(name in result.recording.columns for name in "xyz"):
-        tcp = np.column_stack([result.recording.columns[name] for name in "xyz"])
+        tcp = np.column_stack([result.recording.columns[name][::every] for name in "xyz"])
     else:
         pose = Robot.load(result.scene.robot).fk()
-        tcp = np.array([pose(row).translation for row in result.recording.joints("q")[::5]])
+        tcp = np.array([pose(row).translation for row in result.recording.joints("q", slice(None, None, 5 * every))])
     axes.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
     axes.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")
     axes.margins(y=0.25)
@@ -231,7 +234,9 @@ def _along(result: LineResult) -> Figure:
     true = np.array([reference.project(point[None], start) for point, start in
                      zip(drawn, result.scene.reference.run_up + 0.005 * np.arange(len(drawn)), strict=True)])[:, :2, 0]
     above.plot(1e3 * true[:, 0], 1e3 * true[:, 1], color=INK, lw=3.5, alpha=0.6, label="drawn line")
-    above.plot(1e3 * result.s_reference, 1e3 * result.believed, color=ACCENT, lw=1.3, label="desired path x_d")
+    every = step(len(result.s_reference))
+    above.plot(1e3 * result.s_reference[::every], 1e3 * result.believed[::every], color=ACCENT, lw=1.3,
+               label="desired path x_d")
     above.axhline(0, color=BLUE, lw=1.0, ls="--", label="reference path x_r")
     above.set(xlabel="along the reference path [mm]", ylabel="deviation Δx_r [mm]")
     above.grid(alpha=0.25)

@@ -101,21 +101,23 @@ def _control_error(cell: Cell, t: Array, tcp: Array, first_used: float) -> tuple
     s, lateral = cell.line.beside(tcp)
     inside = (s > 1e-6) & (s < cell.line.length - 1e-6)
     if not inside.any() or not np.isfinite(first_used):
-        nothing = ControlError.of(np.empty(0), np.empty(0), np.empty(0))
+        nothing = ControlError.of(t, s, lateral, np.zeros(len(t), dtype=bool))
         return nothing, nothing, float("nan")
     followed_from = max(first_used, float(t[np.argmax(inside)]))
     counts = inside & (t >= followed_from + SETTLING)
-    whole, counted = (ControlError.of(t[which], s[which], lateral[which]) for which in (inside, counts))
+    whole, counted = (ControlError.of(t, s, lateral, which) for which in (inside, counts))
     return whole, counted, followed_from
 
 
 def _path_errors(cell: Cell, log: LineLog, t: Array, tcp: Array) -> PathErrors | None:
     """The true TCP against the desired path, once the line is followed."""
     times, q_d = np.array(log.t), np.array(log.q_d)
-    moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-7)
+    moving = np.flatnonzero(np.logical_or.reduce([np.abs(np.diff(column)) > 1e-7 for column in q_d.T]))
     if len(moving) < 8:
         return None
     pose = cell.robot.fk()
     part = slice(moving[0], moving[-1] + 1)
-    x_d = np.array([pose(q).translation for q in q_d[part]])
+    x_d = np.empty((part.stop - part.start, 3))
+    for i, q in enumerate(q_d[part]):
+        x_d[i] = pose(q).translation
     return path_errors(times[part], x_d, t, tcp)

@@ -13,6 +13,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.replay import Replay
 from scenes.report.sensed import sensed_force, sensed_line
+from scenes.thinned import step
 from sensing.camera.polyline import Polyline
 
 _MARGIN = 0.08
@@ -29,20 +30,21 @@ def line_replay(result: LineResult) -> Replay | None:
     if len(recording.t) < 2:
         return None
     robot = Robot.load(result.scene.robot)
-    q = recording.joints("qa")
+    rows = slice(None, None, step(len(recording.t)))
+    t, q = recording.t[rows], recording.joints("qa", rows)
     pose = robot.fk()
     tool = np.array([pose(row).translation for row in q])
     drawn = result.geometry.drawn
     counted = result.control_error
-    error = np.full(len(recording.t), np.nan)
+    error = np.full(len(t), np.nan)
     if len(counted.t) > 1:
-        error = np.abs(np.interp(recording.t, counted.t, counted.lateral, left=np.nan, right=np.nan))
+        error = np.abs(np.interp(t, counted.t, counted.lateral, left=np.nan, right=np.nan))
     curves = {"drawn line": drawn, "reference": result.geometry.reference}
     seen = sensed_line(robot, recording)
     if len(seen) > 1:
         curves["line as sensed"] = seen
-    return Replay(robot, recording.t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
-                  curves=curves, surface=surface_corners(result), force=sensed_force(robot, recording),
+    return Replay(robot, t, q, tool, _nearest(result, tool), 1e3 * error, "distance from the line",
+                  curves=curves, surface=surface_corners(result), force=sensed_force(robot, recording, rows),
                   pictures=tuple((one.t, _png(one)) for one in result.shown))
 
 
@@ -53,8 +55,9 @@ def with_ghost(replay: Replay, other: Recording) -> Replay:
         replay: of a run.
         other: recording of another run of the same scene; it stands still where it has ended already.
     """
-    q = other.joints("qa")
-    return replace(replay, ghost=np.column_stack([np.interp(replay.t, other.t, column) for column in q.T]))
+    rows = slice(None, None, step(len(other.t)))
+    q = other.joints("qa", rows)
+    return replace(replay, ghost=np.column_stack([np.interp(replay.t, other.t[rows], column) for column in q.T]))
 
 
 def _nearest(result: LineResult, points: Array) -> Array:

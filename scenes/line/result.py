@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import let_go
 from ideal_robot.signals.recording import Recording
 from scenes.drawn_line import Geometry
 from scenes.line.scene import LineScene
 from scenes.metrics import PathErrors
 from scenes.shown import ShownRun
+from scenes.thinned import step
 from sensing.camera.field import Window
 from sensing.camera.hand_eye import HandEye
 
@@ -28,8 +30,8 @@ class ControlError:
 
     Attributes:
         mean, p95, max: of its absolute value [m].
-        t: instants ``(N,)`` [s].
-        s: arc length of the drawn line ``(N,)`` [m].
+        t: instants ``(N,)`` [s]; of a long run every so manieth.
+        s: arc length of the drawn line at them ``(N,)`` [m].
         lateral: signed distance, positive to the left of the line ``(N,)`` [m].
     """
 
@@ -41,18 +43,22 @@ class ControlError:
     lateral: Array
 
     @classmethod
-    def of(cls, t: Array, s: Array, lateral: Array) -> ControlError:
-        """From signed distances; without any, all figures are NaN.
+    def of(cls, t: Array, s: Array, lateral: Array, counts: NDArray[np.bool_]) -> ControlError:
+        """From signed distances; without any that counts, all figures are NaN.
 
         Args:
             t: instants ``(N,)`` [s].
             s: arc length of the drawn line ``(N,)`` [m].
             lateral: signed distance, positive to the left ``(N,)`` [m].
+            counts: which of them count ``(N,)``.
         """
-        if len(lateral) == 0:
-            return cls(np.nan, np.nan, np.nan, t, s, lateral)
-        size = np.abs(lateral)
-        return cls(float(size.mean()), float(np.quantile(size, 0.95)), float(size.max()), t, s, lateral)
+        size = np.abs(lateral[counts])
+        rows = np.flatnonzero(counts)[:: step(len(size))]
+        series = t[rows], s[rows], lateral[rows]
+        let_go(t, s, lateral)
+        if len(size) == 0:
+            return cls(np.nan, np.nan, np.nan, *series)
+        return cls(float(size.mean()), float(np.quantile(size, 0.95)), float(size.max()), *series)
 
     def json_mm(self) -> dict[str, float]:
         """The three figures in millimetres."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import let_go
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.thinned import step
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -22,13 +26,17 @@ def sensed_line(arm: Robot, recording: Recording) -> Array:
     if count == 0:
         return np.empty((0, 3))
     middle = (count + 1) // 2
-    points = np.column_stack([recording.columns[f"line_{axis}_{middle}"] for axis in "xyz"])
-    q = recording.joints("qa" if recording.has("qa") else "q")
+    columns = [recording.columns[f"line_{axis}_{middle}"] for axis in "xyz"]
+    rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(column) for column in columns]))
+    rows = rows[:: step(len(rows))]
+    points = np.column_stack([column[rows] for column in columns])
+    q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    let_go(*columns)
     pose = arm.fk()
-    return np.array([pose(q[k]).act(points[k]) for k in np.flatnonzero(np.isfinite(points).all(axis=1))]).reshape(-1, 3)
+    return np.array([pose(q_k).act(point) for q_k, point in zip(q, points, strict=True)]).reshape(-1, 3)
 
 
-def sensed_force(arm: Robot, recording: Recording, rows: Array | None = None) -> Array | None:
+def sensed_force(arm: Robot, recording: Recording, rows: Any = slice(None)) -> Array | None:
     """Force of the environment on the tool ``(N, 3)`` [N]; None where no sensor measured.
 
     The tool's own weight and the sensor's bias are taken away where the recording says what calibration found of them.
@@ -36,13 +44,12 @@ def sensed_force(arm: Robot, recording: Recording, rows: Array | None = None) ->
     Args:
         arm: the arm.
         recording: with ``fx fy fz`` in the tool frame.
-        rows: of the recording; all if None.
+        rows: of the recording, as NumPy takes them; all by default.
     """
     if not all(name in recording.columns for name in ("fx", "fy", "fz")):
         return None
-    at = np.arange(len(recording.t)) if rows is None else rows
-    felt = np.column_stack([recording.columns[name] for name in ("fx", "fy", "fz")])[at]
-    q = recording.joints("qa" if recording.has("qa") else "q")[at]
+    felt = np.column_stack([recording.columns[name][rows] for name in ("fx", "fy", "fz")])
+    q = recording.joints("qa" if recording.has("qa") else "q", rows)
     tool = recording.meta.get("tool", {})
     tool = tool if isinstance(tool, dict) else {}
     bias = np.asarray(tool.get("bias", np.zeros(6)), dtype=float)[:3]

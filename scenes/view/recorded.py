@@ -62,10 +62,10 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
         recording: at least two samples.
     """
     rows = np.unique(np.linspace(0, len(recording.t) - 1, MOST).astype(int))
-    q = recording.joints("qa" if recording.has("qa") else "q")[rows]
+    q = recording.joints("qa" if recording.has("qa") else "q", rows)
     tool = _places(arm, q)
     name = next((one for one in ("q_d", "q_c") if recording.has(one)), None)
-    wanted = tool if name is None else _places(arm, recording.joints(name)[rows])
+    wanted = tool if name is None else _places(arm, recording.joints(name, rows))
     error = np.full(len(rows), np.nan) if name is None else 1e3 * np.linalg.norm(tool - wanted, axis=1)
     sensed = sensed_line(arm, recording)
     curves = {"commanded" if name == "q_c" else "desired": wanted} if name is not None else {}

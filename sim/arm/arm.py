@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import let_go, new_array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.limits import checked_command
 from ideal_robot.robots.robot import Robot
@@ -226,11 +227,12 @@ class SimulatedArm:
 
     def tcp_path(self) -> tuple[Array, Array]:
         """Times ``(N,)`` [s] of the history, and where the TCP truly was then ``(N, 3)`` [m]."""
-        t, place = np.empty(self._history.rows), np.empty((self._history.rows, 3))
+        t, place = new_array(self._history.rows), new_array(self._history.rows, 3)
         for first, logged in self._history.parts():
             t[first : first + len(logged["t"])] = logged["t"]
             for i, q in enumerate(logged["q_a"], start=first):
                 place[i] = self.tcp_of(q).translation
+            let_go(t, place)
         return t, place
 
     def recording(self, external: bool = False) -> Recording:

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_array import let_go, new_array
 from sensing.camera.polyline import Nearest, Polyline
 
 AT_A_TIME = 32768
@@ -160,12 +161,13 @@ class DrawnLine:
 
         The height above the plane counts for nothing.
         """
-        up, s, lateral = self.plane.rotation[:, 2], np.empty(len(tool)), np.empty(len(tool))
+        up, s, lateral = self.plane.rotation[:, 2], new_array(len(tool)), new_array(len(tool))
         # Many positions at a time take several times their own memory.
         for first in range(0, len(tool), AT_A_TIME):
             part = slice(first, first + AT_A_TIME)
             nearest = self.nearest(tool[part] - np.outer((tool[part] - self.plane.translation) @ up, up))
             s[part], lateral[part] = nearest.s, nearest.lateral
+            let_go(tool, s, lateral)
         return s, lateral
 
     def distance(self, points: Array) -> Array:

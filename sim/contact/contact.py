@@ -19,6 +19,7 @@ from numba import njit
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_array import let_go, new_array
 from ideal_robot.row_log import RowLog
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
@@ -138,13 +139,20 @@ class TipContact:
                                         physicsClientId=arm.client)
 
     def history(self) -> dict[str, Array]:
-        """The contact every 0.5 ms; of a long run it is read from its file when used.
+        """The contact every 0.5 ms; of a long run its columns lie in files and are read when used.
 
         Keys: ``t (N,)`` [s], ``normal`` force ``(N,)`` [N], ``force`` on the tip in the base frame ``(N, 3)`` [N],
         ``height`` of the surface ``(N,)`` and ``tip (N, 3)`` in plane coordinates [m].
         """
-        rows = self._log.mapped()
-        return {"t": rows[:, 0], "normal": rows[:, 1], "force": rows[:, 2:5], "height": rows[:, 5], "tip": rows[:, 6:]}
+        count = self._log.rows
+        found = {name: new_array(count) for name in ("t", "normal", "height")}
+        found |= {name: new_array(count, 3) for name in ("force", "tip")}
+        for first, rows in self._log.blocks():
+            part = slice(first, first + len(rows))
+            for name, columns in (("t", 0), ("normal", 1), ("force", slice(2, 5)), ("height", 5), ("tip", slice(6, 9))):
+                found[name][part] = rows[:, columns]
+            let_go(*found.values())
+        return found
 
     def force_at(self, t: float) -> Array:
         """Force on the tip in the base frame ``(3,)`` at ``t`` [s], zero before the start."""

@@ -64,3 +64,17 @@ def test_too_little_is_refused():
 def test_reduction():
     assert reduction_percent(2.0, 0.5) == pytest.approx(75.0)
     assert reduction_percent(1.0, 2.0) == pytest.approx(-100.0)
+
+
+def test_a_long_motion_is_compared_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A spline's end does not reach through the overlap of two pieces: all measures are those of the whole one.
+    wobble = 1e-4 * np.random.default_rng(3).standard_normal((len(FINE), 3))
+    whole = path_errors(T, circle(T), FINE, circle(FINE - 0.0137) + wobble)
+    monkeypatch.setattr("scenes.metrics.PIECE", 150)
+    pieces = path_errors(T, circle(T), FINE, circle(FINE - 0.0137) + wobble)
+    assert len(FINE) > 300
+    assert pieces.delay == pytest.approx(whole.delay, abs=1e-7)
+    for kind in ("time_matched", "aligned", "geometric"):
+        one, other = getattr(whole, kind), getattr(pieces, kind)
+        assert other.E_car == pytest.approx(one.E_car, rel=1e-6)
+    np.testing.assert_allclose(pieces.time_matched.deviation, whole.time_matched.deviation, atol=1e-12)

@@ -100,3 +100,15 @@ def test_single_instant_agrees_with_many() -> None:
 def test_a_path_that_would_last_for_hours_is_refused_before_it_is_sampled() -> None:
     with pytest.raises(InputError, match="would last"):
         SpeedProfile.plan(kr6(), reference(), Limits(1e-8), joint_path())
+
+
+def test_a_long_travel_has_a_bounded_number_of_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    fine = profile(0.05)
+    monkeypatch.setattr("planning.path.speed_profile.MOST_TICKS", round(fine.duration / 0.004))
+    coarse = SpeedProfile.plan(kr6(), reference(), Limits(0.05), joint_path())
+    assert fine.tick == 0.001 and coarse.tick in (0.004, 0.005)
+    t = np.linspace(0.0, fine.duration, 500)
+    np.testing.assert_allclose(coarse.s(t), fine.s(t), atol=1e-3)
+    np.testing.assert_allclose(coarse.at(1.234)[0], coarse.s(1.234), rtol=1e-12)
+    jerk = np.abs(np.diff(coarse.speed(coarse.tick * np.arange(round(coarse.duration / coarse.tick) + 1)), 2))
+    assert jerk.max() / coarse.tick**2 < 1.1 * Limits(0.05).jerk
