@@ -29,6 +29,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.given import expect, recordings_of
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stretches import stretches
 from ideal_robot.summary import Summarised, listed
 
 if TYPE_CHECKING:
@@ -170,6 +171,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
     recordings, validation, without_integrator = (
         recordings_of(given, name) for given, name in ((recordings, "recordings"), (validation, "validation"),
                                                        (without_integrator, "without_integrator")))
+    (recordings, shortened), (validation, _) = stretches(recordings), stretches(validation)
     steps = Steps(progress, SHARES_WITH_CASCADE if cascade else SHARES)
     steps.begin("friction and rigid body")
     two_step = None
@@ -178,7 +180,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
                           cutoff_decimation=cutoff_decimation)
     else:
         result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
-    warnings, missing = list(result.warnings), []
+    warnings, missing = [*shortened, *result.warnings], []
     steps.begin("controller")
     controller, loop, model = None, None, result.model
     with_command = [r for r in result.recordings if r.has("q_c")]

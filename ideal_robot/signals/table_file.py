@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,12 +13,17 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.signals.column_store import ColumnStore
 
 if TYPE_CHECKING:
     import pandas as pd
 
 MAX_VALUES = 400_000_000
 """Most numbers in a table (3.2 GB): four hours of 50 columns at 500 Hz."""
+AT_ONCE = 20_000_000
+"""Values of a table that is read at once into memory; of a larger one ..."""
+PIECE = 65_536
+"""... so many rows at a time."""
 MAX_COLUMNS = 5_000
 """Most columns."""
 MAX_METADATA = 20_000_000
@@ -27,48 +33,89 @@ MAX_METADATA = 20_000_000
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     """Columns ``(N,)`` by name, and the metadata, of a Parquet file, or of a CSV file by its ending.
 
+    Of large tables the columns lie in a file without a name, read-only, and are filled piece by piece.
+
     Args:
         path: of a plain file.
 
     Raises:
         InputError: not readable, larger than the bounds, a column twice or not of numbers, metadata that is no table.
     """
-    meta: dict[str, Any] = {}
     try:
-        if path.suffix == ".csv":
-            frame = _csv(path)
-        else:
-            frame, meta = _parquet(path)
+        return _csv(path) if path.suffix == ".csv" else _parquet(path)
     except InputError:
         raise
     except Exception as error:  # pandas and Arrow raise many kinds for a damaged file
         shown = " ".join(str(error).split())[:300]
         raise InputError(f"not a readable recording ({type(error).__name__}: {shown}); expected Parquet, CSV, a ROS 2 "
                          "bag or MCAP", file=path) from error
-    columns = {}
-    for name in frame.columns:
-        if frame[name].dtype.kind not in "fiubO":
-            raise InputError("column is not numeric", file=path, field=_shown(name))
-        try:
-            columns[str(name)] = np.array(frame[name], dtype=float)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise InputError("column is not numeric", file=path, field=_shown(name)) from error
-    return columns, meta
 
 
-def _parquet(path: Path) -> tuple[pd.DataFrame, dict[str, Any]]:
+def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
         schema = file.schema_arrow
-        _check_size(file.metadata.num_rows, schema.names, path)
+        rows = file.metadata.num_rows
+        _check_size(rows, schema.names, path)
         for field in schema:
             if pa.types.is_nested(field.type):
                 raise InputError("column is not numeric", file=path, field=_shown(field.name))
         raw = (schema.metadata or {}).get(b"ideal_robot")
-        frame = file.read().to_pandas()
-    return frame, {} if raw is None else _metadata(raw, path)
+        if rows * len(schema.names) <= AT_ONCE:
+            columns = _whole(file.read().to_pandas(), path)
+        else:
+            columns = _filled((batch.to_pandas() for batch in file.iter_batches(PIECE)), rows, path)
+    return columns, {} if raw is None else _metadata(raw, path)
+
+
+def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
+    import pandas as pd
+
+    with path.open(encoding="utf-8-sig", newline="") as text:
+        names = next(csv.reader([text.readline(10_000_000)]), [])
+    _check_size(path.stat().st_size // max(2 * len(names), 1), names, path)
+    with warnings.catch_warnings():
+        # Rows of more values than there are names, which pandas would cut.
+        warnings.simplefilter("error", pd.errors.ParserWarning)
+        # No value takes less than two bytes.
+        if path.stat().st_size <= 2 * AT_ONCE:
+            return _whole(pd.read_csv(path, index_col=False, low_memory=False), path), {}
+        with pd.read_csv(path, index_col=False, low_memory=False, chunksize=PIECE) as pieces:
+            return _filled(pieces, _lines(path), path), {}
+
+
+def _whole(frame: pd.DataFrame, path: Path) -> dict[str, Array]:
+    return {str(name): _numbers(frame, name, path) for name in frame.columns}
+
+
+def _filled(frames: Iterable[pd.DataFrame], most: int, path: Path) -> dict[str, Array]:
+    """Columns of tables one below the other, of ``most`` rows together at most."""
+    store: ColumnStore | None = None
+    count = 0
+    for frame in frames:
+        store = store or ColumnStore([str(name) for name in frame.columns], most)
+        for name in frame.columns:
+            store.fill(str(name), count, _numbers(frame, name, path))
+        count += len(frame)
+        store.release()
+    return {} if store is None else {name: values[:count] for name, values in store.finished().items()}
+
+
+def _numbers(frame: pd.DataFrame, name: Any, path: Path) -> Array:
+    if frame[name].dtype.kind not in "fiubO":
+        raise InputError("column is not numeric", file=path, field=_shown(name))
+    try:
+        return np.array(frame[name], dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError("column is not numeric", file=path, field=_shown(name)) from error
+
+
+def _lines(path: Path) -> int:
+    """Lines of a text file, the last one included."""
+    with path.open("rb") as file:
+        return 1 + sum(block.count(b"\n") + block.count(b"\r") for block in iter(lambda: file.read(1 << 20), b""))
 
 
 def _metadata(raw: bytes, path: Path) -> dict[str, Any]:
@@ -83,18 +130,6 @@ def _metadata(raw: bytes, path: Path) -> dict[str, Any]:
         raise InputError("expected a table (a JSON object)", file=path, field="metadata ideal_robot",
                          value=_shown(meta))
     return meta
-
-
-def _csv(path: Path) -> pd.DataFrame:
-    import pandas as pd
-
-    with path.open(encoding="utf-8-sig", newline="") as text:
-        names = next(csv.reader([text.readline(10_000_000)]), [])
-    _check_size(path.stat().st_size // max(2 * len(names), 1), names, path)
-    with warnings.catch_warnings():
-        # Rows of more values than there are names, which pandas would cut.
-        warnings.simplefilter("error", pd.errors.ParserWarning)
-        return pd.read_csv(path, index_col=False, low_memory=False)
 
 
 def _check_size(rows: int, names: list[str], path: Path) -> None:
