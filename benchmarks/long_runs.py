@@ -4,10 +4,11 @@
     python benchmarks/long_runs.py --line 60,3600 --force 60,3600 --runs 10,1000 --record 600,14400
 
 Every length is played in a process of its own, forked from one that has loaded the program; recording, replay and
-page are written as ``ideal-robot run --out`` writes them. The table gives processor time, and by how much the resident memory
-grew at most, pages of files that are mapped included. Below it stand the slopes from each length to the next: where
-they are the same, time and memory are linear. How far a length has come is told on the error output. An hour of line
-costs about 20 minutes of processor time, of force about 15, and 4 GB of the folder for temporary files (``TMPDIR``).
+page are written as ``ideal-robot run --out`` writes them. The table gives processor time, and by how much the resident
+memory grew at most, pages of files that are mapped included. Below it stand the slopes from each length to the next:
+where they are the same, time and memory are linear. How far a length has come is told on the error output. An hour of
+line costs about 20 minutes of processor time, of force about 15, and 4 GB of the folder for temporary files
+(``TMPDIR``).
 """
 
 from __future__ import annotations

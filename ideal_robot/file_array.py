@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 import mmap
+import os
 import tempfile
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.whole_file import OutputError
 
 IN_MEMORY = 2_000_000
 """Values of an array that is held in memory; a larger one lies in a file."""
@@ -17,11 +19,31 @@ IN_MEMORY = 2_000_000
 def new_array(*shape: int) -> Array:
     """An array of that shape to be filled, all zero if it lies in a file."""
     count = math.prod(shape)
-    if count <= IN_MEMORY:
-        return np.empty(shape)
-    with tempfile.TemporaryFile() as file:
-        file.truncate(8 * count)
-        return np.frombuffer(mmap.mmap(file.fileno(), 0)).reshape(shape)
+    return np.empty(shape) if count <= IN_MEMORY else in_new_file(count).reshape(shape)
+
+
+def in_new_file(count: int) -> Array:
+    """So many zeros in a file without a name.
+
+    Raises:
+        OutputError: the folder for temporary files has no room for it.
+    """
+    try:
+        with tempfile.TemporaryFile() as file:
+            # Room that is only promised would end the program where it is written to and not there.
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, 8 * count)
+            else:
+                file.truncate(8 * count)
+            return np.frombuffer(mmap.mmap(file.fileno(), 0))
+    except OSError as error:
+        raise no_room(error) from error
+
+
+def no_room(error: OSError) -> OutputError:
+    """What is said where a file without a name cannot be written."""
+    return OutputError(f"{tempfile.gettempdir()}: temporary files of a long run cannot be written "
+                       f"({error.strerror or error}); make room, or set TMPDIR to another folder")
 
 
 def file_of(values: Array) -> mmap.mmap | None:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import no_room
 
 KEPT = 32768
 """Rows held in memory at most; a power of two times the first ones."""
@@ -99,12 +100,15 @@ class RowLog:
 
     def _store(self) -> None:
         """Brings the rows in memory to the file; what was handed out before stays valid."""
-        if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the log is)
-            weakref.finalize(self, self._file.close)
-        self._file.seek(0, os.SEEK_END)
-        self._file.write(self._log[: self.rows - self._first].data)
-        self._file.flush()
+        try:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the log is)
+                weakref.finalize(self, self._file.close)
+            self._file.seek(0, os.SEEK_END)
+            self._file.write(self._log[: self.rows - self._first].data)
+            self._file.flush()
+        except OSError as error:
+            raise no_room(error) from error
         # The row that is filled next may have been begun already.
         begun = self._log[self.rows - self._first :][:1].copy()
         self._log[:] = 0.0

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import mmap
-import tempfile
 from collections.abc import Sequence
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.file_array import file_of
+from ideal_robot.file_array import file_of, in_new_file, let_go
 from ideal_robot.row_log import KEPT
 
 
@@ -23,20 +21,11 @@ class ColumnStore:
     """
 
     def __init__(self, names: Sequence[str], length: int) -> None:
-        self._map: mmap.mmap | None = None
-        if length <= KEPT:
-            self._columns = {name: np.empty(length) for name in names}
-            return
-        with tempfile.TemporaryFile() as file:
-            file.truncate(8 * length * len(names))
-            self._map = mmap.mmap(file.fileno(), 0)
-        whole = np.frombuffer(self._map).reshape(len(names), length)
-        self._columns = dict(zip(names, whole, strict=True))
-
-    @property
-    def in_memory(self) -> bool:
+        self.in_memory = length <= KEPT
         """Whether the columns are held in memory."""
-        return self._map is None
+        columns = [np.empty(length) for _ in names] if self.in_memory else in_new_file(len(names) * length).reshape(
+            len(names), length)
+        self._columns = dict(zip(names, columns, strict=True))
 
     def fill(self, name: str, first: int, values: Array) -> None:
         """Writes a piece of a column.
@@ -50,8 +39,7 @@ class ColumnStore:
 
     def release(self) -> None:
         """What was filled need not stay in memory: to be called after every piece."""
-        if self._map is not None and hasattr(self._map, "madvise"):
-            self._map.madvise(mmap.MADV_DONTNEED)
+        let_go(*list(self._columns.values())[:1])
 
     def finished(self) -> dict[str, Array]:
         """The columns, read-only from now on."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -26,3 +29,32 @@ def test_letting_go_does_nothing_to_arrays_in_memory() -> None:
     values = np.arange(5.0)
     let_go(values, np.empty(0))
     np.testing.assert_array_equal(values, np.arange(5.0))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as Linux does")
+def test_no_room_for_a_temporary_file_is_said_before_anything_is_written() -> None:
+    """A limit on the size of files stands for the disk."""
+    program = """
+import resource, signal
+import subprocess
+import sys
+
+import numpy as np
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.file_array import in_new_file
+from ideal_robot.row_log import KEPT, RowLog
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+def fill():
+    log = RowLog()
+    for row in np.ones((KEPT + 1, 2)):
+        log.append(row)
+for job in (lambda: in_new_file(10_000), fill):
+    try:
+        job()
+    except IdealRobotError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("set TMPDIR to another folder") == 2
