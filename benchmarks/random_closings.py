@@ -30,7 +30,7 @@ from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import closed
 from scenes.path.close_loop_result import CloseLoopResult
 from scenes.path.scene import PathScene
-from scenes.path.undeclared import undeclared_effects
+from scenes.undeclared import undeclared_effects
 from sim.arm.world import World
 
 FIRST_INDIVIDUAL = 1

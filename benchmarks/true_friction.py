@@ -23,7 +23,7 @@ from ideal_robot.loop.loop_model import LoopModel
 from scenes import load_scene
 from scenes.path.cell import PathCell, set_up
 from scenes.path.scene import PathScene
-from scenes.path.undeclared import undeclared_effects
+from scenes.undeclared import undeclared_effects
 from sim.arm.friction import steady_friction
 from sim.arm.specimen import draw_specimen
 

@@ -28,6 +28,7 @@ from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
+from scenes.undeclared import keys_of_arm
 
 SHARES = {"before": 0.09, "diagnosis": 0.14, "after": 0.1, "oracle": 0.08, "true": 0.08, "report": 0.51}
 """Measured shares of the time."""
@@ -120,6 +121,11 @@ def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:
         found.append("force_bias")
     if scene.assumed.elasticity_ratio != 1.0 and not scene.assumed.elasticity_estimated:
         found.append("force_compliance")
+    keys = keys_of_arm(scene)
+    if not found and keys:
+        raise InputError("sensor and contact are right, and what this does to the force is not looked for here: close "
+                         "a path scene with this world, and give its model to this one",
+                         file=f"scene {scene.name}", field=f"world.{keys[0]}", value=scene.world[keys[0]])
     if not found:
         raise InputError("sensor and contact are right, or the controller finds out by itself: nothing is there to be "
                          "found; set sensor.drift, or assumed.elasticity_ratio with elasticity_estimated = false",

@@ -2,7 +2,8 @@
 
 What the diagnosis finds of time stamps, mounting and lens goes into the model file, from where the follower takes what
 it believes. It stays only if the points that the camera saw then lie closer to one smooth curve: all the cell itself
-can measure. The oracle knows which of them are wrong, and fits them to the same recording.
+can measure of its camera. What is found of the arm stays only if the tool then keeps closer to what the follower
+wanted. The oracle knows which of them are wrong, and fits them to the same recording.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.oracle import named_camera_effects
+from ideal_robot.diagnosis.validation.oracle import named_camera_effects, with_named_effects
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
@@ -24,6 +25,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.line.cell import Prepared, prepared, set_up
+from scenes.line.close_arm import acting, effects_of_arm, kept, motion_about
 from scenes.line.close_loop_page import write_line_circle
 from scenes.line.close_loop_result import CloseLineResult
 from scenes.line.play import play
@@ -36,6 +38,7 @@ from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_error import SceneError
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
+from scenes.undeclared import GEOMETRY, effects_of_world, keys_of_arm
 
 ROUNDS = 4
 """Of run and diagnosis, at most: an error of some percent is found with some percent of itself."""
@@ -52,18 +55,21 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
         progress: called with the fraction done.
 
     Raises:
-        InputError: a scene whose camera is right.
+        InputError: a scene whose camera is right and whose arm is as its model.
     """
-    return closed(scene, undeclared_effects(scene), measured=measured, out=out, progress=progress)
+    undeclared = undeclared_effects(scene)
+    arm = acting(effects_of_world(scene, Robot.load(scene.robot).n)) if keys_of_arm(scene) else ()
+    return closed(scene, undeclared, arm=arm, measured=measured, out=out, progress=progress)
 
 
-def closed(scene: LineScene, undeclared: tuple[str, ...], *, measured: str = "tcp", out: Path | None = None,
-           progress: Progress = silent) -> CloseLineResult:
+def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[str, int], ...] = (),
+           measured: str = "tcp", out: Path | None = None, progress: Progress = silent) -> CloseLineResult:
     """The same with what an oracle is told, which may be nothing.
 
     Args:
         scene: what to play.
         undeclared: names of the effects by which the camera differs from what its follower knows.
+        arm: effects, with their joints, by which the arm differs from its model; without any it is not looked at.
         measured: what the arm measures.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
@@ -112,9 +118,30 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, measured: str = "tc
                     break
             if not taken:
                 break
+        if arm:
+            about = visible(motion_about(cell), seen_by)
+            of_arm = effects_of_arm(diagnose(about, robot, model=extended), about, robot, extended)
+            reached_by_tool = kept(visible(present.recording, seen_by), robot, model)
+            alone = tuple((one,) for one in of_arm) if len(of_arm) > 1 else ()
+            for part in (of_arm, *alone) if of_arm else ():
+                progress(0.72, words(part))
+                try:
+                    tried = again(with_effects(extended, part))
+                except SceneError as failed:
+                    steps.append(Trial(len(found), f"{words(part)} of the arm", False, f"cannot be played: {failed}",
+                                       float("nan")))
+                    continue
+                left = kept(visible(tried.recording, seen_by), robot, model)
+                refused = "" if left < LEAST * reached_by_tool else \
+                    f"the tool keeps no closer to what it was to follow: {1e3 * reached_by_tool:.3g} mm before"
+                steps.append(Trial(len(found), f"{words(part)} of the arm", not refused, refused, left))
+                if not refused:
+                    extended, present = with_effects(extended, part), tried
+                    break
         progress(0.75, "oracle")
         told = with_effects(model, named_camera_effects(run, robot, model, undeclared)) if undeclared else model
-        oracle = again(told) if undeclared else before
+        told = with_named_effects(about, robot, told, arm) if arm else told
+        oracle = again(told) if undeclared or arm else before
         progress(0.9, "true")
         known = with_effects(model, _true_stamps(scene))
         right = dataclasses.replace(shared, believed=cell.true_camera) if not scene.calibration.by_moving else shared
@@ -122,7 +149,7 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, measured: str = "tc
     latency = {"before": assumed_latency(model), "after": assumed_latency(extended), "oracle": assumed_latency(told),
                "true": assumed_latency(known)}
     result = CloseLineResult(scene, undeclared, before.control_error, present.control_error, oracle.control_error,
-                             true.control_error, latency, found[0], before.recording, first, tuple(steps))
+                             true.control_error, latency, found[0], before.recording, first, tuple(steps), arm)
     if out is None:
         return result
     return write_line_circle(result, extended, out)
@@ -132,7 +159,7 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
     """Effects by which the camera of a scene differs from what its follower knows.
 
     Raises:
-        InputError: none, or one that cannot be seen along a line; names the keys.
+        InputError: none, nor any of the arm, or one that cannot be seen along a line; names the keys.
     """
     camera, wrong = scene.camera, scene.calibration
     found = []
@@ -153,10 +180,17 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
             found.append("camera_offset")
         if wrong.k1:
             found.append("lens_distortion")
-    if not found:
+    keys = keys_of_arm(scene)
+    if not found and keys and all(key in GEOMETRY for key in keys):
+        raise InputError("along a line nothing of it is left to be found: the camera rides on the arm, and sees the "
+                         "line by the same wrong geometry with which the arm goes there; close a path scene with this "
+                         "world",
+                         file=f"scene {scene.name}", field=f"world.{keys[0]}", value=scene.world[keys[0]])
+    if not found and not keys:
         raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
                          "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
-                         "[calibration] with by_moving = false", file=f"scene {scene.name}", field="camera")
+                         "[calibration] with by_moving = false, or one of the arm's keys in [world]",
+                         file=f"scene {scene.name}", field="camera")
     return tuple(found)
 
 

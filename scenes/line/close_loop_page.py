@@ -24,9 +24,10 @@ def write_line_circle(result: CloseLineResult, extended: Model, folder: Path) ->
     """
     page = Report(f"{result.scene.title or result.scene.name}: the loop closed", summary(result.diagnosis))
     before, after, oracle = (1e3 * e.mean for e in (result.before, result.after, result.oracle))
-    hidden = " and ".join(name.replace("_", " ") for name in result.undeclared)
-    page.summary = (f"The camera was wrong ({hidden}), which the line follower did not know. With the model as it was "
-                    f"the tool is {before:.3g} mm beside the line in the mean, with what the diagnosis of that run "
+    names = dict.fromkeys([*result.undeclared, *(name for name, _ in result.arm)])
+    hidden = " and ".join(name.replace("_", " ") for name in names)
+    page.summary = (f"Camera or arm were wrong ({hidden}), which the line follower did not know. With the model as it "
+                    f"was the tool is {before:.3g} mm beside the line in the mean, with what the diagnosis of that run "
                     f"added {after:.3g} mm, with an oracle that knows what is wrong {oracle:.3g} mm. " + page.summary)
     page.heading("Distance from the line before and after")
     page.table(["model", "latency assumed ms", "mean mm", "95 % mm", "max mm"], result.table(),

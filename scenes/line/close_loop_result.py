@@ -27,7 +27,9 @@ class CloseLineResult(ShownTable):
         diagnosis: what was found at first.
         recording: what it was found from.
         spread: of the seen points about one smooth curve with the model as it was [m].
-        steps: every change that was tried, with the spread it left and the reason of a refusal.
+        steps: every change that was tried, with the spread it left and the reason of a refusal; of a change of the arm
+            how far the tool was from where the follower wanted it.
+        arm: effects, with their joints, by which the arm differed from its model.
     """
 
     scene: LineScene
@@ -41,6 +43,7 @@ class CloseLineResult(ShownTable):
     recording: Recording = field(repr=False)
     spread: float = float("nan")
     steps: tuple[Trial, ...] = ()
+    arm: tuple[tuple[str, int], ...] = ()
     model_path: Path | None = None
     report: Path | None = None
 
@@ -52,7 +55,8 @@ class CloseLineResult(ShownTable):
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
         return {
-            "scene": self.scene.name, "undeclared": [{"effect": name, "joint": 0} for name in self.undeclared],
+            "scene": self.scene.name, "undeclared": [{"effect": name, "joint": joint} for name, joint in
+                                                       (*((name, 0) for name in self.undeclared), *self.arm)],
             "path_error_mm": {name: {"mean": 1e3 * e.mean, "p95": 1e3 * e.p95, "max": 1e3 * e.max}
                               for name, e in self.errors.items()},
             "latency_ms": {name: 1e3 * value for name, value in self.latency.items()},

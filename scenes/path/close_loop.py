@@ -31,9 +31,9 @@ from scenes.path.close_loop_page import write_circle
 from scenes.path.close_loop_result import CloseLoopResult
 from scenes.path.last_good import last_good
 from scenes.path.scene import JointPath, PathScene
-from scenes.path.undeclared import declared_world, undeclared_effects
 from scenes.result import Progress, part_of, silent
 from scenes.scene import OWN
+from scenes.undeclared import declared_world, undeclared_effects
 
 ROUNDS = 3
 """Of run and diagnosis, at most."""

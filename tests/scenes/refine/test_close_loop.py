@@ -15,8 +15,8 @@ from scenes.path.cell import PathCell
 from scenes.path.close_loop import close_loop
 from scenes.path.last_good import NAME, last_good
 from scenes.path.scene import PathScene
-from scenes.path.undeclared import undeclared_effects
 from scenes.scene_error import SceneError
+from scenes.undeclared import undeclared_effects
 
 
 @pytest.mark.slow

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from benchmarks.random_lines import drawn_error, drawn_line
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -59,3 +61,40 @@ def test_camera_that_nobody_calibrated_is_set_right() -> None:
     result = close_loop(scene)
     assert result.after.mean < 0.7 * result.before.mean
     assert result.after.mean <= 1.5 * result.oracle.mean
+
+
+def test_geometry_of_the_arm_is_refused_along_a_line_with_its_key() -> None:
+    """The camera rides on the arm: 0.5 mm of every joint leave the distance from the line as it was."""
+    scene = load_scene("line").changed(world={"base": "bench", "kinematic_error": 5e-4})
+    assert isinstance(scene, LineScene)
+    with pytest.raises(InputError, match="path scene") as caught:
+        close_loop(scene)
+    assert caught.value.field == "world.kinematic_error"
+
+
+@pytest.mark.slow
+def test_friction_that_the_model_does_not_know_is_found_in_a_motion_about_the_line() -> None:
+    scene = load_scene("close_latency").changed(
+        world={"base": "bench", "stribeck": [30.0, 120.0, 30.0, 1.5, 1.5, 0.8]}, camera={"stamp_offset": 0.0})
+    assert isinstance(scene, LineScene)
+    result = close_loop(scene)
+    assert result.undeclared == ()
+    assert ("stribeck", 2) in result.arm
+    assert result.after.mean < 0.7 * result.before.mean
+    assert result.after.mean <= 1.25 * result.oracle.mean
+
+
+def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
+    """What is drawn at random is a line scene that can be closed, and a right camera stays right."""
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        right = drawn_line(rng)
+        with pytest.raises(InputError, match="nothing is there"):
+            undeclared_effects(right)
+        misfit = drawn_error(rng)
+        wrong = right.changed(**misfit)
+        assert isinstance(wrong, LineScene)
+        names = undeclared_effects(wrong)
+        assert 1 <= len(names) <= 2
+        assert all(getattr(getattr(wrong, table), key) == size for table, own in misfit.items()
+                   for key, size in own.items())

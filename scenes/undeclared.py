@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
-from scenes.path.scene import PathScene
+from scenes.scene import Scene
+from scenes.worlds import WORKSHOP
 from sim.arm.world import World
 
 EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
@@ -18,10 +19,12 @@ EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {
     "load_friction": ("load_dependent_friction",), "extra_rotor_inertia": ("rotor_inertia",),
     "torque_ripple": ("torque_ripple",), "transmission_error": ("transmission_error",),
     "payload_mass": ("payload",), "kinematic_error": ("kinematic_error",), "zero_error": ("kinematic_error",),
-    "drive_gain_error": ("drive_gain",),
+    "twist_error": ("kinematic_error",), "drive_gain_error": ("drive_gain",),
 }
 """What a key of the scene's world is called in the effect library."""
-_OF_ALL_JOINTS = ("kinematic_error", "zero_error", "drive_gain_error")
+GEOMETRY = ("kinematic_error", "zero_error", "twist_error")
+"""Keys of an arm whose geometry is not that of its drawings."""
+_OF_ALL_JOINTS = (*GEOMETRY, "drive_gain_error")
 _PARTS = ("payload_com", "payload_inertia", "ripple_order", "transmission_order")
 """Keys that say where or how often, and nothing by themselves."""
 _SETTINGS = ("individual", "correction_delay", "quantisation", "encoder_increments", "current_noise", "log_cycle",
@@ -43,7 +46,7 @@ _REASONS = {
 """Why a world with this key cannot be closed."""
 
 
-def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
+def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     """Effects by which the scene's world differs from the default one, with the joints they sit in (0: all of them).
 
     Args:
@@ -52,6 +55,23 @@ def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
 
     Raises:
         InputError: a world that cannot be closed, which key and why; or one that holds nothing undeclared.
+    """
+    result = effects_of_world(scene, n)
+    if not result:
+        raise InputError("the scene's world holds nothing that the model does not know; set one of "
+                         f"{', '.join(EFFECTS_OF_KEY)}", file=f"scene {scene.name}", field="world")
+    return result
+
+
+def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
+    """As ``undeclared_effects``, of a world that may hold none.
+
+    Args:
+        scene: its world is looked at.
+        n: number of joints.
+
+    Raises:
+        InputError: a world that cannot be closed, which key and why.
     """
     default, file = World.default(scene.robot), f"scene {scene.name}"
     for key, value in scene.arm_world.items():
@@ -70,13 +90,18 @@ def undeclared_effects(scene: PathScene, n: int) -> tuple[tuple[str, int], ...]:
             own = np.broadcast_to(np.asarray(scene.arm_world[key], dtype=float), (n,))
             joints = [int(j) + 1 for j in np.flatnonzero(own != default.per_joint(key, n))]
         result += [(effect, joint) for effect in effects for joint in joints if (effect, joint) not in result]
-    if not result:
-        raise InputError("the scene's world holds nothing that the model does not know; set one of "
-                         f"{', '.join(EFFECTS_OF_KEY)}", file=file, field="world")
     return tuple(result)
 
 
-def declared_world(scene: PathScene) -> dict[str, Any]:
+def keys_of_arm(scene: Scene) -> tuple[str, ...]:
+    """Keys of the scene's world that say that the arm is not as its model, beyond what its kind of world has anyway."""
+    default, usual = World.default(scene.robot), scene.workshop.get("world", {})
+    usual = usual if scene.world.get("base") == WORKSHOP else {}
+    return tuple(key for key, value in scene.arm_world.items() if key in EFFECTS_OF_KEY and value != usual.get(key)
+                 and _differs(default, key, value))
+
+
+def declared_world(scene: Scene) -> dict[str, Any]:
     """The part of the world that an own model of the arm is identified in: without what is undeclared."""
     return {key: value for key, value in scene.arm_world.items() if key in _SETTINGS}
 
