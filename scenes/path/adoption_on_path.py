@@ -32,8 +32,11 @@ from scenes.path.scene import JointPath
 
 _LEAST = 0.99
 """An error that falls by less than a hundredth has not fallen."""
-_DOUBT = 0.3
-"""Share by which the give of gears under loads that only currents show may be wrong."""
+_DOUBT_OF_GEARS = 0.3
+"""Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
+small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show
+nothing of it. What a load's own standard deviation leaves open comes on top."""
+_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
@@ -160,7 +163,10 @@ class _Ladder:
 
     def _doubts(self, model: Model) -> tuple[float, ...]:
         loads = self._measured == "motor" and carried(model.effects[len(self._known.effects):])
-        return (0.0, _DOUBT, -_DOUBT) if loads else (0.0,)
+        if not loads:
+            return (0.0,)
+        doubt = min(float(np.hypot(_DOUBT_OF_GEARS, max(doubt_of_load(one) for one in loads))), 1.0)
+        return (0.0, doubt, -doubt)
 
     def _note(self, label: str, reason: str, error: float = float("nan")) -> bool:
         self.steps.append(Step(self._round, label, False, reason, error))
@@ -206,6 +212,14 @@ def carried(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
     """Those that change what the gears carry."""
     changes = [(effect, effect.effect.loop_change(effect.coefficients, effect.theta)) for effect in effects]
     return tuple(effect for effect, change in changes if change.body or change.gravity is not None)
+
+
+def doubt_of_load(effect: FittedEffect) -> float:
+    """Share by which what an effect puts on the gears may be wrong, by its own standard deviation."""
+    # Of a body its mass stands for all of it: the moments have other units.
+    count = 1 if effect.effect.loop_change(effect.coefficients, effect.theta).body else len(effect.coefficients)
+    size = float(np.linalg.norm(effect.coefficients[:count]))
+    return _SIGMAS * float(np.linalg.norm(effect.std[:count])) / max(size, 1e-300)
 
 
 def _deflections(model: Model, path: JointPath, t: Array) -> Array:

@@ -54,8 +54,9 @@ def beside_held_model(recording: Recording, robot: Robot, model: Model,
         return ()
     regression = torque_regression(recording, robot, model, payload=True)
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
-    found = held_problem(regression, model).fit(candidates)
-    return tuple(replace(effect, coefficients=tuple(float(value) for value in own), std=(), theta_std=(), parameters=())
-                 for effect, own in zip(of_torque, found.coefficients, strict=True)
+    found = held_problem(regression, model).fit(candidates, uncertainty=True)
+    return tuple(replace(effect, coefficients=tuple(float(value) for value in own),
+                         std=tuple(float(value) for value in std), theta_std=(), parameters=())
+                 for effect, own, std in zip(of_torque, found.coefficients, found.std, strict=True)
                  if np.all(np.isfinite(own))
                  and effect.effect.plausible(own, effect.theta, regression.signals, effect.joint))
