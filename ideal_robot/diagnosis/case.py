@@ -77,6 +77,7 @@ class Findings:
         domains: the domains after their search, that of the motor torque first.
         results: what they add to the report.
         warnings: for people.
+        refuted: names and joints of effects that physics does not allow as they come out, and that are no longer tried.
         held: parameters, from 0, that are zero as they would drive the joint instead of braking it.
     """
 
@@ -89,4 +90,5 @@ class Findings:
     domains: tuple[DomainDiagnosis, ...] = ()
     results: tuple[DomainResult, ...] = ()
     warnings: tuple[str, ...] = ()
+    refuted: tuple[tuple[str, int], ...] = ()
     held: tuple[int, ...] = ()

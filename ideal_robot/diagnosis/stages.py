@@ -23,6 +23,8 @@ from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transf
 from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.model.model import Model
 
+_RESUMED = 3
+"""Times the effects of the motor torque are fitted together at most: again after each search without refuted ones."""
 _CHANGED = 0.2
 """RMS of a change of columns over that of a channel's residual from which on the search is resumed with new ones."""
 
@@ -92,11 +94,11 @@ def _searched(case: Case, found: Findings) -> Findings:
         options = replace(options.finer(), smallest_learned=options.smallest_learned)
     if case.given is None or not np.any(found.start.covariance):
         choices = Search(problem, effects, options, case.rng, absorbed=False, only=case.only,
-                         progress=case.progress).run(start)
+                         refuted=found.refuted, progress=case.progress).run(start)
     else:
         prior = prior_precision(found.start, problem)
         choices, holds = selected_against(problem, prior, effects, options, case.rng, only=case.only,
-                                          progress=case.progress, start=start)
+                                          progress=case.progress, start=start, refuted=found.refuted)
         problem = problem.with_prior(prior if holds else None)
         if not holds:
             warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
@@ -118,16 +120,31 @@ def found_but_not_added(case: Case, found: Findings) -> Findings:
 
 
 def joint_fit(case: Case, found: Findings) -> Findings:
-    """Parameters and effects of the motor torque, fitted together to all of the recording."""
-    found = with_braking_friction(case, found)
-    torque, dropped = _domain_of(case, found).settled()
+    """Parameters and effects of the motor torque, fitted together to all of the recording.
+
+    An effect that comes out as physics does not allow stood in the place of another: the search is resumed without it.
+    """
+    before, gone = found, ()
+    for _ in range(_RESUMED):
+        found = with_braking_friction(case, before)
+        torque, dropped = _domain_of(case, found).settled()
+        refuted = tuple(one for one in dropped if one.refuted)
+        places = {(one.effect, one.joint) for one in refuted} - set(before.refuted)
+        if not places:
+            break
+        gone += refuted
+        joints = {one.joint for one in refuted}
+        before = replace(before, problem=before.problem.with_prior(None), refuted=(*before.refuted, *sorted(places)),
+                         choices=tuple(c for c in torque.choices if c.candidate.joint not in joints))
+        before = found_but_not_added(case, effects_of_motor_torque(case, before))
+    dropped = tuple(one for one in dropped if one not in gone)
     if dropped:
         # What was dropped leaves more to friction.
         found = with_braking_friction(case, replace(found, choices=tuple(torque.choices)))
         torque = _domain_of(case, found)
     torque = replace(torque, final=without_scatter(torque.final, found.held))
     return replace(found, domains=(torque,), choices=tuple(torque.choices),
-                   not_transferred=found.not_transferred + dropped)
+                   not_transferred=found.not_transferred + gone + dropped)
 
 
 def _domain_of(case: Case, found: Findings) -> DomainDiagnosis:

@@ -80,6 +80,7 @@ class Effect(ABC):
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
             effect can only be seen against a model identified before.
+        like_the_model: columns, from 0, of the form of the model's own parameters, so that these may cancel them.
         theta_is_physical: False where theta only serves the computation and has no uncertainty of its own.
         scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.
         depends_on_joint: whether its numbers are in the units of its joint: of a sliding one in N and m.
@@ -107,6 +108,7 @@ class Effect(ABC):
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
     coefficient_units: ClassVar[tuple[str, ...]] = ("N m",)
     absorbed_by_base: ClassVar[bool] = False
+    like_the_model: ClassVar[tuple[int, ...]] = ()
     theta_is_physical: ClassVar[bool] = True
     scanned: ClassVar[bool] = False
     depends_on_joint: ClassVar[bool] = True

@@ -35,6 +35,9 @@ CUTOFF = 20.0
 NEAR_REVERSAL = 0.12
 """Time to either side of a reversal or a rest that does not count [s]: there friction goes through zero in a way of its
 own, and both filters remember it for so long."""
+_CREEPING = 3.0
+"""Times the speed over which friction changes sign up to which an axis creeps: there dry friction has all but half a
+percent of its size."""
 POSITION_BAND = 50.0
 """Band in which positions and forces are looked at [Hz]."""
 _RATE = 250.0
@@ -86,7 +89,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
     moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    apart = apart_from_reversals(qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)
+    apart = apart_from_reversals(q, qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)
     use = apart[:: filtered.factor][filtered.keep]
     use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
     undecided = {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
@@ -147,7 +150,9 @@ def about_model(made: Regression, model: Model) -> Regression:
 
 
 def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -> Regression:
-    """The same regression with dry friction that changes sign over other speeds.
+    """The same regression with dry friction that changes sign over other speeds, and without samples that slow.
+
+    Where an axis creeps, its friction is anything between none and sliding, by a law that is another in every drive.
 
     Args:
         made: the regression.
@@ -161,7 +166,8 @@ def with_reversal_width(made: Regression, model: Model, reversal_width: Array) -
         if not law.presliding:
             columns = law.regressor(s.qd[:, [j]], s.load[:, [j]], s.q[:, [j]], direction_of(s, j))
             W[:, j, first:at] = made.filtered.decimate(columns[:, 0])
-    return replace(made, W=W)
+    sliding = np.abs(made.decimated_signals().qd) > _CREEPING * reversal_width
+    return replace(made, W=W, use=made.use & sliding)
 
 
 def direction_of(signals: Signals, j: int) -> Array:

@@ -13,6 +13,11 @@ from ideal_robot.signals.recording import Recording
 _SLOW = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
 filter's cut-off, friction hangs on a direction that the filter has blurred, and those samples do not count."""
+_BRISTLES = 0.003
+"""Travel since a reversal or rest that does not count [rad or m]: three times the millimetre or milliradian over which
+the bristles of a drive yield."""
+_BRISTLES_SHARE = 0.01
+"""The same as a share of the range of a joint that moves little."""
 _EDGE = 3.0
 """Memory of the position filter in periods of its cut-off; effects differentiate the load, which it made, once more."""
 
@@ -52,12 +57,14 @@ def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
     return moving, undecided
 
 
-def apart_from_reversals(qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
-    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest.
+def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest, in time and in travel.
 
-    How friction goes through zero there is another matter in every drive, and no cause may be built on it.
+    How friction goes through zero there is another matter in every drive, and no cause may be built on it. Filters
+    remember it for a time, bristles for a travel, which slow motion is long in covering.
 
     Args:
+        q: positions ``(N, n)`` [rad or m].
         qd: velocities ``(N, n)`` [rad/s or m/s].
         moving: samples at which each joint moves ``(N, n)``.
         width: time left out to either side [s].
@@ -68,7 +75,10 @@ def apart_from_reversals(qd: Array, moving: np.ndarray, width: float, dt: float)
     near[:-1] |= change
     near[1:] |= change
     half = max(1, round(width / dt))
-    return np.asarray(~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest"))
+    apart = ~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest")
+    last = np.maximum.accumulate(np.where(near, np.arange(len(q))[:, None], 0), axis=0)
+    travel = np.abs(q - np.take_along_axis(q, last, axis=0))
+    return np.asarray(apart & (travel > np.minimum(_BRISTLES, _BRISTLES_SHARE * np.ptp(q, axis=0))))
 
 
 def apart_from_ends(filtered: FilteredSignals) -> np.ndarray:

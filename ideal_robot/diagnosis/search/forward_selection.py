@@ -45,11 +45,12 @@ class Search:
         rng: for null distributions.
         absorbed: whether effects are tried that the model's own parameters could take over.
         only: names and joints of the effects that may be looked for; then nothing is learned either.
+        refuted: names and joints of effects that are not tried.
         progress: called with the share done and a word.
     """
 
     def __init__(self, problem: Problem, effects: Sequence[Effect], options: Options, rng: np.random.Generator, *,
-                 absorbed: bool, only: Only | None = None, progress: Progress = silent) -> None:
+                 absorbed: bool, only: Only | None = None, refuted: Only = (), progress: Progress = silent) -> None:
         self.options, self.progress = options, progress
         self.model = PresentModel(problem)
         self.scoring = Scoring(self.model, options)
@@ -57,7 +58,8 @@ class Search:
         self.learns = only is None
         regression = problem.regression
         self.pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
-                     if only is None or (starts[0].effect.name, starts[0].joint) in only]
+                     if (starts[0].effect.name, starts[0].joint) not in refuted
+                     and (only is None or (starts[0].effect.name, starts[0].joint) in only)]
 
     def run(self, start: Sequence[Choice] = ()) -> list[Choice]:
         """Selects; returns the choices in the order they were taken.

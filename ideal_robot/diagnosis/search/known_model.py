@@ -20,7 +20,7 @@ effects, and after a search of its own. Where it takes learned curves to hold it
 
 def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], options: Options,
                      rng: np.random.Generator, *, only: Only | None, progress: Progress,
-                     start: Sequence[Choice] = ()) -> tuple[list[Choice], bool]:
+                     start: Sequence[Choice] = (), refuted: Only = ()) -> tuple[list[Choice], bool]:
     """Selects effects with the model's parameters held, or with free ones where the model does not hold.
 
     Args:
@@ -32,15 +32,17 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
         only: names and joints of the effects that may be looked for.
         progress: called with the share done and a word.
         start: choices of an earlier search to begin with.
+        refuted: names and joints of effects that are not tried.
 
     Returns:
         The choices, and whether the model holds.
     """
     held = Search(problem.with_prior(prior).held(), effects, options, rng, absorbed=True, only=only,
-                  progress=progress)
+                  refuted=refuted, progress=progress)
     held.run(start)
     held.settle(prior)
-    free = Search(problem, effects, options, rng, absorbed=False, only=only, progress=progress)
+    free = Search(problem, effects, options, rng, absorbed=False, only=only, refuted=refuted,
+                  progress=progress)
     # A curve without a cause is no reason to hold what other parameters explain as well.
     free.model.replace([c for c in held.model.choices
                         if not (c.candidate.effect.absorbed_by_base or c.candidate.effect.learned)])

@@ -23,6 +23,9 @@ from ideal_robot.effects import SENSOR, TCP_POSITION
 
 _CLEAR = 3.0
 """Standard deviations by which a change of a model's parameter has to differ from none, in one coefficient at least."""
+_DISTINGUISHED = 2.0
+"""Reported standard deviations by which a single coefficient has to differ from none: what may as well be nothing is
+not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain."""
 
 
 @dataclass(frozen=True)
@@ -99,18 +102,23 @@ class DomainDiagnosis:
         return domain, tuple(dropped)
 
     def _unsound(self) -> tuple[int, NotTransferred] | None:
-        """The last effect whose coefficients in the final fit are not plausible, or no change of a given model."""
+        """The last effect whose coefficients in the final fit are not plausible, or not distinguished from none."""
         signals = self.problem.regression.signals
+        wide = with_misfit(self.problem, self.effects, self.final).std
         for k in reversed(range(len(self.choices))):
             candidate, own, std = self.effects[k], self.final.coefficients[k], self.final.std[k]
             allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
             clear = not candidate.effect.absorbed_by_base or bool(np.any(np.abs(own) > _CLEAR * std))
+            if (len(own) == 1 and not candidate.effect.bounds(signals, candidate.joint)) \
+                    or candidate.effect.absorbed_by_base:
+                clear &= bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
             if allowed and clear:
                 continue
             why = ("it is not distinguished from none" if allowed
                    else "it has a sign or a size that physics does not allow")
             said = ", ".join(p.text for p in fitted_effect(candidate, self.final, k).parameters)
-            return k, self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
+            gone = self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
+            return k, replace(gone, refuted=not allowed)
         return None
 
     def _worthless(self) -> tuple[int, NotTransferred] | None:

@@ -116,6 +116,7 @@ class NotTransferred:
         effect, joint, channel, p_value: as in ``FoundEffect``.
         rms_without, rms_with: of its channel on the data that decide.
         why: in words, where it is not these errors.
+        refuted: whether physics does not allow what it comes out as.
     """
 
     effect: str
@@ -125,6 +126,7 @@ class NotTransferred:
     rms_without: float
     rms_with: float
     why: str = ""
+    refuted: bool = False
 
     @property
     def reason(self) -> str:

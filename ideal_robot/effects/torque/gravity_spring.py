@@ -33,6 +33,7 @@ class GravitySpring(Effect):
     discriminating_motion = (
         ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
     )
+    like_the_model = (0,)
     flexible = True
     caution = 1.5
     of_angle_alone = True
