@@ -19,6 +19,7 @@ from ideal_robot.diagnosis.statistics.reversal_width import reversal_widths
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
 from ideal_robot.diagnosis.validation.braking import with_braking_friction, without_scatter
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transferring
 from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.model.model import Model
@@ -124,7 +125,8 @@ def joint_fit(case: Case, found: Findings) -> Findings:
 
     An effect that comes out as physics does not allow stood in the place of another: the search is resumed without it.
     """
-    before, gone = found, ()
+    before = found
+    gone: tuple[NotTransferred, ...] = ()
     for _ in range(_RESUMED):
         found = with_braking_friction(case, before)
         torque, dropped = _domain_of(case, found).settled()

@@ -22,7 +22,8 @@ from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import SENSOR, TCP_POSITION
 
 _CLEAR = 3.0
-"""Standard deviations by which a change of a model's parameter has to differ from none, in one coefficient at least."""
+"""Standard deviations by which a change of a model's parameter has to differ from none, in one coefficient at least;
+of the difference of two recordings, as the one that the model was made of bent its parameters no less than this one."""
 _DISTINGUISHED = 2.0
 """Reported standard deviations by which a single coefficient has to differ from none: what may as well be nothing is
 not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain."""
@@ -106,12 +107,15 @@ class DomainDiagnosis:
         signals = self.problem.regression.signals
         wide = with_misfit(self.problem, self.effects, self.final).std
         for k in reversed(range(len(self.choices))):
-            candidate, own, std = self.effects[k], self.final.coefficients[k], self.final.std[k]
+            candidate, own = self.effects[k], self.final.coefficients[k]
             allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
-            clear = not candidate.effect.absorbed_by_base or bool(np.any(np.abs(own) > _CLEAR * std))
-            if (len(own) == 1 and not candidate.effect.bounds(signals, candidate.joint)) \
-                    or candidate.effect.absorbed_by_base:
-                clear &= bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
+            clear = True
+            if candidate.effect.absorbed_by_base:
+                large = np.abs(own) > _CLEAR * np.sqrt(2.0) * wide[k]
+                needed = list(candidate.effect.without_which_none)
+                clear = bool(np.any(large[needed] if np.any(own[needed]) else large))
+            elif len(own) == 1 and not candidate.effect.bounds(signals, candidate.joint):
+                clear = bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
             if allowed and clear:
                 continue
             why = ("it is not distinguished from none" if allowed

@@ -24,6 +24,8 @@ class LinkLoad(Effect):
     coefficient_names = Payload.coefficient_names
     coefficient_units = Payload.coefficient_units
     absorbed_by_base = True
+    # Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
+    without_which_none = (0, 1, 2, 3)
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:

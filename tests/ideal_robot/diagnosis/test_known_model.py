@@ -88,19 +88,22 @@ def in_world(world: World, seed: int, rng: np.random.Generator) -> Recording:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="in the last joints a payload or rotor, or a curve, of 1 to 3 % of a torque's "
-                                       "spread is still named: see docs/diagnosis.md, Limits")
-def test_a_healthy_recording_of_our_world_against_the_model_of_another_one():
+@pytest.mark.parametrize("bare", [
+    pytest.param(True, id="rigid gears without ripple"),
+    pytest.param(False, id="as it is", marks=pytest.mark.xfail(
+        strict=True, reason="beside ripples and soft gears a payload of -0.04 ± 0.09 kg is still named: see "
+                            "docs/diagnosis.md, Limits"))])
+def test_a_healthy_recording_of_our_world_against_the_model_of_another_one(bare):
     # What identification has no parameters for is truly there, and found, in the default world: gears and ripples.
-    robot = Robot.load("kr6")
-    for world, there in ((World.default("kr6"), {"torque_ripple", "joint_elasticity"}),
-                         (World.default("kr6").replace(torque_ripple=0.0, elasticity=False), set())):
-        rng = np.random.default_rng(3)
-        first, second = (in_world(world, seed, rng) for seed in (4, 5))
-        model: Model = identify([first], robot).model
-        found = diagnose(second, robot, model=model)
-        assert {e.fitted.name for e in (*found.effects, *found.unknown)} <= there
-        assert found.verdict == ("effects" if there else "none")
+    robot, world = Robot.load("kr6"), World.default("kr6")
+    world, there = (world.replace(torque_ripple=0.0, elasticity=False), set()) if bare else (
+        world, {"torque_ripple", "joint_elasticity"})
+    rng = np.random.default_rng(3)
+    first, second = (in_world(world, seed, rng) for seed in (4, 5))
+    model: Model = identify([first], robot).model
+    found = diagnose(second, robot, model=model)
+    assert {e.fitted.name for e in (*found.effects, *found.unknown)} <= there
+    assert found.verdict == ("effects" if there else "none")
 
 
 def test_a_model_made_of_late_torques_is_no_other_than_one_made_of_punctual_ones(tmp_path):

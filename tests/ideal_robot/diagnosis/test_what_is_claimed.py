@@ -100,6 +100,13 @@ def test_friction_that_drives_is_not_added_in_the_end(one):
     assert not dropped
 
 
+def test_what_may_as_well_be_nothing_is_not_claimed(one):
+    domain, dropped = domain_of(one, moved()[0], Candidate(find("cable_spring", "tau"), 1)).settled()
+    assert not domain.choices
+    assert "not distinguished from none" in dropped[0].reason
+    assert not dropped[0].refuted
+
+
 def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_either(one):
     recording, _ = moved()
     rng = np.random.default_rng(2)

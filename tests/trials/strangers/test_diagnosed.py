@@ -57,6 +57,10 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
     pytest.param(50006, id="vibrations of an elastic arm are no delay of one joint"),
     pytest.param(50054, id="what a tilted base does follows from the masses that are found with it"),
     pytest.param(50011, id="friction that has changed stays said beside a filter"),
+    pytest.param(720043, id="what bristles of a slow slide are still yielding over is no curve over speed"),
+    pytest.param(720063, id="an axis that creeps between cycles has no friction over speed of its own"),
+    pytest.param(720040, id="a balancing spring is a spring though gravity takes most of it"),
+    pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
     assert diagnosed(seed)[2].right
