@@ -51,6 +51,11 @@ line, 1°. What one line shows stays the same where the surface turns about it, 
 together: neither is a parameter."""
 
 
+_STILL, _NEAR = 1e-3, 3e-2
+"""Steps that move no parameter by more than this share of its prior's standard deviation are the last; of a result, and
+of what only tells outliers."""
+
+
 @dataclass(frozen=True)
 class Observation:
     """Line points of one field, and where the robot says the tool was.
@@ -153,7 +158,7 @@ def calibrate(
         raise SensingError(f"{problem.count} line points from {len(observations)} poses are too few for a calibration")
     before = problem.solve(np.zeros(len(names)), scale, steps=0)
     # Twice: the second time without what contradicts the first result.
-    first = problem.solve(np.zeros(len(names)), scale)
+    first = problem.solve(np.zeros(len(names)), scale, still=_NEAR)
     problem.drop_outliers(first.residual)
     fit = problem.solve(first.values, scale)
     sigma = np.sqrt(np.diag(fit.covariance))
@@ -197,7 +202,7 @@ class _Problem:
         self.centre = reference.points.mean(axis=0)
         along = reference.points[-1] - reference.points[0]
         along = along - along @ normal * normal
-        self.along = along / np.linalg.norm(along)
+        self.axis = np.cross(normal, along / np.linalg.norm(along))
         self.good = np.ones(len(self.pixels), dtype=bool)
         if self.count:
             s = self.reference.nearest(self._on_surface(np.zeros(len(names))), self.normal).s
@@ -212,7 +217,7 @@ class _Problem:
     def surface(self, values: Mapping[str, float]) -> pin.SE3:
         """How the surface is moved in the base frame: a turn about the line's middle."""
         # With a positive tilt the surface rises along the line.
-        R = pin.exp3(-values.get(TILT, 0.0) * np.cross(self.normal, self.along))
+        R = pin.exp3(-values.get(TILT, 0.0) * self.axis)
         return pin.SE3(R, self.centre - R @ self.centre)
 
     def _on_surface(self, values: Array) -> Array:
@@ -232,9 +237,16 @@ class _Problem:
         depth = (centre - origin) @ normal / (ray @ normal)
         return np.asarray(origin + depth[:, None] * ray)
 
-    def solve(self, values: Array, scale: Array, steps: int = 6) -> _Fit:
-        """Gauss-Newton steps from ``values``; with none, only the common curve is fitted."""
-        n = len(values)
+    def solve(self, values: Array, scale: Array, steps: int = 6, still: float = _STILL) -> _Fit:
+        """Gauss-Newton steps from ``values`` until they stand still.
+
+        Args:
+            values: of the parameters, to start from ``(k,)``.
+            scale: standard deviations known beforehand ``(k,)``.
+            steps: at most; with none, only the common curve is fitted and nothing is said of the covariance.
+            still: share of ``scale`` that counts as standing still.
+        """
+        n, moves = len(values), np.inf
         for step in range(steps + 1):
             x = self._on_surface(values)
             found = self.reference.nearest(x, self.normal)
@@ -247,6 +259,10 @@ class _Problem:
             # A weak prior of 30 mm keeps spline pieces that no point touches harmless.
             c = np.linalg.solve(B.T @ B + np.eye(B.shape[1]) / 0.03**2, B.T @ d)
             residual = d - B @ c
+            used = residual[self.good]
+            rms = float(np.sqrt(np.mean((used * self.sigma[self.good]) ** 2)))
+            if not steps:
+                return _Fit(values, np.full((n, n), np.inf), used, rms)
             slope = BSpline(self.knots, c, 3)(inside, 1)
             J = np.empty((len(x), n + B.shape[1]))
             J[:, n:] = -B
@@ -254,19 +270,18 @@ class _Problem:
                 moved = values.copy()
                 moved[k] += 1e-3 * scale[k]
                 dx = (self._on_surface(moved) - x) / 1e-3
-                change = np.einsum("ij,ij->i", left, dx) - slope * np.einsum("ij,ij->i", tangent, dx)
-                J[:, k] = weight * change
+                J[:, k] = weight * (np.einsum("ij,ij->i", left, dx) - slope * np.einsum("ij,ij->i", tangent, dx))
             A = J.T @ J + np.diag(np.concatenate([np.ones(n), np.full(B.shape[1], 1.0 / 0.03**2)]))
-            if step == steps:
+            if step == steps or moves < still:
                 break
             gradient = J.T @ residual
             gradient[:n] += values / scale
             gradient[n:] += c / 0.03**2
-            values = values - scale * np.linalg.solve(A, gradient)[:n]
-        used = residual[self.good]
+            change = np.linalg.solve(A, gradient)[:n]
+            values, moves = values - scale * change, float(np.max(np.abs(change)))
         spread = max(1.0, float(np.sqrt(np.mean(used**2))))
         covariance = np.linalg.inv(A)[:n, :n] * np.outer(scale, scale) * spread**2
-        return _Fit(values, covariance, used, float(np.sqrt(np.mean((used * self.sigma[self.good]) ** 2))))
+        return _Fit(values, covariance, used, rms)
 
     def drop_outliers(self, residual: Array) -> None:
         r = np.abs(residual)
