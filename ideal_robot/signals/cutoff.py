@@ -216,18 +216,18 @@ def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], start: Array, info
     W, judged_W = (values if live.all() else values[:, live] for values in (W, judged_W))
     noise = np.maximum(np.std(rest, axis=0), 1e-12)
     # Normal equations of each block and joint, once; the joints' weights come on top.
-    grams, sides = np.zeros((_FOLDS, W.shape[1], *information.shape)), np.zeros((_FOLDS, *W.shape[1:]))
+    grams, sides = np.zeros((W.shape[1], _FOLDS, *information.shape)), np.zeros((W.shape[1], _FOLDS, W.shape[2]))
     for j in range(W.shape[1]):
         # Bodies before a joint do not load it.
         felt = np.flatnonzero(not_zero(W[:, j].T))
         own = np.ascontiguousarray(W[:, j].T[felt])
         for k in range(_FOLDS):
             part = own[:, block[k]]
-            grams[k, j][np.ix_(felt, felt)] = part @ part.T
-            sides[k, j, felt] = part @ rest[block[k], j]
+            grams[j, k][np.ix_(felt, felt)] = part @ part.T
+            sides[j, k, felt] = part @ rest[block[k], j]
     for _ in range(3):
         weight = 1.0 / noise**2
-        A, b = np.tensordot(grams, weight, axes=(1, 0)), np.tensordot(sides, weight, axes=(1, 0))
+        A, b = np.tensordot(weight, grams, axes=1), np.tensordot(weight, sides, axes=1)
         p = _solved(A.sum(axis=0) + information, b.sum(axis=0))
         noise = np.maximum(np.std(rest - _times(W, p), axis=0), 1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
     error = np.empty_like(judged_rest)

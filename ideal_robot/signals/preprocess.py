@@ -245,6 +245,8 @@ def decimated(values: Array, factor: int) -> Array:
     """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
     if factor == 1:
         return np.asarray(values, dtype=float)
+    if np.ndim(values) == 1:
+        return _thinned_out(np.asarray(values, dtype=float), factor)
     return _column_by_column(values, lambda rows: np.array([_thinned_out(row, factor) for row in rows]))
 
 
@@ -254,14 +256,20 @@ def _thinned_out(row: Array, factor: int) -> Array:
     With x and h cut into pieces of f samples it is one product of matrices and a sum along diagonals, several times as
     fast as tap by tap.
     """
-    taps = np.zeros(21 * factor)
-    taps[: 20 * factor + 1] = decimation_taps(factor)
     count = -(-len(row) // factor)
     padded = np.zeros((count + 20) * factor)
     padded[10 * factor : 10 * factor + len(row)] = row
-    products = padded.reshape(-1, factor) @ taps.reshape(21, factor).T
+    products = padded.reshape(-1, factor) @ _tap_table(factor)
     down, right = products.strides
     return np.asarray(np.lib.stride_tricks.as_strided(products, (count, 21), (down, down + right)).sum(axis=1))
+
+
+@cache
+def _tap_table(factor: int) -> Array:
+    """Taps of the decimation filter in 21 columns ``(factor, 21)``, zeros at the end."""
+    taps = np.zeros(21 * factor)
+    taps[: 20 * factor + 1] = decimation_taps(factor)
+    return taps.reshape(21, factor).T
 
 
 def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Array:
@@ -269,8 +277,6 @@ def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Arra
 
     Columns of zeros, half of a regressor's, stay what they are without being filtered.
     """
-    if np.ndim(values) == 1:
-        return filtered(np.asarray(values, dtype=float)[None])[0]
     columns = np.asarray(values, dtype=float).reshape(len(values), -1).T
     live = not_zero(columns)
     rows = filtered(np.ascontiguousarray(columns[live]) if live.any() else np.zeros((1, len(values))))
