@@ -195,7 +195,7 @@ def main() -> None:
         (folder / "l.jsonl").unlink()
     kinds: collections.Counter[str] = collections.Counter()
     slowest, outlived = 0.0, 0
-    for _ in range(options.count):
+    for turn in range(options.count):
         child = begun(folder, verb.words("new"))
         time.sleep(float(rng.uniform(0.02, 1.05)) * took)
         start = time.monotonic()
@@ -209,6 +209,7 @@ def main() -> None:
             os.killpg(child, signal.SIGKILL)
         kind = verb.kind_of(folder)
         kinds[kind] += 1
+        print(f"    {turn + 1} of {options.count}: {kind}", file=sys.stderr, flush=True)
         if restored and kind != "old":
             finished(folder, verb.words("old"))
     print(f"{options.verb}, {options.count} times {sent.name} within {took:.1f} s: "

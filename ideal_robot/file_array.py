@@ -12,7 +12,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.whole_file import OutputError
 
-IN_MEMORY = 2_000_000
+IN_MEMORY = 500_000
 """Values of an array that is held in memory; a larger one lies in a file."""
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from ideal_robot.file_array import let_go
 from ideal_robot.signals.recording import Recording
 
-MOST = 1_000_000
-"""Samples that are used at most, 33 minutes at 500 Hz: a fit holds about a kilobyte for each."""
+MOST = 500_000
+"""Samples that are used at most, 17 minutes at 500 Hz: a fit takes about three kilobytes for each."""
 STRETCH = 50_000
 """Samples of a stretch, so many that what filters lose at its ends does not count."""
 FEWEST = 5_000

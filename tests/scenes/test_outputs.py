@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -17,7 +18,9 @@ import pytest
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
+from scenes.cli import main
 from scenes.outputs import check_outputs, whole_folder
+from tests.fuzz import mutate_table, originals
 
 WRITER = """
 import sys
@@ -232,3 +235,35 @@ def test_a_recording_is_written_by_its_ending_and_read_again_the_same(ending: st
     if ending == "csv":
         assert pd.read_csv(path).shape == (50, 3)
     assert Recording.read(path).hash == recording.hash
+
+
+@pytest.mark.parametrize("verb", ["identify", "run"])
+def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_line(
+        verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    originals.arm(tmp_path)
+    (tmp_path / "r.csv").write_bytes(mutate_table._csv(originals.motion(tmp_path)))
+    (tmp_path / "s.toml").write_bytes(originals.LINE)
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "report.html").write_text("previous")
+    (tmp_path / "j.json").write_text("previous")
+    before = sorted(path.name for path in tmp_path.rglob("*"))
+    words = {"identify": ["identify", "r.csv", "--urdf", "arm.urdf", "--friction", "viscous_coulomb"],
+             "run": ["run", "s.toml"]}[verb]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ideal-robot", *words, "--out", "o", "--json", "j.json"])
+
+    def full(path: Path) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    # The verb's answer to SIGTERM is not to become that of the tests.
+    monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
+    for module in ("ideal_robot.whole_file", "scenes.outputs"):
+        monkeypatch.setattr(f"{module}.synchronise", full)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ideal-robot:")]
+    assert len(said) == 1
+    assert "No space left on device" in said[0]
+    assert (tmp_path / "o" / "report.html").read_text() == (tmp_path / "j.json").read_text() == "previous"
+    assert sorted(path.name for path in tmp_path.rglob("*")) == before
