@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ideal_robot.errors import IdealRobotError
 
 
@@ -44,12 +46,15 @@ class LineLostError(PlanningError):
         s: arc length of the TCP on the reference then [m].
         last_t, last_s: the same when the line was last seen; nan if never.
         limit: distance that may be travelled without seeing the line [m].
+        sigma: how well the line is still known at the TCP, standard deviation [m]; nan where that was not asked.
     """
 
-    def __init__(self, t: float, s: float, last_t: float, last_s: float, limit: float) -> None:
-        self.t, self.s, self.last_t, self.last_s, self.limit = t, s, last_t, last_s, limit
+    def __init__(self, t: float, s: float, last_t: float, last_s: float, limit: float,
+                 sigma: float = float("nan")) -> None:
+        self.t, self.s, self.last_t, self.last_s, self.limit, self.sigma = t, s, last_t, last_s, limit, sigma
+        known = "" if math.isnan(sigma) else f", where it is known to {1e3 * sigma:.1f} mm"
         super().__init__(
-            f"line lost at t = {t:.3f} s, s = {s:.3f} m: last seen at t = {last_t:.3f} s, "
+            f"line lost at t = {t:.3f} s, s = {s:.3f} m{known}: last seen at t = {last_t:.3f} s, "
             f"s = {last_s:.3f} m, and only {1e3 * limit:.0f} mm may be travelled blind; check the camera, "
             "or allow more with max_blind"
         )

@@ -26,6 +26,8 @@ KNOCK = 0.01
 """How far a camera may be turned when somebody knocks it, standard deviation [rad]."""
 BEND = 0.4
 """Distance over which a surface's bend becomes another [m]."""
+SPREAD = 0.1
+"""Length of line over which a field's five points are spread [m]; ink missing over a third of it leaves three."""
 SILENCE = 0.25
 """Time without any field after which the line counts as not seen [s]."""
 
@@ -47,7 +49,9 @@ class FollowerSettings:
             the line shows ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
-        max_blind: distance that may be travelled without seeing the line [m].
+        max_blind: distance that may be travelled without seeing the line, whatever the map says [m].
+        unsure: standard deviation of the line at the tool from which on the map no longer leads beyond that distance
+            [m]. By default the tool is still on a line 3 mm wide with 95 %.
         max_search: distance that may be travelled before the line is seen first [m].
         follow_tangent: whether the tool turns with the line seen, not only with the reference.
         measurement: what of a field goes into the map: ``polynomial``, value and slope of the polynomial through its
@@ -67,6 +71,7 @@ class FollowerSettings:
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
     max_blind: float = 0.15
+    unsure: float = 0.75e-3
     max_search: float = 0.3
     follow_tangent: bool = False
     measurement: str = "polynomial"
@@ -74,7 +79,7 @@ class FollowerSettings:
     def __post_init__(self) -> None:
         if self.measurement not in MEASUREMENTS:
             raise InputError(f"expected one of {', '.join(MEASUREMENTS)}", field="measurement", value=self.measurement)
-        for key in ("cutoff", "correction", "max_blind", "max_search"):
+        for key in ("cutoff", "correction", "max_blind", "unsure", "max_search"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
         for key in ("frozen", "noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
@@ -216,11 +221,15 @@ class LineFollower:
         return LineAhead(s, points, tangents, up, np.sqrt(variance))
 
     def _where_to_look(self, t: float) -> Array:
-        """What the TCP passes before the field has come and gone into the plan need not be looked at."""
+        """What the TCP passes before the field has come and gone into the plan need not be looked at, if there is more.
+
+        Where the TCP passes nearly all of the view in that time the points are spread no less: those already passed
+        hold the map at the place from which it goes on.
+        """
         near, far = self.settings.view
         passed = self.profile.at(t - self.t_start)[1] * (self.settings.latency + 2 * self._T)
-        first = min(max(near, passed), max(near, far - 0.06))
-        return np.linspace(first, min(far, first + 0.1), 5)
+        first = min(max(near, passed), max(near, far - SPREAD))
+        return np.linspace(first, min(far, first + SPREAD), 5)
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, whenever it arrives.
@@ -311,7 +320,7 @@ class LineFollower:
         """Desired joint positions ``q_d(k) … q_d(k + n_d - 1)`` from ``t`` on, shape ``(n_d, n)`` [rad].
 
         Raises:
-            LineLostError: nothing was seen for longer than allowed.
+            LineLostError: nothing was seen for longer than allowed, and the map does not know the line at the tool.
             OutOfReachError: the seen line leads out of the arm's reach.
         """
         s = float(self.path.s[self.path.cycle(t)])
@@ -322,11 +331,18 @@ class LineFollower:
         return q
 
     def _check_seen(self, t: float, s: float) -> None:
-        """Limits the distance without a sight of the line, from field to field; late fields are not missing."""
+        """Limits what is travelled without a sight of the line, from field to field; late fields are not missing.
+
+        Distance alone would end fast runs: the faster, the farther from field to field, and the farther ahead the line
+        is seen. So the map leads on for as long as it is sure of the line where the tool is; behind the line's end
+        there is nothing to be sure of.
+        """
         begin, end = self._line_span
         looked = self.profile.at(max(self._field_t, t - SILENCE) - self.t_start)[0]
         if self._last_seen is None:
             if looked - begin > self.settings.max_search:
                 raise LineNeverSeenError(t, s, self.settings.max_search)
         elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
-            raise LineLostError(t, s, *self._last_seen, self.settings.max_blind)
+            sigma = float(self.deviation(np.array([min(s, end)]))[1][0])
+            if sigma > self.settings.unsure:
+                raise LineLostError(t, s, *self._last_seen, self.settings.max_blind, sigma)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
@@ -21,6 +22,8 @@ HORIZON = 0.3
 """Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""
 FOUND = (0.001, 0.0005)
 """What calibration by moving leaves open of the surface's height [m] and slope [rad], standard deviations."""
+EDGE = 4
+"""Pixels at the edge of a picture in which no line is looked for: half a window, and what the tool sways."""
 START = 0.48
 """Time at rest before the path begins, in which the ideal robot takes up the gears' deflection under gravity [s]."""
 
@@ -76,13 +79,22 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
             eye=camera.T_tool_camera.translation,
-            settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt,
+            settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt, view=view_of(camera),
                                       max_blind=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
     return reference, follower
+
+
+def view_of(camera: CameraModel) -> tuple[float, float]:
+    """Nearest and farthest distance ahead of the tool at which this camera shows a line [m], at most the usual ones."""
+    ahead = np.linspace(*FollowerSettings.view, 151)
+    pixels = camera.project_tool(np.column_stack([ahead, np.zeros((len(ahead), 2))]))
+    size = np.array([camera.width, camera.height])
+    shown = ahead[np.all((pixels >= EDGE) & (pixels <= size - 1 - EDGE), axis=1)]
+    return (float(shown[0]), float(shown[-1])) if len(shown) > 1 else FollowerSettings.view
 
 
 def span_of(scene: LineScene, reference: ReferencePath) -> tuple[float, float]:

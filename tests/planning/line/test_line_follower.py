@@ -169,6 +169,30 @@ def test_line_lost_midway_says_where_and_when() -> None:
     assert not isinstance(lost.value, LineNeverSeenError)
 
 
+def test_as_long_as_the_map_knows_the_line_distance_alone_does_not_end_a_run() -> None:
+    # Seen up to 0.17 m ahead of s = 0.4, then not for twice the distance allowed.
+    f = follower(max_blind=0.06)
+    run = follow(f, Camera(LINE, np.random.default_rng(13)), blind=(0.4, 0.52))
+    assert f.finished(run.t[-1])
+    assert errors(run).max() < 1e-3
+
+
+@pytest.mark.parametrize("speed", [0.7, 2.0])
+def test_a_line_that_breaks_off_ends_the_run_where_the_map_ends(speed: float) -> None:
+    f = follower(speed=speed, max_blind=0.12)
+    with pytest.raises(LineLostError, match=r"known to \d\.\d mm") as lost:
+        follow(f, Camera(LINE, np.random.default_rng(13)), blind=(0.4, 2.0))
+    assert lost.value.sigma > f.settings.unsure
+    # A cycle's way or two beyond what is known, whatever the speed.
+    assert lost.value.s < 0.60 + 2 * T * speed
+
+
+def test_points_of_a_field_are_spread_at_every_speed() -> None:
+    for speed in (0.3, 0.7, 2.0):
+        ahead = np.ptp(follower(speed=speed).predict(0.5).s)
+        assert ahead == pytest.approx(0.1, abs=1e-6)
+
+
 def test_silent_camera_loses_the_line_too() -> None:
     f = follower(max_blind=0.12)
     with pytest.raises(LineLostError):
