@@ -28,6 +28,8 @@ BEND = 0.4
 """Distance over which a surface's bend becomes another [m]."""
 SPREAD = 0.1
 """Length of line over which a field's five points are spread [m]; ink missing over a third of it leaves three."""
+ALONG = 0.03
+"""How much earlier than its reference the line may end [m]: drawn elsewhere along the path, and seen point by point."""
 SILENCE = 0.25
 """Time without any field after which the line counts as not seen [s]."""
 
@@ -342,7 +344,7 @@ class LineFollower:
         if self._last_seen is None:
             if looked - begin > self.settings.max_search:
                 raise LineNeverSeenError(t, s, self.settings.max_search)
-        elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - 0.03:
-            sigma = float(self.deviation(np.array([min(s, end)]))[1][0])
+        elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - ALONG:
+            sigma = float(self.deviation(np.array([min(s, end - ALONG)]))[1][0])
             if sigma > self.settings.unsure:
                 raise LineLostError(t, s, *self._last_seen, self.settings.max_blind, sigma)

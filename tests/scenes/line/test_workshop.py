@@ -143,3 +143,15 @@ def test_a_grain_is_of_its_size_and_repeats_with_the_seed() -> None:
     # Streaks along the line: neighbours along it are alike over centimetres, across it over millimetres.
     along, across = (np.mean(np.abs(np.roll(wooden, 40, axis)[bare] - wooden[bare])) for axis in (1, 0))
     assert along < 0.7 * across
+
+
+def test_a_run_is_bit_identical_for_the_same_scene_seed_and_individual() -> None:
+    """Arm, camera, light and wear draw from nothing else; another arm of the type is another run."""
+    scene = load_scene("line").changed(line={"formula": None, "points": [(0.4, 0.0), (0.8, 0.0)]},
+                                       calibration=CALIBRATED)
+    first, again, other = (run(scene.changed(world={"individual": individual})) for individual in (2, 2, 3))
+    for signal in ("q_c", "q", "tau"):
+        np.testing.assert_array_equal(first.recording.joints(signal), again.recording.joints(signal))
+        assert not np.array_equal(first.recording.joints(signal), other.recording.joints(signal))
+    assert first.control_error.mean == again.control_error.mean
+    assert first.control_error.mean != other.control_error.mean
