@@ -83,4 +83,4 @@ class LineScene(Scene):
     stamp_estimate: bool = True
     """Whether the follower estimates on the way by how much the camera's time stamps are wrong."""
     max_gap: float = pydantic.Field(default=0.15, gt=0, le=5)
-    """Distance that may be travelled without a seen line before it counts as lost, unless the map still knows it [m]."""
+    """Distance that may be travelled without a seen line before it is lost, unless the map still knows it [m]."""
