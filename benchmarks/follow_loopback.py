@@ -3,7 +3,7 @@
     python benchmarks/follow_loopback.py [--runs 20] [--only line,line_4ms] [--json FILE]
 
 Each run starts `ideal-robot follow` against `ideal-robot simulate --serve`, two processes and the camera's. The camera
-of line scenes is calibrated by moving over the same wires once. Mean error is the distance of the true tool from the
+of `line` and of `glue` is calibrated by moving over the same wires once. Mean error is the distance of the true tool from the
 drawn line, or the RMS error of the true normal force. A quiet computer with two cores is wanted; the program says what
 load there was.
 """
@@ -89,14 +89,18 @@ def in_process(case: Case, scene: str) -> float:
     return float(result.figures.rms)
 
 
-def calibrated(folder: Path) -> Path:
-    """File of the line's camera, calibrated by moving over the wires."""
-    file = folder / "camera.json"
-    with served("line", folder) as cell:
-        follower = cell.follow("line", "--calibration", str(file))
+SEEN = ("line", "glue")
+"""Scenes with a camera."""
+
+
+def calibrated(scene: str, folder: Path) -> Path:
+    """File of a scene's camera, calibrated by moving over the wires."""
+    file = folder / f"camera_{scene}.json"
+    with served(scene, folder) as cell:
+        follower = cell.follow(scene, "--calibration", str(file))
         _, said = follower.communicate(timeout=400.0)
         if follower.returncode:
-            raise SystemExit(f"calibration: {said[-400:]}")
+            raise SystemExit(f"calibration of {scene}: {said[-400:]}")
     return file
 
 
@@ -157,7 +161,7 @@ def measured(case: Case, runs: int, camera: Path | None, folder: Path, keep: Cal
              ) -> dict[str, Any]:
     """All runs of a case against one served cell; what there is so far is kept after each."""
     scene = scene_of(case, folder)
-    options = (*case.follow, *(("--calibration", str(camera)) if camera is not None and case.scene == "line" else ()))
+    options = (*case.follow, *(("--calibration", str(camera)) if camera is not None else ()))
     own = in_process(case, scene)
     rows: list[dict[str, Any]] = []
     session = 0
@@ -194,11 +198,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="follow_loopback_") as name:
         folder = Path(name)
         wanted = [case for case in CASES if case.name in given.only.split(",")]
-        camera = calibrated(folder) if any(case.scene == "line" for case in wanted) else None
+        cameras = {scene: calibrated(scene, folder) for scene in SEEN if any(case.scene == scene for case in wanted)}
         for case in wanted:
             own = folder / case.name
             own.mkdir()
-            row = measured(case, given.runs, camera, own, keep)
+            row = measured(case, given.runs, cameras.get(case.scene), own, keep)
             found.append(row)
             print(HEAD, line_of(row), sep="\n", flush=True)
     print(f"\nload {os.getloadavg()[0]:.1f}; error: mm or N; late: answers the controller did not get in time; "
