@@ -3,9 +3,9 @@
     python benchmarks/follow_loopback.py [--runs 20] [--only line,line_4ms] [--json FILE]
 
 Each run starts `ideal-robot follow` against `ideal-robot simulate --serve`, two processes and the camera's. The camera
-of `line` and of `glue` is calibrated by moving over the same wires once. Mean error is the distance of the true tool from the
-drawn line, or the RMS error of the true normal force. A quiet computer with two cores is wanted; the program says what
-load there was.
+of `line` and of `glue` is calibrated by moving over the same wires once. Mean error is the distance of the true tool
+from the drawn line, or the RMS error of the true normal force. A quiet computer with two cores is wanted; the program
+says what load there was.
 """
 
 from __future__ import annotations

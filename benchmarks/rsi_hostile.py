@@ -7,6 +7,7 @@ Prints what was counted, whether one command differs from those of the path, and
 
 from __future__ import annotations
 
+import argparse
 import resource
 import socket
 import sys
@@ -65,4 +66,6 @@ def _resident() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000))
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("packets", type=int, nargs="?", default=1_000_000)
+    sys.exit(main(parser.parse_args().packets))

@@ -8,9 +8,9 @@ came of one, or memory grew by more than 20 MiB.
 
 from __future__ import annotations
 
+import argparse
 import socket
 import struct
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -219,7 +219,9 @@ def servers(count: int, rng: np.random.Generator) -> str:
 
 
 def main() -> None:
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
+    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked.add_argument("packets", type=int, nargs="?", default=1_000_000)
+    count = asked.parse_args().packets
     rng, grown = np.random.default_rng(1), 0.0
     hello = package(1, 0.0, camera_description(16, 16, 50.0))
     fields = lambda k: package(2, 0.02 * k, struct.pack(">IHH", k, 16, 16) + bytes(256))  # noqa: E731

@@ -14,8 +14,13 @@ from scenes.terminal import shown
 
 
 @contextmanager
-def progress_bar(title: str) -> Iterator[result.Progress]:
-    """A bar on standard error while the block runs; yields the function that moves it."""
+def progress_bar(title: str, rate: float = 10.0) -> Iterator[result.Progress]:
+    """A bar on standard error while the block runs; yields the function that moves it.
+
+    Args:
+        title: before the bar.
+        rate: how often it is drawn, by a thread that takes Python's lock for it [Hz].
+    """
     # Where there is no room for all, the text is cut; never the numbers.
     def fixed(width: int) -> Column:
         return Column(min_width=width, width=width, no_wrap=True)
@@ -27,7 +32,7 @@ def progress_bar(title: str) -> Iterator[result.Progress]:
                BarColumn(bar_width, table_column=fixed(bar_width)),
                TextColumn("{task.percentage:>3.0f} %", table_column=fixed(5)),
                TimeElapsedColumn(table_column=fixed(7)), TimeRemainingColumn(table_column=fixed(7)))
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, refresh_per_second=rate) as bar:
         task = bar.add_task(shown(title), total=1.0)
 
         def move(fraction: float, text: str) -> None:

@@ -59,7 +59,8 @@ def command(
     devices = Devices(arm=arm, camera=camera, force=force, camera_delay=1e-3 * camera_delay,
                       force_delay=1e-3 * force_delay, relative=relative, rsi_config=rsi_config, controller=controller,
                       cycle=cycle, delay=delay, bridge=bridge, patience=wait, core=core)
-    with progress_bar(loaded.name) as progress:
+    # Drawing takes Python's lock away from the answers now and then.
+    with progress_bar(loaded.name, rate=2.0) as progress:
         result = follow(loaded, devices, method=method, calibration=calibration, out=folder, progress=progress)
     if json is not None:
         write_json(json, result.json())

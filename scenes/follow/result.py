@@ -56,6 +56,8 @@ class FollowResult(ShownRun):
         rows += [(f"packets {key}", str(link[key])) for key in ("lost", "late", "refused") if key in link]
         rows.append(("answer after, median and worst",
                      f"{self.timing['answer_ms']['median']:.2f}, {self.timing['answer_ms']['max']:.1f} ms"))
+        if (share := self.devices.get("arm", {}).get("holding_share", 0.0)) > 1.0:
+            rows.append(("a missing answer (--absolute)", f"up to {share:.1f} times the acceleration limit"))
         if "fields" in self.figures:
             rows.append(("fields used", f"{self.figures['fields']['used']} of {self.figures['fields']['seen']}"))
         if "force_N" in self.figures:

@@ -23,6 +23,7 @@ from scenes.follow.camera_process import CameraProcess
 from scenes.follow.devices import Devices, opened_arm
 from scenes.follow.force_job import ForceJob
 from scenes.follow.given_back import give_back
+from scenes.follow.held_command import holding_share
 from scenes.follow.job import Job
 from scenes.follow.journal import Journal, remove
 from scenes.follow.later import Later
@@ -218,6 +219,8 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
     told: dict[str, Any] = {"arm": {"address": devices.arm, "link": asdict(arm.link.counts),
                                     "time_stamps": None if stamps is None else stamps.described(),
                                     "clock": arm.clock.report().to_dict()}}
+    if not getattr(arm.link, "relative", True):
+        told["arm"]["holding_share"] = holding_share(opened.journal.recording().joints("q_c"), arm.robot)
     if process is not None and camera is not None:
         ages = np.array(camera.ages or [np.nan])
         told["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,

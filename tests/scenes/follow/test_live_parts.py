@@ -16,6 +16,7 @@ from ideal_robot.rsi.rsi_error import RsiError
 from scenes.camera_table import CameraTable, believed_camera
 from scenes.follow.camera_file import CalibratedCamera, calibrated_camera
 from scenes.follow.camera_messages import Header
+from scenes.follow.held_command import holding_share
 from scenes.follow.journal import Journal, left_behind
 from scenes.follow.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.follow.live_camera import LiveCamera
@@ -109,6 +110,14 @@ def test_moves_keep_their_share_of_the_limits(link: Tame) -> None:
     speed = np.diff(way, axis=0) / robot.t_ipo
     assert (np.abs(speed).max(axis=0) <= 0.36 * robot.v_max).all()
     assert (np.abs(np.diff(speed, axis=0)).max(axis=0) / robot.t_ipo <= 0.27 * robot.a_max).all()
+
+
+def test_a_held_command_costs_the_speed_of_that_moment(link: Tame) -> None:
+    robot = link.robot
+    q_c = robot.home + np.zeros((50, 6))
+    assert holding_share(q_c, robot) == 0.0
+    q_c[20:] += np.arange(30)[:, None] * np.array([0.0, 2.5 * robot.a_max[1] * robot.t_ipo**2, 0.0, 0.0, 0.0, 0.0])
+    assert holding_share(q_c, robot) == pytest.approx(2.5)
 
 
 def test_a_journal_survives_its_program(tmp_path: Path) -> None:
