@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
-from scipy import signal
+import scipy  # its signal is large, and loaded where it is used
 
 from ideal_robot.arrays import Array
 
@@ -23,7 +23,7 @@ def forwards_and_backwards(sections: Array, values: Array, pad: int) -> Array:
     """
     x = np.concatenate([2.0 * values[0] - values[pad:0:-1], values, 2.0 * values[-1] - values[-2 : -pad - 2 : -1]])
     x = np.ascontiguousarray(x)
-    settled = signal.sosfilt_zi(sections)
+    settled = scipy.signal.sosfilt_zi(sections)
     _run(sections, x, settled, False)
     _run(sections, x, settled, True)
     return x[pad : len(x) - pad]
