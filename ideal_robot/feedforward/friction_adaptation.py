@@ -69,8 +69,9 @@ class FrictionAdaptation:
         self._dry = loop.friction_torque[:, 0]
         # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
         self._sigma = np.sqrt(3.0) * np.maximum(noise * self._dry.mean(axis=0), 1e-6)
-        # Slower than this, presliding and not sliding decides.
-        self._slow = 0.02 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
+        # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
+        # move on a path slide slowly all the time: what they say is all that is known of friction where they work.
+        self._slow = 0.005 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
         half = _WINDOW // 2
         t = loop.t_ipo * np.arange(-half, half + 1)
         self._fit = np.linalg.pinv(np.vander(t, 4, increasing=True))

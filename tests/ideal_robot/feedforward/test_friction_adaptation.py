@@ -42,6 +42,14 @@ def test_finds_how_much_friction_has_changed(factor):
     np.testing.assert_allclose(sliding_ratio(loop, factors.theta), factor, rtol=0.1)
 
 
+def test_joints_that_slide_slowly_are_learned_too():
+    """A tenth of the motion: hardly any joint is faster than 2 % of its limit, and all are far beyond presliding."""
+    loop, q_d = plant(), motion()
+    factors = fed(FrictionAdaptation(loop), states(plant(friction=1.4), q_d[0] + 0.1 * (q_d - q_d[0])))
+    assert np.all(factors.used > 50)
+    assert np.all(factors.theta[:, 0] > 1.2)
+
+
 def test_noise_does_not_move_it_away_from_the_truth():
     """Torque noise of 3 % of its whole range: 25 N m on the base joints, a quarter of their dry friction."""
     loop = plant()
