@@ -44,6 +44,8 @@ class Signals:
         friction: the part of ``torque`` that is friction ``(N, n)`` [N m].
         temperature: gear temperature ``(N, n)`` [°C], or None where it was not measured.
         rigid: the rigid body as a function, for effects that change positions; None where there is none.
+        weight: what gravity asks of the motors along the motion ``(N, n)``, in the unit of ``torque``; None where no
+            rigid body says so.
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
         frames: kinematics along the motion, or None.
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
@@ -65,6 +67,7 @@ class Signals:
     friction: Array
     temperature: Array | None = None
     rigid: RigidBody | None = None
+    weight: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     payload: Array | None = None
     bodies: Callable[[int], Array] | None = None

@@ -135,6 +135,7 @@ def about_model(made: Regression, model: Model) -> Regression:
     signals = replace(s, load=load, torque=torque, friction=friction,
                       sliding=model.friction.sliding(s.q, s.qd),
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c),
+                      weight=inverse_dynamics(chain, s.q, np.zeros_like(s.q), np.zeros_like(s.q)),
                       gravity_across=lambda at: gravity_across(chain, at))
     prediction = torque
     for effect in model.effects:
@@ -227,10 +228,11 @@ def without_spikes(filtered: FilteredSignals) -> FilteredSignals:
 
 def in_own_units(made: Regression) -> Regression:
     """Torque and load of the nominal model in the units of each joint's measurement, by one factor a joint."""
-    nominal = made.decimate(made.signals.torque)
+    s, nominal = made.signals, made.decimate(made.signals.torque)
     factor = (nominal * made.measured).sum(axis=0) / np.maximum((nominal**2).sum(axis=0), 1e-300)
-    signals = replace(made.signals, torque=made.signals.torque * factor, load=made.signals.load * factor,
-                      friction=made.signals.friction * factor, rigid=None, gravity_across=None)
+    # A vertical axis carries no weight in any unit.
+    signals = replace(s, torque=s.torque * factor, load=s.load * factor, friction=s.friction * factor,
+                      weight=None if s.weight is None else s.weight * factor, rigid=None, gravity_across=None)
     return replace(made, signals=signals, y=made.measured, units=("A",) * len(made.units),
                    prismatic=(False,) * len(made.prismatic))
 

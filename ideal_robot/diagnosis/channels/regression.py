@@ -69,7 +69,8 @@ class Regression:
             return np.asarray(values[::step][keep])
 
         return replace(s, t=at(s.t), q=at(s.q), qd=at(s.qd), qdd=at(s.qdd), load=at(s.load), torque=at(s.torque),
-                       friction=at(s.friction), payload=None, rigid=None, bodies=None, gravity_across=None, frames=None,
+                       friction=at(s.friction), weight=None if s.weight is None else at(s.weight), payload=None,
+                       rigid=None, bodies=None, gravity_across=None, frames=None,
                        temperature=None if s.temperature is None else at(s.temperature),
                        sliding=None if s.sliding is None else at(s.sliding),
                        extra={name: at(values) for name, values in s.extra.items()})

@@ -51,11 +51,10 @@ class GravitySpring(Effect):
         """Over a small range the shape is a straight line; where gravity does nothing none is balanced."""
         if np.ptp(signals.q[:, joint - 1]) <= _LEAST_RANGE:
             return False
-        if signals.rigid is None:
+        if signals.weight is None:
             return True
-        still = np.zeros_like(signals.q)
-        weight = signals.rigid(signals.q, still, still)[:, joint - 1]
-        return bool(np.max(np.abs(weight)) > _LEAST_WEIGHT * np.max(np.abs(signals.torque[:, joint - 1])))
+        weight, torque = (np.max(np.abs(values[:, joint - 1])) for values in (signals.weight, signals.torque))
+        return bool(weight > _LEAST_WEIGHT * torque)
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 2)``."""

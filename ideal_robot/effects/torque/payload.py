@@ -23,8 +23,8 @@ class Payload(Effect):
     coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
     absorbed_by_base = True
     depends_on_joint = False
-    # Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
-    without_which_none = (0, 1, 2, 3)
+    # Moments without mass are no body but how gears, rotors or filters bend what a motion shows.
+    without_which_none = (0,)
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:

@@ -1,9 +1,12 @@
 """Causes of the whole arm: what they add is what the changed arm does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio as pin
+import pytest
 
-from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -57,6 +60,16 @@ def test_one_filter_delays_every_joint():
     steps = round(0.01 / signals.dt)
     late = signals.torque[100 - steps : -100 - steps] - signals.torque[100:-100]
     np.testing.assert_allclose(0.01 * column[100:-100], late, atol=1e-9)
+
+
+@pytest.mark.parametrize("unit", ["N m", "A"])
+def test_a_spring_balances_gravity_where_there_is_some_in_any_unit(unit):
+    _, regression = made()
+    if unit == "A":
+        amperes = 0.1 * regression.decimate(regression.signals.torque)
+        regression = in_own_units(replace(regression, measured=amperes))
+    usable = [find("gravity_spring", "tau").usable(regression.signals, joint) for joint in (1, 2, 3)]
+    assert usable == [False, True, True]
 
 
 def test_a_single_sample_that_stands_out_costs_nothing():
