@@ -51,8 +51,11 @@ def _follow(q: Array, start: Array, distance: Array) -> Array:
         for k in range(1, count):
             away = q[k, j] - last
             step = max(away - band, 0.0) + min(away + band, 0.0)
+            if step == 0.0:
+                z[k, j] = z[k - 1, j]
+                continue
             last += step
-            s = np.sign(step)
+            s = 1.0 if step > 0.0 else -1.0
             behind = z[k - 1, j] - s
             # In gross sliding nothing is behind, and the exponential is what costs time.
             z[k, j] = s + behind * np.exp(-abs(step) / distance[j]) if behind != 0.0 else s

@@ -11,7 +11,7 @@ from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.identification.prior import prior_of
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.cutoff import CutoffChoice, choose_cutoff
-from ideal_robot.signals.preprocess import FilteredSignals, decimated, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, decimated, evenly_sampled
 from ideal_robot.signals.recording import Recording
 
 _PROBE = 8.0
@@ -43,7 +43,8 @@ def chosen_filters(recordings: Sequence[Recording], robot: Robot, *, amperes: bo
         W[:, joints, base.count + n + joints] = decimated(np.tanh((s.qd / slow).astype(np.float32)), stride)
         return W
 
-    probes = [preprocess(r, cutoff=min(_PROBE, 0.1 * len(r.t) / float(r.t[-1] - r.t[0]))) for r in recordings]
+    probes = [evenly_sampled(r, columns=False).filtered(min(_PROBE, 0.1 * len(r.t) / float(r.t[-1] - r.t[0])))
+              for r in recordings]
     prior = prior_of(robot, base, probes, amperes=amperes)
     return choose_cutoff(recordings, columns, start=np.concatenate([prior.start, np.zeros(2 * n)]),
                          information=prior.padded(base.count + 2 * n))

@@ -28,7 +28,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import ChannelFinding, channel_findings, dead_joints
 from ideal_robot.signals.cutoff import CutoffChoice
 from ideal_robot.signals.error_budget import ErrorBudget, error_budget
-from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.preprocess import evenly_sampled
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.stamps import on_its_clock
 from ideal_robot.summary import Summarised, listed
@@ -100,7 +100,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     if filters is not None:
         cutoff = filters.cutoff
         warnings += [filters.warning] * bool(filters.warning)
-    signals = [preprocess(r, cutoff=cutoff, cutoff_decimation=cutoff_decimation) for r in live]
+    signals = [evenly_sampled(r, columns=False).filtered(cutoff, cutoff_decimation) for r in live]
     prior = prior_of(robot, base, signals, amperes=amperes)
     budgets = [error_budget(r, s) for r, s in zip(usable, signals, strict=True)]
     fit = JointProblem(robot, base, prior, signals, budgets).fit(friction)

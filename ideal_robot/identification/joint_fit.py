@@ -104,15 +104,19 @@ class JointProblem:
         return JointFit(solution, friction, consistency, tuple(scores), np.where(live, kept * weight, 0.0),
                         self._wrong_sign(rough))
 
-    def _rough(self) -> Solution:
+    def _rough(self, *, correlated: bool = False) -> Solution:
+        """Fit of dry and viscous friction; of its covariance only wrong signs ask for more than that of white noise."""
         laws = [candidates([law_of("viscous_coulomb")], refine=False)[0].make(()) for _ in range(self._robot.n)]
         none = [np.zeros_like(s.q) for s in self._signals]
-        return self._solved(np.concatenate([self._W, self._columns(laws, none)], axis=2), None, None)
+        W = np.concatenate([self._W, self._columns(laws, none)], axis=2)
+        return self._solved(W, None, None, correlated=correlated)
 
-    def _solved(self, W: Array, nonnegative: np.ndarray | None, variance: Array | None) -> Solution:
+    def _solved(self, W: Array, nonnegative: np.ndarray | None, variance: Array | None, *,
+                correlated: bool = True) -> Solution:
         start = np.concatenate([self._prior.start, np.zeros(W.shape[2] - self._base.count)])
         return weighted_least_squares(W, self._y, start, segments=self._segments, nonnegative=nonnegative,
-                                      variance=variance, information=self._prior.padded(W.shape[2]))
+                                      variance=variance, information=self._prior.padded(W.shape[2]),
+                                      correlated=correlated)
 
     def _laws(self, wanted: str, load: Sequence[Array], noise: Array, barred: frozenset[int],
               ) -> tuple[list[FrictionModel], list[dict[str, float]]]:
@@ -221,8 +225,11 @@ class JointProblem:
     def _wrong_sign(self, rough: Solution) -> tuple[int, ...]:
         """Joints whose torque has the wrong sign: left free, friction drives them and their inertia is negative."""
         b = self._base.count
-        inertia = self._inertia(rough)
-        std = np.sqrt(np.diag(rough.covariance))[b:].reshape(-1, 2)
         friction = rough.value[b:].reshape(-1, 2)
-        drives = np.all(friction < 0.0, axis=1) & np.any(friction < -3.0 * std, axis=1)
+        negative = np.all(friction < 0.0, axis=1)
+        if not negative.any():
+            return ()
+        inertia = self._inertia(rough)
+        std = np.sqrt(np.diag(self._rough(correlated=True).covariance))[b:].reshape(-1, 2)
+        drives = negative & np.any(friction < -3.0 * std, axis=1)
         return tuple(int(j) for j in np.flatnonzero(drives & (inertia < 0.0)))

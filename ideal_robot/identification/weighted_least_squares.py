@@ -8,6 +8,7 @@ import numpy as np
 from scipy import optimize, stats
 
 from ideal_robot.arrays import Array
+from ideal_robot.signals.filtered_at import not_zero
 
 _RANK = 1e-8
 """Directions of the scaled regressor weaker than this share of the strongest count as not excited."""
@@ -47,7 +48,7 @@ class Solution:
 
 def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int = 4, segments: Array | None = None,
                            information: Array | None = None, nonnegative: np.ndarray | None = None,
-                           variance: Array | None = None) -> Solution:
+                           variance: Array | None = None, correlated: bool = True) -> Solution:
     """Solves ``y = W p + e`` with one noise level per channel, estimated from the residual (IDIM-WLS).
 
     Args:
@@ -61,6 +62,8 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         nonnegative: ``(P,)`` parameters that may not be negative.
         variance: ``(M, n)`` variance that each sample is known to have beside its channel's noise level, in the square
             of y's unit.
+        correlated: whether what residuals have in common from sample to sample widens the covariance; else they
+            are taken for white.
     """
     live = np.asarray(~np.isnan(y).all(axis=0))
     y = np.where(live, y, 0.0)
@@ -72,9 +75,10 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
     bounded = np.zeros(size, dtype=bool) if nonnegative is None else nonnegative
     at_bound = np.zeros(size, dtype=bool)
     extra = np.zeros_like(y) if variance is None else variance
+    channels, root = _Channels(W, y - W @ start, alike=variance is None), _root(known)
     for _ in range(iterations):
         std = np.sqrt(noise**2 + extra)
-        value, inverse, conditions, unexcited = _solve(W / std[:, :, None], (y - W @ start) / std, known)
+        value, inverse, conditions, unexcited = _solve(channels.weighted(std), root)
         value, inverse, at_bound = _bounded(value, inverse, start, bounded, unexcited)
         value = value + start
         residual = y - W @ value
@@ -83,10 +87,12 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         level = np.sum(residual**2, axis=0) / freedom
         # What is known of single samples is a bound rather than a measurement: it explains three quarters at most.
         noise = np.maximum(np.sqrt(np.maximum(level - np.mean(extra, axis=0), _OWN * level)), 1e-9 * scale_y)
-    std = np.sqrt(noise**2 + extra)
     std_white = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
-    covariance = inverse * np.outer(inflation, inflation)
+    covariance = inverse
+    if correlated:
+        std = np.sqrt(noise**2 + extra)
+        inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
+        covariance = inverse * np.outer(inflation, inflation)
     return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
 
@@ -120,22 +126,57 @@ def _bounded(value: Array, inverse: Array, start: Array, bounded: np.ndarray, un
     return value, 0.5 * (reduced + reduced.T), none
 
 
-def _solve(W: Array, y: Array, information: Array) -> tuple[Array, Array, tuple[float, float], np.ndarray]:
-    """Minimum-norm solution over scaled columns, ``(WᵀW)⁻¹`` on what is excited, condition numbers."""
-    flat = W.reshape(-1, W.shape[2])
-    size = np.linalg.norm(flat, axis=0)
+class _Channels:
+    """Rows of each channel with the columns that they hold: bodies before a joint do not load it.
+
+    R of the QR decomposition of all rows is that of the channels' own R one under the other.
+
+    Args:
+        W: ``(M, n, P)`` observation matrix per sample.
+        y: ``(M, n)`` measurements.
+        alike: whether all samples of a channel weigh alike: then its R is found once, whatever its weight.
+    """
+
+    def __init__(self, W: Array, y: Array, *, alike: bool) -> None:
+        self._alike, self._width = alike, W.shape[2] + 1
+        self._parts: list[tuple[np.ndarray, Array]] = []
+        for j in range(W.shape[1]):
+            held = np.flatnonzero(not_zero(W[:, j].T))
+            rows = np.column_stack([W[:, j, held], y[:, j]])
+            self._parts.append((np.append(held, W.shape[2]), _triangular(rows) if alike else rows))
+
+    def weighted(self, std: Array) -> Array:
+        """Triangular rows ``(K, P + 1)``, the measurements last, of samples with standard deviations ``(M, n)``."""
+        parts = []
+        for j, (held, rows) in enumerate(self._parts):
+            R = rows / std[0, j] if self._alike else _triangular(rows / std[:, [j]])
+            parts.append(np.zeros((len(R), self._width)))
+            parts[-1][:, held] = R
+        return np.concatenate(parts)
+
+
+def _solve(rows: Array, root: Array) -> tuple[Array, Array, tuple[float, float], np.ndarray]:
+    """Minimum-norm solution over scaled columns, ``(WᵀW)⁻¹`` on what is excited, condition numbers.
+
+    Args:
+        rows: of W with the measurements last ``(K, P + 1)``, or what has the same R.
+        root: of what is known of the parameters beforehand ``(P, P)``.
+    """
+    W, y = rows[:, :-1], rows[:, -1:]
+    P = W.shape[1]
+    size = np.linalg.norm(W, axis=0)
     seen = size > 1e-10 * size.max()
     # R of the QR decomposition has the singular values of W but only P rows.
-    R, rhs = _triangular(flat[:, seen] / size[seen], y.reshape(-1))
+    joined = _triangular(np.hstack([W[:, seen] / size[seen], y]))
+    R, rhs = joined[: seen.sum(), :-1], joined[: seen.sum(), -1]
     raw = np.linalg.svd(R * size[seen], compute_uv=False)
     _, data, directions = np.linalg.svd(R)
-    root = _root(information[np.ix_(seen, seen)]) / size[seen]
-    u, s, vt = np.linalg.svd(np.vstack([R, root]), full_matrices=False)
+    u, s, vt = np.linalg.svd(np.vstack([R, root[:, seen] / size[seen]]), full_matrices=False)
     strong = s > _RANK * s[0]
     inverse_s = np.where(strong, 1.0 / np.where(strong, s, 1.0), 0.0)
-    value = np.zeros(W.shape[2])
+    value = np.zeros(P)
     value[seen] = (vt.T @ (inverse_s * (u.T @ np.concatenate([rhs, np.zeros(len(root))])))) / size[seen]
-    inverse = np.zeros((W.shape[2],) * 2)
+    inverse = np.zeros((P, P))
     scaled = (vt.T * inverse_s**2) @ vt / np.outer(size[seen], size[seen])
     inverse[np.ix_(seen, seen)] = scaled
     # A parameter with a visible share of a direction that the data leave open cannot be told.
@@ -150,10 +191,9 @@ def _root(information: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(value, 0.0))[:, None] * vector.T)
 
 
-def _triangular(W: Array, y: Array) -> tuple[Array, Array]:
-    joined = np.asarray(np.linalg.qr(np.column_stack([W, y]), mode="r"))
-    P = W.shape[1]
-    return joined[:P, :P], joined[:P, P]
+def _triangular(rows: Array) -> Array:
+    """R of the QR decomposition."""
+    return np.asarray(np.linalg.qr(rows, mode="r"))
 
 
 def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: Array | None) -> Array:

@@ -33,7 +33,7 @@ from ideal_robot.model.urdf_export import urdf_with_inertials
 from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import model_of
-from ideal_robot.signals.preprocess import FilteredSignals, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
 from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import write_text
@@ -208,7 +208,8 @@ class Model(Summarised):
             raise InputError(f"the recording has {recording.n} joints, the model of {self.robot_name} has {self.n}",
                              file=recording.source, field="q_i")
         used = self.provenance.get("filters", {})
-        signals = preprocess(recording, cutoff=used.get("cutoff"), cutoff_decimation=used.get("cutoff_decimation"))
+        even = evenly_sampled(recording, columns=bool(self.effects))
+        signals = even.filtered(used.get("cutoff"), used.get("cutoff_decimation"))
         # The spread of the parameters needs no filtering: it is taken at the decimated instants.
         q, qd, qdd = (values[:: signals.factor][signals.keep] for values in (signals.q, signals.qd, signals.qdd))
         columns = sensitivity(self.kinematics, self.base, self.friction, q, qd, qdd, self.rigid_body(q, qd, qdd))

@@ -104,8 +104,10 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
     errors: dict[float, float] = {}
     under = [_Judged(r, columns, band, usable[0]) for r in parts]
     for cutoff in usable:
-        fits, judged = zip(*[recording.rows(cutoff) for recording in under], strict=True)
-        errors[cutoff] = _held_out(fits, judged, start, information)
+        moved = [recording.moved(cutoff) for recording in under]
+        held = np.any([not_zero(m.elements) for m in moved], axis=0)
+        fits, judged = zip(*[recording.rows(m, held) for recording, m in zip(under, moved, strict=True)], strict=True)
+        errors[cutoff] = _held_out(fits, judged, held.reshape(-1, len(start)), start, information)
         if errors[cutoff] > _WORSE * min(errors.values()):
             break
     best = min(errors.values())
@@ -149,10 +151,19 @@ def _first(recording: Recording, seconds: float) -> Recording:
 
 
 @dataclass(frozen=True)
-class _Rows:
-    """Observation matrix ``(M, n, P)``, torque ``(M, n)`` and times relative to the recording ``(M,)`` in [0, 1]."""
+class _Moved:
+    """Signals under a cut-off, and the observation matrix's elements ``(n P, K)`` at samples ``stride`` apart."""
 
-    W: Array
+    signals: FilteredSignals
+    stride: int
+    elements: Array
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Held elements of the regressor ``(E, M)``, torque ``(M, n)``, place in the recording ``(M,)``, 0 to 1."""
+
+    elements: Array
     y: Array
     when: Array
 
@@ -181,15 +192,20 @@ class _Judged:
         self._kernel = lowpass(np.eye(1, 2 * reach + 1, reach)[0], step, band)
         self._y = self._below(self._even.tau, 1)
 
-    def rows(self, cutoff: float) -> tuple[_Rows, _Rows]:
-        """Rows to fit, below half the cut-off, and rows to judge, below the band."""
+    def moved(self, cutoff: float) -> _Moved:
+        """The motion under a cut-off."""
         s = self._even.filtered(cutoff)
         stride = max(1, int(1.0 / (s.dt * _FINE * max(cutoff, self._band))))
         W = self._columns(s, stride)
+        return _Moved(s, stride, W.reshape(len(W), -1).T)
+
+    def rows(self, moved: _Moved, held: np.ndarray) -> tuple[_Rows, _Rows]:
+        """Rows to fit, below half the cut-off, and rows to judge, below the band, of the elements ``held (n P,)``."""
+        s, stride, W = moved.signals, moved.stride, moved.elements[held].T
         kept = np.flatnonzero(s.keep) * s.factor
         fitted = filtered_at(W, kept / stride, decimation_taps(s.factor), fine=stride)
-        fit = _Rows(fitted, s.decimate(s.tau), (s.t_decimated - s.t[0]) / (s.t[-1] - s.t[0]))
-        return fit, _Rows(self._below(W, stride), self._y, self._when)
+        fit = _Rows(fitted.T, s.decimate(s.tau), (s.t_decimated - s.t[0]) / (s.t[-1] - s.t[0]))
+        return fit, _Rows(self._below(W, stride).T, self._y, self._when)
 
     def _below(self, values: Array, stride: int) -> Array:
         """Every ``stride``-th sample ``(K, …)``, below the band at the instants of judgement ``(M, …)``."""
@@ -207,51 +223,53 @@ def thinned(s: FilteredSignals, stride: int) -> FilteredSignals:
                    tau=decimated(s.tau, stride), factor=factor, keep=kept, columns={})
 
 
-def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], start: Array, information: Array) -> float:
-    """Geometric mean over joints of the error on blocks of time that were left out."""
+def _held_out(fits: Sequence[_Rows], judged: Sequence[_Rows], held: np.ndarray, start: Array,
+              information: Array) -> float:
+    """Geometric mean over joints of the error on blocks of time that were left out; ``held (n, P)`` says of what."""
     W, y, block = _in_blocks(fits)
     judged_W, judged_y, judged_block = _in_blocks(judged)
+    ends = np.concatenate([[0], np.cumsum(held.sum(axis=1))])
+    joints = [(np.flatnonzero(columns), slice(first, last))
+              for columns, (first, last) in zip(held, itertools.pairwise(ends), strict=True)]
     live = ~np.isnan(judged_y).any(axis=0) & (np.std(judged_y, axis=0) > 0)
-    rest, judged_rest = (y - _times(W, start))[:, live], (judged_y - _times(judged_W, start))[:, live]
-    W, judged_W = (values if live.all() else values[:, live] for values in (W, judged_W))
+    rest, judged_rest = (y - _times(W, joints, start))[:, live], (judged_y - _times(judged_W, joints, start))[:, live]
+    joints = [joint for joint, counts in zip(joints, live, strict=True) if counts]
     noise = np.maximum(np.std(rest, axis=0), 1e-12)
     # Normal equations of each block and joint, once; the joints' weights come on top.
-    grams, sides = np.zeros((W.shape[1], _FOLDS, *information.shape)), np.zeros((W.shape[1], _FOLDS, W.shape[2]))
-    for j in range(W.shape[1]):
-        # Bodies before a joint do not load it.
-        felt = np.flatnonzero(not_zero(W[:, j].T))
-        own = np.ascontiguousarray(W[:, j].T[felt])
+    grams, sides = np.zeros((len(joints), _FOLDS, *information.shape)), np.zeros((len(joints), _FOLDS, len(start)))
+    for j, (columns, span) in enumerate(joints):
         for k in range(_FOLDS):
-            part = own[:, block[k]]
-            grams[j, k][np.ix_(felt, felt)] = part @ part.T
-            sides[j, k, felt] = part @ rest[block[k], j]
+            part = W[span, block[k]]
+            grams[j, k][np.ix_(columns, columns)] = part @ part.T
+            sides[j, k, columns] = part @ rest[block[k], j]
     for _ in range(3):
         weight = 1.0 / noise**2
         A, b = np.tensordot(weight, grams, axes=1), np.tensordot(weight, sides, axes=1)
         p = _solved(A.sum(axis=0) + information, b.sum(axis=0))
-        noise = np.maximum(np.std(rest - _times(W, p), axis=0), 1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
+        noise = np.maximum(np.std(rest - _times(W, joints, p), axis=0),
+                           1e-9 * np.maximum(np.std(y[:, live], axis=0), 1e-12))
     error = np.empty_like(judged_rest)
     for k in range(_FOLDS):
         here, others = judged_block[k], np.arange(_FOLDS) != k
         p = _solved(A[others].sum(axis=0) + information, b[others].sum(axis=0))
-        error[here] = judged_rest[here] - _times(judged_W[here], p)
+        error[here] = judged_rest[here] - _times(judged_W[:, here], joints, p)
     ratio = np.sqrt(np.mean(error**2, axis=0)) / np.std(judged_y[:, live], axis=0)
     return float(np.exp(np.mean(np.log(np.maximum(ratio, 1e-9)))))
 
 
-def _times(W: Array, p: Array) -> Array:
-    """``W p`` of an observation matrix ``(M, n, P)`` whose samples are neighbours in memory ``(M, n)``."""
-    return np.asarray(np.matmul(p, W.transpose(1, 2, 0)).T)
+def _times(W: Array, joints: Sequence[tuple[np.ndarray, slice]], p: Array) -> Array:
+    """``W p`` of what is held of an observation matrix ``(E, M)``: ``(M, n)``; columns and elements of each joint."""
+    return np.column_stack([p[columns] @ W[span] for columns, span in joints])
 
 
 def _in_blocks(parts: Sequence[_Rows]) -> tuple[Array, Array, list[slice]]:
-    """Observation matrix and torque of all recordings, rows of a block of time together, and where each block is."""
+    """Elements and torque of all recordings, samples of a block of time together, and where each block is."""
     number = np.concatenate([(_FOLDS * np.clip(rows.when, 0.0, 1.0 - 1e-9)).astype(int) for rows in parts])
-    W, y = parts[0].W, parts[0].y
+    W, y = parts[0].elements, parts[0].y
     if len(parts) > 1:
         order = np.argsort(number, kind="stable")
-        W, y = (np.concatenate([getattr(rows, name) for rows in parts])[order] for name in ("W", "y"))
-        number = number[order]
+        W = np.concatenate([rows.elements for rows in parts], axis=1)[:, order]
+        y, number = np.concatenate([rows.y for rows in parts])[order], number[order]
     ends = np.searchsorted(number, np.arange(_FOLDS + 1))
     return W, y, [slice(first, last) for first, last in itertools.pairwise(ends)]
 

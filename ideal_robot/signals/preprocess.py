@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
+import numba
 import numpy as np
 import scipy
 
@@ -245,31 +246,30 @@ def decimated(values: Array, factor: int) -> Array:
     """Every ``factor``-th sample of the zero-phase FIR-filtered values ``(N, …)``."""
     if factor == 1:
         return np.asarray(values, dtype=float)
+    taps = decimation_taps(factor)
     if np.ndim(values) == 1:
-        return _thinned_out(np.asarray(values, dtype=float), factor)
-    return _column_by_column(values, lambda rows: np.array([_thinned_out(row, factor) for row in rows]))
+        return np.asarray(_thinned_out(np.ascontiguousarray(values, dtype=float)[None], taps, factor)[0])
+    return _column_by_column(values, lambda rows: np.asarray(_thinned_out(rows, taps, factor)))
 
 
-def _thinned_out(row: Array, factor: int) -> Array:
-    """``y_m = Σ_j h_j x_{mf - 10f + j}`` of ``x (N,)``, zero beyond its ends, as ``scipy.signal.resample_poly`` has it.
-
-    With x and h cut into pieces of f samples it is one product of matrices and a sum along diagonals, several times as
-    fast as tap by tap.
-    """
-    count = -(-len(row) // factor)
-    padded = np.zeros((count + 20) * factor)
-    padded[10 * factor : 10 * factor + len(row)] = row
-    products = padded.reshape(-1, factor) @ _tap_table(factor)
-    down, right = products.strides
-    return np.asarray(np.lib.stride_tricks.as_strided(products, (count, 21), (down, down + right)).sum(axis=1))
-
-
-@cache
-def _tap_table(factor: int) -> Array:
-    """Taps of the decimation filter in 21 columns ``(factor, 21)``, zeros at the end."""
-    taps = np.zeros(21 * factor)
-    taps[: 20 * factor + 1] = decimation_taps(factor)
-    return taps.reshape(21, factor).T
+# Sums in any order: the compiler takes several products at a time.
+@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
+    """``y_m = Σ_j h_j x_{mf - 10f + j}`` of rows ``(r, N)``, zero beyond their ends, as scipy's ``resample_poly``."""
+    N, reach = rows.shape[1], len(taps) // 2
+    count = -(-N // factor)
+    out = np.empty((len(rows), count))
+    for r in range(len(rows)):
+        for m in range(count):
+            start = m * factor - reach
+            first = max(0, -start)
+            weights = taps[first : min(len(taps), N - start)]
+            x = rows[r, start + first : start + first + len(weights)]
+            total = 0.0
+            for j in range(len(weights)):
+                total += weights[j] * x[j]
+            out[r, m] = total
+    return out
 
 
 def _column_by_column(values: Array, filtered: Callable[[Array], Array]) -> Array:

@@ -199,6 +199,7 @@ class _Problem:
         turning = np.array([pin.skew(o.angular_velocity) for o in observations]).reshape(-1, 3, 3)
         self.rotation_rate = turning @ self.rotation
         self.owner = np.repeat(np.arange(len(found)), [int(f.sum()) for f in found])
+        self._lens, self._rays = b"", np.empty((0, 3))
         self.centre = reference.points.mean(axis=0)
         along = reference.points[-1] - reference.points[0]
         along = along - along @ normal * normal
@@ -220,6 +221,13 @@ class _Problem:
         R = pin.exp3(-values.get(TILT, 0.0) * self.axis)
         return pin.SE3(R, self.centre - R @ self.centre)
 
+    def _rays_of(self, camera: CameraModel) -> Array:
+        """Rays of all points in the camera's frame ``(M, 3)``: most corrections leave lens and picture as they are."""
+        lens = camera.K.tobytes() + camera.distortion.tobytes()
+        if lens != self._lens:
+            self._lens, self._rays = lens, camera.rays(self.pixels)
+        return self._rays
+
     def _on_surface(self, values: Array) -> Array:
         """Where the rays of all points meet the surface ``(M, 3)`` [m], with the parameters' corrections."""
         given = dict(zip(self.names, values, strict=True))
@@ -228,7 +236,7 @@ class _Problem:
         normal, centre = moved.rotation @ self.normal, moved.act(self.centre)
         camera = self.camera.perturbed(**{name: value for name, value in given.items() if name != TILT})
         T = camera.T_tool_camera
-        directions = camera.rays(self.pixels) @ T.rotation.T
+        directions = self._rays_of(camera) @ T.rotation.T
         # To first order in the delay: milliseconds at a few rad/s.
         rotation = self.rotation + delay * self.rotation_rate
         position = self.position + delay * self.velocity
