@@ -135,6 +135,8 @@ class SurfaceFollower:
         points = np.array([pose.translation for pose in poses])
         forces = np.array([pose.rotation @ f for pose, f in zip(poses, contact, strict=True)])
         s, lateral, height = self.reference.project(points, self.s_at(float(t[-1])), span=0.06)
+        # Before the travel all is felt at one place. How the tip gives way there while the force rises is no slope.
+        s = np.where(t < self._t_travel, 0.0, s)
         frames = self.reference.frames(s)
         middle = len(t) // 2
         up, across, along = frames.up[middle], frames.normal[middle], frames.tangent[middle]

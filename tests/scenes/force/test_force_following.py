@@ -34,6 +34,15 @@ def test_a_quarter_of_direct_feedback_or_less(wave: ForceResult) -> None:
     assert wave.figures.rms <= 0.25 * direct.figures.rms
 
 
+def test_the_tip_does_not_plunge_when_the_travel_begins_on_a_stiff_surface() -> None:
+    """How the tip gives way while the force rises was taken for a slope of the surface: 35 N of 20 N wanted."""
+    result = play(load_scene("force_wave").changed(tip={"stiffness": 2e4, "friction": 0.3}), "ideal")
+    start = result.log.t[result.log.phase.index("travel")]
+    first = (result.history["t"] > start) & (result.history["t"] < start + 0.5)
+    assert result.history["normal"][first].max() < 30.0
+    assert result.figures.rms < 2.5
+
+
 @pytest.mark.slow
 def test_search_finds_no_better_direct_feedback(wave: ForceResult) -> None:
     from scenes.force.gains import best_gains
