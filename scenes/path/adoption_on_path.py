@@ -32,6 +32,9 @@ from scenes.path.scene import JointPath
 
 _LEAST = 0.99
 """An error that falls by less than a hundredth has not fallen."""
+_LEAST_OF_REFIT = 0.75
+"""Nor, where nothing but friction known before was fitted anew, by less than a twentieth: of a healthy arm, too, it
+differs between two recordings, with the temperature at the least."""
 _DOUBT_OF_GEARS = 0.3
 """Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
 small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show
@@ -148,7 +151,8 @@ class _Ladder:
             return self._note(label, f"cannot be played: {failed}")
         # Whatever is doubtful about what is not measured, the error has to fall.
         reached, present = max(pairs, key=lambda pair: pair[0] / pair[1])
-        if reached >= _LEAST * present:
+        adds = len(model.effects) > len(self.model.effects)
+        if reached >= (_LEAST if adds else _LEAST_OF_REFIT) * present:
             return self._note(label, f"the path error does not fall: {1e3 * present:.3g} to {1e3 * reached:.3g} mm",
                               reached)
         self.cell, self.present = tried, played

@@ -8,6 +8,7 @@ from functools import partial
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.validation.adoption import adopted, behind_gears, with_joint
+from ideal_robot.diagnosis.validation.friction_anew import friction_anew
 from ideal_robot.diagnosis.validation.held_fit import beside_held_model
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
 from ideal_robot.model.model import Model
@@ -29,7 +30,7 @@ class Candidate:
     Attributes:
         label: what it is.
         change: makes the changed model of the present one.
-        effects: that it adds.
+        effects: that it adds; none where friction is fitted anew and that is all.
     """
 
     label: str
@@ -44,13 +45,13 @@ class Candidate:
     @property
     def at_tool(self) -> bool:
         """Whether it was seen at the tool."""
-        return all(effect.domain == TCP_POSITION for effect in self.effects)
+        return bool(self.effects) and all(effect.domain == TCP_POSITION for effect in self.effects)
 
     @property
     def shows_in_loop(self) -> bool:
         """Whether joints move otherwise with it; where the tool is for given joints does not show there."""
         changes = [effect.effect.loop_change(effect.coefficients, effect.theta) for effect in self.effects]
-        return not all(change.geometry is not None or change.zero for change in changes)
+        return not changes or not all(change.geometry is not None or change.zero for change in changes)
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,8 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
 
     Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction that
     their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb term.
+    Where refitting the model alone explains a joint's error, its friction is a change of its own: as the joint fit has
+    it, or fitted beside all else.
 
     Args:
         model: that the diagnosis was given.
@@ -95,7 +98,8 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
         whole.append(Candidate.adding(f"all that was found, {_HELD}", (*held, *whole_behind)))
     predicting = adopted(model, found, run, robot)
     more = predicting.effects[len(model.effects):]
-    if more and not any(_not_of_currents(effect, measured) for effect in more):
+    changed = more or any(a is not b for a, b in zip(predicting.friction.laws, model.friction.laws, strict=True))
+    if changed and not any(_not_of_currents(effect, measured) for effect in more):
         whole.append(Candidate("all that predict the run better", lambda _: predicting, more))
     apart: list[Forms] = [(Candidate.adding(_name(effect), (effect,)),) for effect in behind]
     for joint in dict.fromkeys(effect.joint for effect in torque):
@@ -108,6 +112,11 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
                                                                     effects=own), own))
         if forms:
             apart.append(tuple(forms))
+    for joint, anew in friction_anew(moved, robot, model, tuple(one.joint for one in found.refitted)).items():
+        label = f"friction of joint {joint} fitted anew"
+        fits = [anew] if found.model is None else [anew, found.model]
+        apart.append(tuple(Candidate(label, partial(with_joint, fitted=fit, joint=joint, effects=()), ())
+                           for fit in fits))
     return tuple(whole), apart, refused
 
 

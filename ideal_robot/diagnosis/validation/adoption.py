@@ -32,6 +32,8 @@ _LEAST = -np.log(0.99)
 def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Model:
     """The known model with the joints, changed as the diagnosis says, that predict another recording better.
 
+    Joints count in which something was found, and those whose error refitting the known model alone explains.
+
     Args:
         known: the model that the diagnosis was given.
         found: what it found in one recording.
@@ -51,7 +53,7 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
             model = with_joint(model, fitted, joint, tuple(e for e in at_torque if e.joint == joint))
         return model
 
-    joints = accepted(sorted({effect.joint for effect in at_torque}),
+    joints = accepted(sorted({effect.joint for effect in at_torque} | {one.joint for one in found.refitted}),
                       lambda some: with_joints(some).predict(run).relative_error_percent,
                       lambda joint: joint - 1 if joint else None, _LEAST)
     return with_joints(joints)

@@ -7,6 +7,8 @@ import pytest
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.validation.adoption import adopted, with_joint
+from ideal_robot.diagnosis.validation.friction_anew import friction_anew
+from ideal_robot.diagnosis.validation.refit_explains import RefitExplains
 from ideal_robot.diagnosis.validation.result import FoundEffect
 from ideal_robot.effects import FittedEffect
 from ideal_robot.friction import PerJointFriction, ViscousCoulomb
@@ -68,3 +70,25 @@ def test_on_the_friction_of_before_the_same_effect_is_worth_less(case):
 def test_without_an_extended_model_nothing_changes(case):
     robot, known, found, run = case
     assert adopted(known, dataclasses.replace(found, effects=(), model=None), run, robot).effects == known.effects
+
+
+def test_friction_that_refitting_alone_explains_is_taken_where_another_recording_bears_it_out(case):
+    robot, known, found, _ = case
+    fitted = with_coulomb(robot, [100.0, 60.0, 60.0, 100.0, 100.0, 100.0])
+    swallowed = tuple(RefitExplains(joint, f"tau_{joint}", 20.0, 1.0, (), "") for joint in (2, 3))
+    run = recorded(with_coulomb(robot, [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]))
+    model = adopted(known, dataclasses.replace(found, effects=(), model=fitted, refitted=swallowed), run, robot)
+    assert [law.coefficients[1, 0] for law in model.friction.laws] == [100.0, 60.0, 100.0, 100.0, 100.0, 100.0]
+
+
+def test_friction_is_fitted_anew_beside_all_else_and_within_bounds(case):
+    robot, known, _, _ = case
+    run = recorded(with_coulomb(robot, [100.0, 60.0, 250.0, 100.0, 100.0, 100.0]))
+    anew = friction_anew(run, robot, known, (1, 2, 3))
+    assert list(anew) == [1, 2, 3]
+    levels = np.array([[law.coefficients[1, 0] for law in anew[joint].friction.laws] for joint in anew])
+    np.testing.assert_allclose(levels[0], 100.0, rtol=0.02)
+    np.testing.assert_allclose(levels[1], [100.0, 60.0, 100.0, 100.0, 100.0, 100.0], rtol=0.02)
+    # Two and a half times as much is more than friction does: the model keeps what it may.
+    assert levels[2][2] <= 200.0
+    assert friction_anew(run, robot, known, ()) == {}

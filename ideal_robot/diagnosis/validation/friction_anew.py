@@ -1,0 +1,51 @@
+"""One joint's friction fitted anew beside a model that otherwise stays as it is."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.friction import PerJointFriction
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+
+def friction_anew(recording: Recording, robot: Robot, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
+    """The model with the friction coefficients of one joint as a recording has them, for each of some joints.
+
+    A coefficient at most doubles, and none changes its sign: what a motion tells badly stays near what was known. The
+    law and its shape stay, so does all else of the model.
+
+    Args:
+        recording: of the arm, with ``q_i`` and ``tau_i``.
+        robot: the arm.
+        model: that is known; its effects stay.
+        joints: from 1.
+
+    Returns:
+        A model for each joint whose friction can be told.
+    """
+    if not joints:
+        return {}
+    regression = torque_regression(recording, robot, model)
+    result: dict[int, Model] = {}
+    at = model.base.count
+    for joint, law in enumerate(model.friction.laws, start=1):
+        columns = slice(at, at + len(law.coefficients))
+        at = columns.stop
+        use = regression.use[:, joint - 1]
+        known = law.coefficients[:, 0]
+        free = np.abs(known) > 0.0
+        if joint not in joints or joint in regression.undecided or not free.any() or np.count_nonzero(use) < len(known):
+            continue
+        change = np.zeros(len(known))
+        W = regression.W[use, joint - 1, columns][:, free]
+        change[free] = lsq_linear(W, regression.y[use, joint - 1], (-np.abs(known[free]), np.abs(known[free]))).x
+        laws = list(model.friction.laws)
+        laws[joint - 1] = type(law)((known + change)[:, None], law.shape, presliding=law.presliding, loaded=law.loaded)
+        result[joint] = dataclasses.replace(model, friction=PerJointFriction(laws))
+    return result
