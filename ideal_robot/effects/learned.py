@@ -24,7 +24,9 @@ _MOTION = re.compile(r"(q|qd|qdd|load)_\d+")
 class Unknown(Effect):
     """A cubic spline over one signal, or products of two, on one channel, optionally times ``sign(qd)`` of its joint.
 
-    Outside the range it was fitted in it goes to zero within ``margin`` of the range: nothing is claimed there.
+    Outside the range it was fitted in it keeps the value of its end at first and goes to zero within ``margin`` of the
+    range: a path reaches a little further than the motion it was fitted to, and often turns round there; far away
+    nothing is claimed.
 
     Attributes:
         depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
@@ -38,7 +40,7 @@ class Unknown(Effect):
     directed: bool
     knots: tuple[tuple[float, ...], ...]
     frequency: float = 0.0
-    margin: float = 0.1
+    margin: float = 0.5
     domain: Domain = MOTOR_TORQUE
 
     name = "unknown"
@@ -114,10 +116,13 @@ def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
 
 
 def _inside(x: Array, knots: tuple[float, ...], margin: float) -> Array:
-    """One inside the knots, falling linearly to zero over ``margin`` times their range outside."""
+    """One inside the knots, falling to zero over ``margin`` times their range outside, as a tricube: slowly at first.
+
+    A steep fall would be a steep change of torque just where a path that reaches further turns round.
+    """
     low, high = knots[0], knots[-1]
     outside = np.maximum(np.maximum(low - x, x - high), 0.0) / max(margin * (high - low), 1e-12)
-    return np.clip(1.0 - outside, 0.0, 1.0)
+    return np.asarray((1.0 - np.minimum(outside, 1.0) ** 3) ** 3)
 
 
 def signal_of(signals: Signals, name: str) -> Array:

@@ -95,6 +95,17 @@ def test_a_learned_term_goes_to_zero_outside_of_where_it_was_learned():
     np.testing.assert_array_equal(term.basis(far), 0.0)
 
 
+def test_a_learned_term_still_holds_where_a_path_reaches_a_little_further():
+    """A fall to zero within a tenth of the range made a loop worse that turned round a fifth of the range outside."""
+    signals = motion(count=3)
+    term = Unknown(("q_1",), False, (tuple(np.linspace(-1.0, 1.0, 6)),))
+    left = [term.basis(Signals(signals.t, np.full((3, 2), x), signals.qd, signals.qdd, signals.load, signals.torque,
+                               signals.friction)).sum(axis=1)[0] for x in (1.2, -1.4, 1.7)]
+    assert left[0] > 0.97
+    assert left[1] > 0.8
+    assert left[2] < 0.35
+
+
 def test_dead_time_is_exact_at_its_chord():
     signals = motion()
     effect = next(e for e in library() if e.name == "dead_time" and e.channel(1) == "tau_1")
