@@ -141,6 +141,10 @@ class EvenSignals:
         qd = np.gradient(q, dt, axis=0)
         qdd = np.gradient(qd, dt, axis=0)
         wanted = 0.5 * cutoff if cutoff_decimation is None else float(cutoff_decimation)
+        if cutoff_decimation is not None and not wanted * len(self.t) * dt > 1.0:
+            raise InputError("the band that is kept must hold more than one oscillation of the recording: "
+                             f"above {1.0 / (len(self.t) * dt):.3g} Hz", file=self.source, field="cutoff_decimation",
+                             value=cutoff_decimation)
         factor = max(1, round(0.5 * rate / wanted))
         keep = _kept(self.hole, factor, edge=_edge_samples(rate, cutoff, factor))
         if keep.sum() < 10:

@@ -79,6 +79,8 @@ def test_bad_cutoff_and_short_recordings_are_refused() -> None:
     recording = Recording.from_arrays(t, q=sines(t)[0], tau=sines(t)[0])
     with pytest.raises(InputError, match="half the sampling rate"):
         preprocess(recording, cutoff=60.0)
+    with pytest.raises(InputError, match="one oscillation"):
+        preprocess(recording, cutoff=20.0, cutoff_decimation=0.0)
     with pytest.raises(InputError, match="too short"):
         preprocess(Recording.from_arrays(t[:50], q=sines(t)[0][:50], tau=sines(t)[0][:50]))
 
