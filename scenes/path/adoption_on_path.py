@@ -33,7 +33,7 @@ from scenes.path.scene import JointPath
 _LEAST = 0.99
 """An error that falls by less than a hundredth has not fallen."""
 _LEAST_OF_REFIT = 0.75
-"""Nor, where nothing but friction known before was fitted anew, by less than a twentieth: of a healthy arm, too, it
+"""Nor, where nothing but friction known before was fitted anew, by less than a quarter: of a healthy arm, too, it
 differs between two recordings, with the temperature at the least."""
 _DOUBT_OF_GEARS = 0.3
 """Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under

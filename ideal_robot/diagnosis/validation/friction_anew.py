@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.friction import PerJointFriction
+from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -42,10 +40,8 @@ def friction_anew(recording: Recording, robot: Robot, model: Model, joints: tupl
         free = np.abs(known) > 0.0
         if joint not in joints or joint in regression.undecided or not free.any() or np.count_nonzero(use) < len(known):
             continue
-        change = np.zeros(len(known))
-        W = regression.W[use, joint - 1, columns][:, free]
-        change[free] = lsq_linear(W, regression.y[use, joint - 1], (-np.abs(known[free]), np.abs(known[free]))).x
-        laws = list(model.friction.laws)
-        laws[joint - 1] = type(law)((known + change)[:, None], law.shape, presliding=law.presliding, loaded=law.loaded)
-        result[joint] = dataclasses.replace(model, friction=PerJointFriction(laws))
+        change, own = np.zeros(regression.W.shape[2]), np.arange(columns.start, columns.stop)[free]
+        change[own] = lsq_linear(regression.W[use, joint - 1][:, own], regression.y[use, joint - 1],
+                                 (-np.abs(known[free]), np.abs(known[free]))).x
+        result[joint] = with_parameters(model, change)
     return result
