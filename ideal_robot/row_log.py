@@ -13,6 +13,7 @@ from numpy.typing import DTypeLike
 
 from ideal_robot.arrays import Array
 from ideal_robot.file_array import no_room
+from ideal_robot.whole_file import OutputError
 
 KEPT = 32768
 """Rows held in memory at most; a power of two times the first ones."""
@@ -24,13 +25,16 @@ _BLOCK = 4096
 class RowLog:
     """Rows of equal width, appended; all but the last ``KEPT`` are in a file without a name, which ends with the log.
 
-    Reads like a list of arrays, or of numbers where numbers were appended; ``np.array(log)`` is all of it.
+    Reads like a list of arrays, or of numbers where numbers were appended; ``np.array(log)`` is all of it. Rows that
+    no file takes, as the disk is full, stay in memory: adding one never fails, which an arm that moves relies on. Who
+    adds rows looks at ``refused`` now and then and ends.
 
     Args:
         width: values in a row; None: as many as the first one that is appended has.
 
     Attributes:
         rows: how many rows are filled; whoever fills ``next_row`` counts it.
+        refused: why rows are in memory that should be in the file, or None.
     """
 
     def __init__(self, width: int | None = None) -> None:
@@ -40,6 +44,7 @@ class RowLog:
         self._stored = np.zeros((0, width or 0))
         self._first = 0
         self.rows = 0
+        self.refused: OutputError | None = None
 
     @property
     def next_row(self) -> Array:
@@ -55,10 +60,13 @@ class RowLog:
         """Makes room for ``count`` further rows."""
         if self.rows - self._first + count <= len(self._log):
             return
-        if len(self._log) < KEPT:
-            self._log = np.concatenate([self._log, np.zeros_like(self._log)])
-        else:
-            self._store()
+        if len(self._log) >= KEPT:
+            try:
+                self._store()
+                return
+            except OutputError as error:
+                self.refused = error
+        self._log = np.concatenate([self._log, np.zeros_like(self._log)])
 
     def append(self, value: Any) -> None:
         """One more row ``(width,)``, or one more number."""
@@ -102,13 +110,12 @@ class RowLog:
         """Brings the rows in memory to the file; what was handed out before stays valid."""
         try:
             if self._file is None:
-                self._file = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as the log is)
+                self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115 (open as long as the log is)
                 weakref.finalize(self, self._file.close)
-            self._file.seek(0, os.SEEK_END)
-            self._file.write(self._log[: self.rows - self._first].data)
-            self._file.flush()
+            _write(self._file.fileno(), self._log[: self.rows - self._first], 8 * self._log.shape[1] * self._first)
         except OSError as error:
             raise no_room(error) from error
+        self.refused = None
         # The row that is filled next may have been begun already.
         begun = self._log[self.rows - self._first :][:1].copy()
         self._log[:] = 0.0
@@ -142,6 +149,14 @@ class RowLog:
 
     def __reduce__(self) -> Any:
         return _made_of, (np.asarray(self),)
+
+
+def _write(descriptor: int, rows: Array, place: int) -> None:
+    """Writes rows at a place of a file; a full disk may take a part of them before it says so."""
+    left = np.ascontiguousarray(rows).data.cast("B")
+    while left:
+        count = os.pwrite(descriptor, left, place)
+        left, place = left[count:], place + count
 
 
 def _made_of(values: Array) -> RowLog:

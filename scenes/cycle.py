@@ -23,6 +23,8 @@ PARTED = 0.02
 """A wanted command so far from the one that keeps the limits ends the play, on the path [rad, or m]."""
 LONGEST_STOP = 10.0
 """Longest that a stop of a play that is not done takes [s]."""
+_LOOKED = 256
+"""Cycles after which it is looked whether the disk takes what is written down."""
 STANDSTILL = 1e-9
 """Change of the desired angles within a horizon below which the arm rests [rad]."""
 
@@ -107,6 +109,11 @@ class CycleLog:
     limited: int = 0
     failure: str | None = None
 
+    @property
+    def refused(self) -> str | None:
+        """Why what is written down is held in memory, as the disk takes no more; None where it takes it."""
+        return next((str(log.refused) for log in vars(self).values() if isinstance(log, RowLog) and log.refused), None)
+
 
 @dataclass(frozen=True)
 class CycleSettings:
@@ -150,6 +157,9 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
         t = k * T
         begin = time.perf_counter()
         task.observe(t, q, q_d)
+        if stopping is None and k % _LOOKED == 0 and (refused := log.refused) is not None:
+            log.failure = f"stopped on the path at {t:.3f} s: {refused}"
+            stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
         if stopping is None and k >= last:
             log.failure = f"not done after {settings.longest:.0f} s; stopped on the path"
             stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)

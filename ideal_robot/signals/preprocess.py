@@ -133,10 +133,12 @@ class EvenSignals:
         """Filters and differentiates; arguments and errors as for ``preprocess``."""
         dt = float(self.t[1] - self.t[0])
         rate = 1.0 / dt
+        lowest = 0.0 if cutoff is None else 1.0 / (len(self.t) * dt)
         cutoff = chosen_cutoff(self.q, dt) if cutoff is None else float(cutoff)
-        if not 0 < cutoff < 0.5 * rate:
-            raise InputError(f"cut-off must lie between 0 and {0.5 * rate:.4g} Hz, half the sampling rate",
-                             file=self.source, field="cutoff", value=cutoff)
+        if not lowest < cutoff < 0.5 * rate:
+            raise InputError(f"cut-off must lie between {lowest:.3g} Hz, one oscillation of the recording, and "
+                             f"{0.5 * rate:.4g} Hz, half the sampling rate", file=self.source, field="cutoff",
+                             value=cutoff)
         q = lowpass(self.q, dt, cutoff)
         qd = np.gradient(q, dt, axis=0)
         qdd = np.gradient(qd, dt, axis=0)

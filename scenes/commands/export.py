@@ -24,6 +24,7 @@ def command(
     from ideal_robot.signals.recording import Recording
     from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
     from scenes.export.rerun_file import write_rerun
+    from scenes.outputs import check_outputs
     from scenes.progress_bar import progress_bar
 
     writers = {"--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2), "--rerun": (rerun, write_rerun),
@@ -34,6 +35,7 @@ def command(
     for option, (path, _) in wanted.items():
         if option in ("--csv", "--parquet") and path is not None and path.suffix != f".{option[2:]}":
             raise InputError(f"expected a name ending in .{option[2:]}", field=option, value=str(path))
+    check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet)
     loaded = Recording.read(recording)
     with progress_bar("export") as progress:
         for i, (option, (path, writer)) in enumerate(wanted.items()):

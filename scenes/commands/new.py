@@ -18,6 +18,7 @@ def command(
     Example: `ideal-robot new weld_seam --kind line`
     """
     from ideal_robot.errors import InputError
+    from ideal_robot.whole_file import write_text
     from scenes.kind import KINDS
     from scenes.scene import NAME
     from scenes.scene_file import library, load_scene
@@ -35,8 +36,7 @@ def command(
     if found is None:
         raise InputError("no shipped scene is of that kind; see the documentation of the package that added it",
                          field="--kind", value=kind)
-    path.write_text(commented_scene(name, kind, (library() / f"{found}.toml").read_text(encoding="utf-8")),
-                    encoding="utf-8")
+    write_text(path, commented_scene(name, kind, (library() / f"{found}.toml").read_text(encoding="utf-8")))
     load_scene(f"./{path}")
     typer.echo(f"written: {path}")
     typer.echo(f"play it: ideal-robot run ./{path}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from ideal_robot.whole_file import write_text
+from ideal_robot.whole_file import OutputError, write_text
 
 ROWS, META = "journal.rows", "journal.json"
 _QUANTITIES = ("q_d", "q_c", "q", "tau")
@@ -37,11 +38,16 @@ class Journal:
         self._folder, self._robot = folder, robot
         meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
                 "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta}
-        write_text(folder / META, json.dumps({**meta, "gain": robot.drive_gain.tolist()}) + "\n")
+        self._meta = {**meta, "gain": robot.drive_gain.tolist()}
+        write_text(folder / META, json.dumps(self._meta) + "\n")
         self._row = np.zeros(2 + len(_QUANTITIES) * robot.n)
         self._each = self._row[2:].reshape(len(_QUANTITIES), robot.n)
         self.unwritten = 0
-        self._file = (folder / ROWS).open("wb", buffering=0)
+        self._rows = 0
+        try:
+            self._file = (folder / ROWS).open("w+b", buffering=0)
+        except OSError as error:
+            raise OutputError(f"{folder / ROWS}: cannot be written ({error.strerror or error})") from error
 
     def add(self, t: float, state: RobotState, q_d: Array, q_c: Array) -> None:
         """One cycle; what the disk does not take is missing.
@@ -56,13 +62,18 @@ class Journal:
         for values, row in zip((q_d, q_c, state.q, state.tau), self._each, strict=True):
             row[:] = values
         try:
-            self._file.write(self._row.data)
+            # At its place: of a row that a full disk took in part the next one takes the place.
+            whole = os.pwrite(self._file.fileno(), self._row.data, self._row.nbytes * self._rows) == self._row.nbytes
         except OSError:
-            self.unwritten += 1
+            whole = False
+        self._rows += whole
+        self.unwritten += not whole
 
     def recording(self) -> Recording:
-        """The rows so far."""
-        return _read(self._folder)
+        """The rows so far, also where the folder is gone meanwhile."""
+        self._file.seek(0)
+        values = np.fromfile(self._file, dtype=np.float64, count=self._rows * len(self._row))
+        return _recording(values.reshape(-1, len(self._row)), dict(self._meta))
 
     def close(self) -> None:
         """No more rows; the file stays."""
@@ -81,15 +92,13 @@ def remove(folder: Path) -> None:
 
 
 def left_behind(folder: Path) -> Recording | None:
-    """What a run that was killed has left in its folder; None where there is nothing. It is removed there."""
+    """What a run that was killed has left in its folder; None where there is nothing, or nothing that can be read."""
     if not lies_there(folder):
         return None
     try:
-        found = _read(folder)
+        found = _recording(*journal_rows(folder))
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    finally:
-        remove(folder)
     return found if len(found.t) else None
 
 
@@ -116,13 +125,14 @@ def journal_rows(folder: Path, first: int = 0, count: int = -1) -> tuple[Array, 
 
 
 def rescue(folder: Path) -> Path | None:
-    """Makes a recording of what was left behind; returns its place."""
+    """Makes a recording of what was left behind and returns its place; only then the journal goes."""
     found = left_behind(folder)
-    return None if found is None else found.write(folder / "recording_killed.parquet")
+    place = None if found is None else found.write(folder / "recording_killed.parquet")
+    remove(folder)
+    return place
 
 
-def _read(folder: Path) -> Recording:
-    rows, meta = journal_rows(folder)
+def _recording(rows: Array, meta: dict[str, Any]) -> Recording:
     gain = np.array(meta.pop("gain"), dtype=float)
     n = len(gain)
     columns = {name: rows[:, 2 + i * n : 2 + (i + 1) * n] for i, name in enumerate(_QUANTITIES)}

@@ -122,6 +122,11 @@ class LiveArm:
         """Time since ``begin`` [s]."""
         return self._k * self.t_ipo
 
+    @property
+    def controller_time(self) -> float:
+        """Of the last cycle, by the controller [s]; NaN before the first."""
+        return float("nan") if self._last is None else self._last.t
+
     def cycle(self, q_c: Array) -> RobotState:
         """One cycle; the state's time is that since ``begin``.
 

@@ -29,6 +29,8 @@ def _page(result: FollowResult) -> Report:
                   + (", the whole path." if result.failure is None else ", ended early."))
     if result.failure is not None:
         page.warning(result.failure)
+    if count := result.devices.get("arm", {}).get("cycles_not_recorded", 0):
+        page.warning(f"The disk did not take {count} cycles: they are missing in the recording.")
     if result.left_behind is not None:
         page.warning(f"A run before this one was killed; what it did until then is in {result.left_behind}.")
     page.figures(result.summary())

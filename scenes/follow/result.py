@@ -54,6 +54,8 @@ class FollowResult(ShownRun):
         rows = [("method", self.method), ("cycles", str(len(self.recording.t)))]
         link = self.devices.get("arm", {}).get("link", {})
         rows += [(f"packets {key}", str(link[key])) for key in ("lost", "late", "refused") if key in link]
+        if count := self.devices.get("arm", {}).get("cycles_not_recorded", 0):
+            rows.append(("cycles missing in the recording", f"{count}: the disk did not take them"))
         rows.append(("answer after, median and worst",
                      f"{self.timing['answer_ms']['median']:.2f}, {self.timing['answer_ms']['max']:.1f} ms"))
         if (share := self.devices.get("arm", {}).get("holding_share", 0.0)) > 1.0:

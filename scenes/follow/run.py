@@ -200,11 +200,10 @@ def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str,
                   "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
                   "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
                   "memory_together_MB": memory_together(pids), "seconds": wall, "granted": granted}
-        opened.journal.close()
         recording = opened.journal.recording()
-        if job.log.t:
+        if job.log.t and len(recording.t):
             # The run's own time begins behind approach and calibration.
-            begin = recording.t[-1] - arm.t
+            begin = arm.controller_time - arm.t
             recording = replace(recording, columns={**recording.columns, **job.columns(recording.t - begin)},
                                 meta={**recording.meta, "run_begins_at": float(begin)})
         recording = replace(recording, meta={**recording.meta, "stopped_because": failure})
@@ -218,6 +217,7 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
     stamps = getattr(arm.link, "stamps", None)
     told: dict[str, Any] = {"arm": {"address": devices.arm, "link": asdict(arm.link.counts),
                                     "time_stamps": None if stamps is None else stamps.described(),
+                                    "cycles_not_recorded": opened.journal.unwritten,
                                     "clock": arm.clock.report().to_dict()}}
     if not getattr(arm.link, "relative", True):
         told["arm"]["holding_share"] = holding_share(opened.journal.recording().joints("q_c"), arm.robot)

@@ -35,6 +35,12 @@ class History(RowLog):
         super().__init__(1 + len(LOGGED) * n)
         self._n, self.step = n, step
 
+    def reserve(self, count: int) -> None:
+        """Makes room for ``count`` further rows; raises ``OutputError`` where the disk is full: no real arm moves."""
+        super().reserve(count)
+        if self.refused is not None:
+            raise self.refused
+
     def columns(self) -> dict[str, Array]:
         """``t (N,)`` [s] and every logged quantity ``(N, n)``; of a long run they are read from its file when used."""
         return self.split(self.mapped())

@@ -47,8 +47,10 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 def fill():
     log = RowLog()
-    for row in np.ones((KEPT + 1, 2)):
+    for row in np.arange(2.0 * KEPT + 2).reshape(-1, 2):
         log.append(row)
+    assert np.array_equal(np.array(log).ravel(), np.arange(2.0 * KEPT + 2))  # an arm that moves must not wait for it
+    raise log.refused
 for job in (lambda: in_new_file(10_000), fill):
     try:
         job()

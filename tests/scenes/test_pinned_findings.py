@@ -14,6 +14,8 @@ from ideal_robot.identification.excitation import design_excitation
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.recording import Recording
 from scenes.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.detection.sources import pictures
 from scenes.model_files import model_at
@@ -38,6 +40,15 @@ def test_a_period_that_is_none_is_refused(period: float) -> None:
         design_excitation(Robot.load("kr6"), np.random.default_rng(0), period=period)
 
 
+@pytest.mark.parametrize("cutoff", [1e-300, 1e-3])
+def test_a_cutoff_below_one_oscillation_of_the_recording_is_refused(cutoff: float) -> None:
+    t = 0.01 * np.arange(500)
+    recording = Recording.from_arrays(t, q=np.sin(t)[:, None], tau=np.cos(t)[:, None])
+    with pytest.raises(InputError, match="one oscillation") as refused:
+        preprocess(recording, cutoff=cutoff)
+    assert refused.value.field == "cutoff"
+
+
 def test_a_home_beyond_the_joints_limits_is_refused(tmp_path: Path) -> None:
     shipped = Robot.load("kr6")
     data = tmp_path / "arm.toml"
@@ -47,18 +58,24 @@ def test_a_home_beyond_the_joints_limits_is_refused(tmp_path: Path) -> None:
     assert refused.value.field == "home"
 
 
-class _Drifting:
-    """A task whose plan holds a NaN from the tenth cycle on; arm and task in one."""
+class Drifting:
+    """A task whose plan holds a NaN from a time on; arm and task in one.
+
+    Args:
+        sound: time until then [s].
+        step: way in each cycle [rad].
+    """
 
     n_d, t_ipo = 8, 0.012
 
-    def __init__(self) -> None:
+    def __init__(self, sound: float = 0.115, step: float = 1e-3) -> None:
         self.q_start = Robot.load("kr6").home
+        self._sound, self._step = sound, step
         self.commands: list[Array] = []
 
     def plan(self, t: float, q_d: Array) -> Array:
-        ahead = self.q_start + 1e-3 * (round(t / self.t_ipo) + np.arange(8.0))[:, None]
-        return ahead if t < 0.115 else np.where(np.arange(8)[:, None] == 5, np.nan, ahead)
+        ahead = self.q_start + self._step * (round(t / self.t_ipo) + np.arange(8.0))[:, None]
+        return ahead if t < self._sound else np.where(np.arange(8)[:, None] == 5, np.nan, ahead)
 
     def command(self, t: float, q_d: Array) -> Array:
         return q_d[0]
@@ -80,7 +97,7 @@ class _Drifting:
 
 
 def test_a_plan_of_numbers_that_are_none_ends_in_a_stop_on_the_path() -> None:
-    task, log = _Drifting(), CycleLog()
+    task, log = Drifting(), CycleLog()
     play_cycles(task, Robot.load("kr6"), task, log, CycleSettings(5.0, 0.1, 3.0, 3.0, ""), silent)
     assert log.failure is not None
     assert "not numbers" in log.failure

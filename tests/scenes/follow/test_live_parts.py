@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.rsi.rsi_error import RsiError
+from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import OutputError
 from scenes.camera_table import CameraTable, believed_camera
 from scenes.follow.camera_file import CalibratedCamera, calibrated_camera
 from scenes.follow.camera_messages import Header
 from scenes.follow.held_command import holding_share
-from scenes.follow.journal import Journal, left_behind
+from scenes.follow.journal import Journal, left_behind, rescue
 from scenes.follow.live_arm import FollowStoppedError, LiveArm, moves
 from scenes.follow.live_camera import LiveCamera
 from scenes.follow.live_force import LiveForce
@@ -134,14 +139,54 @@ def test_a_journal_survives_its_program(tmp_path: Path) -> None:
     assert len(found.t) == 50
     assert found.meta["scene"] == "x"
     np.testing.assert_allclose(found.joints("q_c")[:, 0] - found.joints("q_c")[0, 0], 0.001 * np.arange(50), atol=1e-12)
+    place = rescue(tmp_path)
+    assert place is not None
+    assert Recording.read(place).hash == found.hash
     assert left_behind(tmp_path) is None
 
 
 def test_a_broken_journal_is_taken_away_and_no_reason_to_fail(tmp_path: Path) -> None:
     (tmp_path / "journal.rows").write_bytes(b"nothing")
     (tmp_path / "journal.json").write_text("{")
-    assert left_behind(tmp_path) is None
+    assert rescue(tmp_path) is None
     assert not list(tmp_path.iterdir())
+
+
+def test_a_journal_that_cannot_be_made_a_recording_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = Tame()
+    journal = Journal(tmp_path, link.robot, {})
+    LiveArm(link, journal).cycle(link.robot.home)
+
+    def full(*_: object) -> Path:
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(Recording, "write", full)
+    with pytest.raises(OutputError):
+        rescue(tmp_path)
+    assert left_behind(tmp_path) is not None
+
+
+def test_rows_that_a_full_disk_takes_in_part_are_missing_and_spoil_no_other(tmp_path: Path,
+                                                                            monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folder vanishes too: what was written is read from the file that is open."""
+    link = Tame()
+    journal = Journal(tmp_path / "run", link.robot, {})
+    arm, write, room = LiveArm(link, journal), os.pwrite, iter([None, 100, 0, None])
+
+    def full(descriptor: int, row: Any, place: int) -> int:
+        most = next(room)
+        if most == 0:
+            raise OSError(28, "No space left on device")
+        return write(descriptor, memoryview(row).cast("B")[:most], place)
+
+    monkeypatch.setattr(os, "pwrite", full)
+    for k in range(4):
+        arm.cycle(link.robot.home + 0.001 * k)
+    shutil.rmtree(tmp_path / "run")
+    found = journal.recording()
+    np.testing.assert_allclose(found.joints("q_c")[:, 0] - link.robot.home[0], [0.0, 0.003], atol=1e-12)
+    assert journal.unwritten == 2
+    assert arm.controller_time == found.t[-1]
 
 
 class Handmade:
