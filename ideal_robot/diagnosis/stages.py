@@ -91,8 +91,8 @@ def _searched(case: Case, found: Findings) -> Findings:
     start = [choice for choice in found.choices if not choice.candidate.effect.learned]
     options = case.options
     if case.validate is not None:
-        # The other recording decides what stays; a curve would only stand in the way of smaller physical causes.
-        options = replace(options.finer(), smallest_learned=options.smallest_learned)
+        # The other recording decides what stays.
+        options = options.finer()
     if case.given is None or not np.any(found.start.covariance):
         choices = Search(problem, effects, options, case.rng, absorbed=False, only=case.only,
                          refuted=found.refuted, progress=case.progress).run(start)

@@ -21,6 +21,9 @@ _PREFERENCE = ("Ixy", "Ixz", "Iyz", "Izz", "Ixx", "Iyy", "mx", "my", "mz", "m")
 """Which of several dependent link parameters stays in the base: what is usually named in print comes first."""
 
 _TOLERANCE = 1e-8
+_CLEAR = 0.01
+"""Share of a column, apart from those before it, from which on the preference decides. A column of which only a
+thousandth is its own would be in the base for what another one shows plainly: no motion tells it in its numbers."""
 
 
 @dataclass(frozen=True)
@@ -140,11 +143,8 @@ def base_parameters(model: pin.Model, seed: int = 0) -> BaseParameters:
     order = _order(n)
     size = np.linalg.norm(W, axis=0)
     visible = [i for i in order if size[i] > _TOLERANCE * size.max()]
-    # W = Q R: a column whose diagonal element of R vanishes depends on the ones before it.
-    R = linalg.qr(W[:, visible] / size[visible], mode="economic")[1]
-    pivots = np.abs(np.diag(R)) > _TOLERANCE
-    independent = [i for i, keep in zip(visible, pivots, strict=True) if keep]
-    dependent = [i for i, keep in zip(visible, pivots, strict=True) if not keep]
+    independent = _independent(W[:, visible] / size[visible], visible)
+    dependent = [i for i in visible if i not in independent]
     grouping = np.zeros((len(independent), 12 * n))
     grouping[np.arange(len(independent)), independent] = 1.0
     if dependent:
@@ -159,6 +159,28 @@ def base_parameters(model: pin.Model, seed: int = 0) -> BaseParameters:
     at_rest = full_regressor(model, q, np.zeros_like(q), np.zeros_like(q)).reshape(count * n, 12 * n)
     gravitational = np.linalg.norm(at_rest[:, independent], axis=0) > _TOLERANCE * size.max()
     return BaseParameters(names, units, tuple(independent), grouping, tuple(bool(g) for g in gravitational))
+
+
+def _independent(W: Array, columns: Sequence[int]) -> list[int]:
+    """Those of ``columns`` that span all: of dependent ones the first, or the clearest where they hardly depend.
+
+    Args:
+        W: the columns ``(N, c)``, each of length one, in the order of preference.
+        columns: what they are called.
+    """
+    # W = Q R: a column whose diagonal element of R vanishes depends on the ones before it.
+    R = linalg.qr(W, mode="economic")[1]
+    clear = np.abs(np.diag(R)) > _CLEAR
+    # What those leave of the others, the largest first.
+    Q = linalg.qr(W[:, clear], mode="economic")[0]
+    rest = W[:, ~clear] - Q @ (Q.T @ W[:, ~clear])
+    added: list[int] = []
+    if rest.shape[1]:
+        R, order = linalg.qr(rest, mode="r", pivoting=True)
+        own = np.abs(np.diag(R[: rest.shape[1]]))
+        others = np.flatnonzero(~clear)
+        added = [int(others[k]) for k, size in zip(order, own, strict=True) if size > _TOLERANCE]
+    return [columns[i] for i in sorted([*map(int, np.flatnonzero(clear)), *added])]
 
 
 def _order(n: int) -> list[int]:

@@ -95,6 +95,8 @@ class Effect(ABC):
             which is needed beside it says that its form is wrong.
         at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
             vibrations that look like it are not.
+        standstill: end of the bounds of its only theta, -1 or 1, at which all of it lies near standstill, where every
+            drive's friction goes its own way; 0 if there is none.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -119,6 +121,7 @@ class Effect(ABC):
     flexible: ClassVar[bool] = False
     of_angle_alone: ClassVar[bool] = False
     at_all_frequencies: ClassVar[bool] = False
+    standstill: ClassVar[int] = 0
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""

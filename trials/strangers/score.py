@@ -82,10 +82,15 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
     right = all(found) and not false and (diagnosis.verdict == "unknown" if outside else True)
     if not trial.causes and not said and diagnosis.verdict not in ("none", "undecided"):
         right = False
-    covered = []
+    covered, compared = [], set()
     # What all torques are late by alike is a part of a joint's delay where it has no name of its own.
     common = trial.late if ("torque_filter", 0) not in named else 0.0
     for effect in diagnosis.effects:
+        # Of several orders of one ripple the first, largest one is the one drawn; the others are its multiples.
+        place = effect.fitted.name, effect.fitted.joint, effect.fitted.channel
+        if place in compared:
+            continue
+        compared.add(place)
         for p in effect.fitted.parameters:
             truth = trial.values.get((effect.fitted.name, effect.fitted.joint, p.name))
             if truth is not None and p.std > 0.0:

@@ -46,13 +46,12 @@ class Options:
     most: int = 24
 
     def finer(self) -> Options:
-        """A third of the shares.
+        """A third of the shares that are asked of causes.
 
-        For positions and forces, which no friction hides, and where another recording decides what stays.
+        For positions and forces, which no friction hides, and where another recording decides what stays. A curve
+        without a cause has to be as large as anywhere: else it would stand in the way of smaller causes.
         """
-        return replace(self, smallest=self.smallest / 3.0, smallest_next=self.smallest_next / 2.0,
-                       smallest_learned=self.smallest_learned / 3.0)
-
+        return replace(self, smallest=self.smallest / 3.0, smallest_next=self.smallest_next / 2.0)
 
     def scaled(self, factor: float) -> Options:
         """All shares of the residual that are asked of an effect, times a factor."""

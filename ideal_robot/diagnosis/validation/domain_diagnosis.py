@@ -15,7 +15,7 @@ from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.evidence import discriminating_motion, ranked_structure
-from ideal_robot.diagnosis.validation.limits import with_limits
+from ideal_robot.diagnosis.validation.limits import at_standstill, with_limits
 from ideal_robot.diagnosis.validation.misfit import with_misfit
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
@@ -103,7 +103,7 @@ class DomainDiagnosis:
         return domain, tuple(dropped)
 
     def _unsound(self) -> tuple[int, NotTransferred] | None:
-        """The last effect whose coefficients in the final fit are not plausible, or not distinguished from none."""
+        """The last effect that in the final fit is not plausible, as good as none, or only near standstill."""
         signals = self.problem.regression.signals
         wide = with_misfit(self.problem, self.effects, self.final).std
         for k in reversed(range(len(self.choices))):
@@ -116,10 +116,12 @@ class DomainDiagnosis:
                 clear = bool(np.any(large[needed] if np.any(own[needed]) else large))
             elif len(own) == 1 and not candidate.effect.bounds(signals, candidate.joint):
                 clear = bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
-            if allowed and clear:
+            near = at_standstill(candidate, signals)
+            if allowed and clear and not near:
                 continue
-            why = ("it is not distinguished from none" if allowed
-                   else "it has a sign or a size that physics does not allow")
+            why = ("it has a sign or a size that physics does not allow" if not allowed
+                   else "it is not distinguished from none" if not clear
+                   else "it is how friction goes through standstill, at the end of what was searched")
             said = ", ".join(p.text for p in fitted_effect(candidate, self.final, k).parameters)
             gone = self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
             return k, replace(gone, refuted=not allowed)

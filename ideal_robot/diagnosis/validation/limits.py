@@ -57,6 +57,20 @@ def sides(candidate: Candidate, signals: Signals) -> list[int]:
     return [_side(value, low, high) for value, (low, high) in zip(theta, bounds, strict=True)]
 
 
+def at_standstill(candidate: Candidate, signals: Signals) -> bool:
+    """Whether an effect stands at the end of its search at which it is only how friction goes through standstill.
+
+    A friction law whose bend lies below a hundredth or so of the speeds that were driven says nothing of sliding: it
+    follows the contact, the filters and the controller there, which differ from drive to drive.
+
+    Args:
+        candidate: effect, joint and theta.
+        signals: of the recording.
+    """
+    side = candidate.effect.standstill
+    return bool(side) and sides(candidate, signals) == [side]
+
+
 def _side(value: float, low: float, high: float) -> int:
     # Zero below a positive bound is no small value but another form of the effect.
     if value == 0.0 and low > 0.0:

@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.search.choice import Choice
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.diagnosis.validation.limits import sides, with_limits
+from ideal_robot.diagnosis.validation.limits import at_standstill, sides, with_limits
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
@@ -27,13 +27,13 @@ from scenes.diagnosis.page import summary
 from tests.ideal_robot.diagnosis.test_diagnose import arm
 
 
-def moved(seconds: float = 40.0, *, vibration: float = 0.0, stribeck: float = 0.0,
-          kicks: float = 0.0) -> tuple[Recording, np.ndarray]:
+def moved(seconds: float = 40.0, *, vibration: float = 0.0, stribeck: float = 0.0, kicks: float = 0.0,
+          rounded: float = 2e-3) -> tuple[Recording, np.ndarray]:
     """One joint with gravity and friction, and what else there is; also its true torque."""
     rng, t = np.random.default_rng(3), np.arange(0.0, seconds, 0.004)
     q = 0.6 * np.sin(0.7 * t) + 0.3 * np.sin(1.9 * t) + 0.2 * np.sin(3.1 * t)
     qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
-    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / rounded) + 1.5 * qd
     tau = tau + stribeck * np.exp(-((qd / 0.3) ** 2)) * np.tanh(qd / 2e-3) + vibration * np.sin(2 * np.pi * 110.0 * t)
     for at in rng.integers(0, len(t) - 5, 150):
         tau[at : at + 5] += kicks * rng.normal()
@@ -105,6 +105,22 @@ def test_what_may_as_well_be_nothing_is_not_claimed(one):
     assert not domain.choices
     assert "not distinguished from none" in dropped[0].reason
     assert not dropped[0].refuted
+
+
+def test_friction_that_is_another_only_near_standstill_is_not_claimed(one):
+    recording, effect = moved(rounded=0.03)[0], find("degressive", "tau")
+    signals = torque_regression(recording, one, Model.nominal(one)).signals
+    end = effect.bounds(signals, 1)[0][1]
+    domain, dropped = domain_of(one, recording, Candidate(effect, 1, (end,))).settled()
+    assert not domain.choices
+    assert "standstill" in dropped[0].reason
+    assert not dropped[0].refuted
+    # At the other end of the search, and of Stribeck's the slow one.
+    fall = find("stribeck", "tau")
+    for law, near, far in ((effect, end, effect.bounds(signals, 1)[0][0]), (fall, *fall.bounds(signals, 1)[0])):
+        assert at_standstill(Candidate(law, 1, (near,)), signals)
+        assert not at_standstill(Candidate(law, 1, (0.5 * (near + far),)), signals)
+        assert not at_standstill(Candidate(law, 1, (far,)), signals)
 
 
 def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_either(one):

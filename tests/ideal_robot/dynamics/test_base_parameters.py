@@ -108,3 +108,21 @@ def test_words_name_what_is_grouped() -> None:
     assert words["m_1"].startswith("m_1")
     assert "m_2" in words["m_1"]
     assert "Ia_2" in words["Iyy_2"]
+
+
+def test_axes_a_degree_off_parallel_leave_a_base_that_motions_tell() -> None:
+    # Two axes that are parallel but for a turn of two degrees across them: what tells Ixx and Izz of the last link
+    # apart is a thousandth of them, and must not stand in the base for a rotor, which shows plainly.
+    model, parent = pin.Model(), 0
+    for k, (kind, turn) in enumerate(((pin.JointModelRZ, 0.0), (pin.JointModelRY, 0.3), (pin.JointModelRY, 0.03))):
+        place = pin.SE3(pin.utils.rotate("z", turn), np.array([0.1, 0.05, 0.3]) if k else np.zeros(3))
+        parent = model.addJoint(parent, kind(), place, f"joint_{k + 1}")
+    base = base_parameters(model)
+    rng = np.random.default_rng(1)
+    q, qd, qdd = rng.uniform(-3.0, 3.0, (200, 3)), rng.normal(size=(200, 3)), rng.normal(size=(200, 3))
+    W = full_regressor(model, q, qd, qdd).reshape(600, 36)
+    columns = W[:, list(base.independent)]
+    size = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), compute_uv=False)
+    assert size[0] < 100.0 * size[-1]
+    full = rng.normal(size=36)
+    np.testing.assert_allclose(columns @ base.of(full), W @ full, atol=1e-10)

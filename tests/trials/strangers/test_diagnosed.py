@@ -60,6 +60,9 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
     pytest.param(720043, id="what bristles of a slow slide are still yielding over is no curve over speed"),
     pytest.param(720063, id="an axis that creeps between cycles has no friction over speed of its own"),
     pytest.param(720040, id="a balancing spring is a spring though gravity takes most of it"),
+    pytest.param(735017, id="a sign that changes over a hundredth of the top speed is no degressive friction"),
+    pytest.param(735026, id="axes two degrees off parallel have rotors of their own, which are no curve"),
+    pytest.param(735012, id="what a hardly loaded gear bends by is no curve nobody knows the cause of"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
