@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -37,6 +38,8 @@ class CameraTable(Table):
     loss: float = pydantic.Field(default=0.0, ge=0, lt=1)
     doubled: float = pydantic.Field(default=0.0, ge=0, lt=1)
     """Probability that a field arrives twice."""
+    rolling_ms: float = pydantic.Field(default=0.0, ge=0, le=100)
+    """Time from the first row's exposure to the last row's; 0 for a camera that exposes all rows together."""
     auto_exposure: float = pydantic.Field(default=0.0, ge=0, le=10)
     """Time constant with which the camera's exposure follows the light [s]; 0 for a fixed exposure."""
     renderer: Literal["sampled", "bullet"] = "sampled"
@@ -62,14 +65,18 @@ class Calibration(Table):
     focal_percent: float = pydantic.Field(default=0.3, ge=0, le=20)
     principal_px: float = pydantic.Field(default=1.0, ge=0, le=50)
     k1: float = pydantic.Field(default=0.01, ge=0, le=1)
+    rolling_ms: float | None = pydantic.Field(default=None, ge=0, le=100)
+    """What the camera's data sheet says of camera.rolling_ms; the truth if not given."""
     by_moving: bool = True
     """Whether the camera is calibrated by moving it over a piece of the line before the run ([L] 4.4)."""
 
 
-def believed_camera(table: CameraTable) -> CameraModel:
-    """The camera as mounted by hand."""
-    return CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
-                               default_mount(table.mount_height, table.mount_ahead))
+def believed_camera(table: CameraTable, told: Calibration | None = None) -> CameraModel:
+    """The camera as mounted by hand, with the readout that its data sheet tells."""
+    mounted = CameraModel.default(table.width, table.height, table.focal_px, table.distortion,
+                                  default_mount(table.mount_height, table.mount_ahead))
+    said = None if told is None else told.rolling_ms
+    return replace(mounted, readout=1e-3 * (table.rolling_ms if said is None else said))
 
 
 def true_camera(believed: CameraModel, table: Calibration, rng: np.random.Generator) -> CameraModel:

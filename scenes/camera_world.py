@@ -11,7 +11,8 @@ from sim.equipment.equipped_arm import Knock
 
 def camera_settings(table: CameraTable) -> CameraSettings:
     """What the camera does to picture and time."""
-    return CameraSettings(**{key: getattr(table, key) for key in CameraSettings.__dataclass_fields__ if key != "phase"})
+    same = {key: getattr(table, key) for key in CameraSettings.__dataclass_fields__ if key not in ("phase", "rolling")}
+    return CameraSettings(**same, rolling=1e-3 * table.rolling_ms)
 
 
 def knock_of(table: CameraTable) -> Knock | None:

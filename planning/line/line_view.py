@@ -10,7 +10,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_detection import PredictedLine
+from sensing.camera.rolling_readout import PoseAt, predicted_by_rows
 
 
 class SeenLine(Protocol):
@@ -54,6 +56,16 @@ class LineAhead:
     tangents: Array
     up: Array
     sigma: Array
+
+    def seen_by(self, camera: CameraModel, t: float, pose_at: PoseAt) -> PredictedLine:
+        """The same as a picture of a time shows it, each point in the tool frame at its own row's instant.
+
+        Args:
+            camera: as it is calibrated.
+            t: mid-exposure of the picture's middle row [s].
+            pose_at: pose of the TCP in the base frame at a time [s].
+        """
+        return predicted_by_rows(self.seen_from(pose_at(t)), camera, t, pose_at)
 
     def seen_from(self, pose: pin.SE3) -> PredictedLine:
         """The same in the tool frame, for the line detection."""

@@ -11,6 +11,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.planning_error import PlanningError
 
+_ROWS = 0.05
+"""How far from a picture's middle row another row's exposure may be at most [s]."""
+
 
 class PoseHistory:
     """The last joint angles that the controller reported, and poses interpolated between them.
@@ -73,6 +76,13 @@ class PoseHistory:
         """TCP pose in the base frame at ``t`` [s]; raises as ``q``."""
         pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
         return self._data.oMf[self._robot.tool_id].copy()
+
+    def row_pose(self, t: float) -> pin.SE3:
+        """``pose`` for a row of a picture whose middle row was exposed at a time that ``pose`` knows.
+
+        The first picture's rows may have begun before the first sample: the arm rested then.
+        """
+        return self.pose(max(t, self._t[0]) if self._t and t > self._t[0] - _ROWS else t)
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """Velocity of the TCP [m/s] and angular velocity [rad/s] in the base frame at ``t``, each ``(3,)``."""

@@ -77,7 +77,7 @@ def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCame
         moved = None if values.get("surface") is None else np.array(values["surface"], float)
         surface = None if moved is None else _pose(moved[:3, :3], moved[:3, 3])
         camera = CameraModel(int(values["width"]), int(values["height"]), np.array(values["K"], float),
-                             np.array(values["distortion"], float), mount)
+                             np.array(values["distortion"], float), mount, by_hand.readout)
         offset, residual = float(values["time_offset_s"]), values.get("residual_mm")
         if not abs(offset) < 1.0:
             raise ValueError("no time offset")

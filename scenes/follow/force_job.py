@@ -209,4 +209,4 @@ class ForceJob:
 
 def _predicted(vision: GlueCamera, t: float) -> PredictedLine:
     """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
-    return vision.sight.predict(t).seen_from(vision.follower.history.pose(t))
+    return vision.sight.predict(t).seen_by(vision.camera, t, vision.follower.history.row_pose)

@@ -143,4 +143,4 @@ class LineJob:
 
 def _predicted(known: Known, t: float) -> PredictedLine:
     """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
-    return known.follower.predict(t).seen_from(known.follower.history.pose(t))
+    return known.follower.predict(t).seen_by(known.camera, t, known.follower.history.row_pose)

@@ -108,7 +108,7 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
         raise InputError("only lines and surfaces are followed", field="kind", value=scene.kind)
     chosen = method_of(method or scene.method, following_methods())
     feedforward("ideal", model, robot, delay=int(devices.delay))
-    camera = calibrated_camera(believed_camera(scene.camera), calibration)
+    camera = calibrated_camera(believed_camera(scene.camera, scene.calibration), calibration)
     kind = LineJob if isinstance(scene, LineScene) else ForceJob
     return kind(scene, robot, model, chosen, int(devices.delay), within, camera)  # type: ignore[arg-type]
 

@@ -62,8 +62,8 @@ def set_up(scene: ForceScene) -> Cell:
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)
     return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
-                reference=reference, profile=profile, camera=believed_camera(scene.camera), world=world,
-                surface=true_surface(scene.surface), geometry=where,
+                reference=reference, profile=profile, camera=believed_camera(scene.camera, scene.calibration),
+                world=world, surface=true_surface(scene.surface), geometry=where,
                 sensor=ForceSensor(true_sensor(scene.sensor), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))
 

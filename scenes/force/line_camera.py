@@ -16,6 +16,7 @@ from scenes.force.scene import ForceScene
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.field import Field, Window
 from sensing.camera.line_detection import DetectionSettings, LineField, search_windows
+from sensing.camera.rolling_readout import at_middle_row
 
 KNOWN = 1e-6
 """Standard deviation of a relative error that is not estimated."""
@@ -62,14 +63,15 @@ class GlueCamera:
         """The windows to read out of the field exposed at ``exposure`` [s]; None while nothing arrives."""
         if self._during(self._trouble.loss, exposure):
             return None
-        ahead = self.sight.predict(exposure).seen_from(self.follower.history.pose(exposure))
+        ahead = self.sight.predict(exposure).seen_by(self.camera, exposure, self.follower.history.row_pose)
         return search_windows(self.camera, ahead, self.detection)
 
     def sense(self, t: float, arrived: Sequence[Field]) -> None:
         """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
         for item in arrived:
-            ahead = self.sight.predict(item.t_stamp).seen_from(self.follower.history.pose(item.t_stamp))
-            seen = self.detector.detect(item, self.camera, ahead, self.detection)
+            ahead = self.sight.predict(item.t_stamp).seen_by(self.camera, item.t_stamp, self.follower.history.row_pose)
+            seen = at_middle_row(self.detector.detect(item, self.camera, ahead, self.detection), self.camera,
+                                 self.follower.history.row_pose)
             if self._during(self._trouble.garbage, item.t_stamp):
                 seen = self._garbage(seen)
             fused = self.sight.update(seen)

@@ -85,7 +85,7 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         view.history.add((k + 1) * T, measured.q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
             windows = search_windows(believed, prediction, detection)
-            late.append((camera.windows(t, lambda at: arm.tcp_at(at - ahead), windows,
+            late.append((camera.windows(t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), windows,
                                         shadow_of(shape, arm, t - ahead)), prediction))
         # The pose of a time stamp is known once the controller has told of it.
         while late and late[0][0].t_stamp - ahead < k * T:

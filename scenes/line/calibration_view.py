@@ -16,6 +16,7 @@ from sensing.camera.detector import LineDetector
 from sensing.camera.field import Field
 from sensing.camera.hand_eye import Observation, calibration_poses
 from sensing.camera.line_detection import DetectionSettings, PredictedLine
+from sensing.camera.rolling_readout import predicted_by_rows
 
 SPREAD = np.linspace(-0.07, 0.07, 9)
 """Places on the line looked for in each field, around the middle of the view [m]."""
@@ -58,7 +59,8 @@ class CalibrationView:
         s = self._table[np.argmin(np.sum((self._places - look) ** 2, axis=1))]
         frames = self.reference.frames(s + SPREAD)
         points = frames.position + self._aside * frames.normal
-        return PredictedLine.from_base(points, frames.tangent, frames.up.mean(axis=0), pose, self._sigma)
+        there = PredictedLine.from_base(points, frames.tangent, frames.up.mean(axis=0), pose, self._sigma)
+        return predicted_by_rows(there, self.believed, t, self.history.row_pose)
 
     def look(self, field: Field, prediction: PredictedLine, ahead: float) -> None:
         """Notes the line points of a field.

@@ -67,7 +67,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     where = geometry(scene, place)
     line = drawn_line(scene, where, wear)
     detector = DETECTORS.get(scene.camera.detector)()
-    believed = believed_camera(scene.camera)
+    believed = believed_camera(scene.camera, scene.calibration)
     true = true_camera(believed, scene.calibration, calibration)
     if camera is not None:
         believed = camera

@@ -25,6 +25,7 @@ from sensing.camera.camera_device import Camera
 from sensing.camera.field import Field, Window
 from sensing.camera.line_detection import DetectionSettings, LineField, search_windows
 from sensing.camera.line_polynomial import fit_of_lowest_order
+from sensing.camera.rolling_readout import at_middle_row
 
 REST = 0.2
 """Time the recording goes on after the path has come to rest [s]."""
@@ -153,9 +154,10 @@ class LineTask:
         follower = self.follower
         arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
         pose = follower.history.pose(arrived.t_stamp)
-        ahead = follower.predict(arrived.t_stamp).seen_from(pose)
+        ahead = follower.predict(arrived.t_stamp).seen_by(self.cell.camera, arrived.t_stamp, follower.history.row_pose)
         seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self._detection)
         seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
+        seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
         if self._direct is not None:
             self._direct.update(seen, pose)
         follower.update(seen, pose)
@@ -177,7 +179,7 @@ class LineTask:
 
     def _windows(self, exposure: float) -> Sequence[Window]:
         exposure += self._known.late_by(exposure)
-        ahead = self.follower.predict(exposure).seen_from(self.follower.history.pose(exposure))
+        ahead = self.follower.predict(exposure).seen_by(self.cell.camera, exposure, self.follower.history.row_pose)
         return search_windows(self.cell.camera, ahead, self._detection)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:

@@ -207,6 +207,8 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
 def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
     """The drawn line of a scene and what the camera sees of it."""
     table, settings = scene.camera, camera_settings(scene.camera)
+    if table.rolling_ms > 0.0:
+        raise InputError("a served camera exposes all rows together", field="camera.rolling_ms", value=table.rolling_ms)
     if isinstance(cell, LineCell):
         lamp = lamp_over(scene, cell.geometry, line_streams(scene)[6])  # type: ignore[arg-type]
         return cell.line, LiveCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp,

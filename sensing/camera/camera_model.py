@@ -175,6 +175,8 @@ class CameraModel:
         K: camera matrix ``(3, 3)`` [px].
         distortion: (k1, k2, p1, p2, k3), shape ``(5,)``.
         T_tool_camera: pose of the camera frame in the tool frame.
+        readout: time from the first row's exposure to the last row's [s]; 0 where all rows are exposed together. The
+            time of a picture is its middle row's.
     """
 
     width: int
@@ -182,6 +184,7 @@ class CameraModel:
     K: Array
     distortion: Array
     T_tool_camera: pin.SE3 = field(compare=False)
+    readout: float = 0.0
 
     def __post_init__(self) -> None:
         K = np.array(self.K, dtype=float)
@@ -193,6 +196,8 @@ class CameraModel:
             raise InputError("expected a 3×3 camera matrix with positive focal lengths", field="camera.K")
         if distortion.shape != (5,) or not np.all(np.isfinite(distortion)):
             raise InputError("expected five coefficients k1, k2, p1, p2, k3", field="camera.distortion")
+        if not 0.0 <= self.readout < 1.0:
+            raise InputError("expected a time from 0 up to a second", field="camera.readout", value=self.readout)
         K.setflags(write=False)
         distortion.setflags(write=False)
         object.__setattr__(self, "K", K)
@@ -226,6 +231,14 @@ class CameraModel:
         f = 300.0 * width / 320.0 if focal is None else focal
         K = np.array([[f, 0.0, (width - 1) / 2], [0.0, f, (height - 1) / 2], [0.0, 0.0, 1.0]])
         return cls(width, height, K, np.array(distortion), default_mount() if mount is None else mount)
+
+    def row_delay(self, pixels: Array) -> Array:
+        """How much later than the picture's middle row the rows of pixels ``(m, 2)`` are exposed ``(m,)`` [s].
+
+        Beyond the image, that of its edge; NaN counts as the middle.
+        """
+        rows = np.nan_to_num(np.asarray(pixels, dtype=float)[:, 1], nan=0.5 * (self.height - 1))
+        return self.readout * (np.clip(rows / max(self.height - 1, 1), 0.0, 1.0) - 0.5)
 
     def project(self, points: Array) -> Array:
         """Pixels ``(m, 2)`` of points ``(m, 3)`` [m] given in the camera frame; NaN behind the camera."""

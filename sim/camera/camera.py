@@ -32,6 +32,8 @@ PoseAt = Callable[[float], pin.SE3]
 
 FINE = 160_000
 """Pixels from which on a whole image gets one sample a pixel."""
+TOGETHER = 3
+"""Rows that count as exposed together where the readout is rolling: a search window across an upright line."""
 
 
 class RenderedCamera:
@@ -89,10 +91,12 @@ class RenderedCamera:
     def due(self, t0: float, t1: float) -> list[float]:
         """Mid-exposure times [s] of the fields whose exposure *ends* in ``[t0, t1)``, without the lost ones.
 
-        After the arm has been moved to ``t1`` all poses are known that these exposures need.
+        After the arm has been moved to ``t1`` all poses are known that these exposures need. Of a rolling readout the
+        middle row's exposure is the field's; none begins before time 0.
         """
-        half = 0.5 * self.settings.exposure
-        first = max(0, math.ceil(round((t0 - half - self.settings.phase) * self.settings.rate, 6)))
+        half = 0.5 * (self.settings.exposure + self.settings.rolling)
+        first = max(0, *(math.ceil(round((since - self.settings.phase) * self.settings.rate, 6))
+                         for since in (half, t0 - half)))
         times = []
         for k in range(first, first + 2 + int((t1 - t0) * self.settings.rate)):
             t = self.settings.phase + k / self.settings.rate
@@ -121,7 +125,7 @@ class RenderedCamera:
 
         Args:
             t_exposure: true time of mid-exposure, one of ``due`` [s].
-            pose_at: true TCP pose at a time; called within half the exposure time around ``t_exposure``.
+            pose_at: true TCP pose at a time; called within half the exposure (and readout) time around ``t_exposure``.
             windows: rectangles inside the image; empty ones give empty patches.
             shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
 
@@ -136,14 +140,17 @@ class RenderedCamera:
         s = self.settings
         rng = self._stream(round((t_exposure - s.phase) * s.rate))
         rng.random()
-        latency = max(s.latency + s.jitter * rng.standard_normal(), 0.5 * s.exposure)
+        latency = max(s.latency + s.jitter * rng.standard_normal(), 0.5 * (s.exposure + s.rolling))
         rng.standard_normal()
         t_stamp = self.stamp(t_exposure)
-        n = s.sub_exposures
-        poses = [pose_at(t_exposure + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
-        gray = self._sampled(windows, poses, s.supersampling)
+        n, gray = s.sub_exposures, np.empty(0)
+        for part, delay in self._in_time(windows):
+            poses = [pose_at(t_exposure + delay + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
+            gray = np.concatenate([gray, self._lit(self._sampled(part, poses, s.supersampling), part, poses[n // 2],
+                                                   shape)])
         if self.lamp is not None:
-            gray = self._lit(gray, windows, poses[n // 2], shape) * self._exposure(t_exposure, poses[n // 2], shape)
+            middle = pose_at(t_exposure + ((n // 2 + 0.5) / n - 0.5) * s.exposure)
+            gray = gray * self._exposure(t_exposure, middle, shape)
         seen = self._noisy(gray, rng)
         ends = np.cumsum([window.width * window.height for window in windows])
         patches = tuple(seen[end - window.width * window.height : end].reshape(window.height, window.width)
@@ -165,6 +172,18 @@ class RenderedCamera:
         if self.lamp is not None:
             gray = self._lit(gray, [whole], pose, shape) / self._brightness(self.lamp, pose, shape)
         return self._noisy(gray, noise_rng).reshape(whole.height, whole.width)
+
+    def _in_time(self, windows: Sequence[Window]) -> list[tuple[Sequence[Window], float]]:
+        """The windows in pieces that are exposed together, and by how much later than the field's middle [s]."""
+        if self.settings.rolling == 0.0:
+            return [(windows, 0.0)]
+        pieces: list[tuple[Sequence[Window], float]] = []
+        for window in windows:
+            for first in range(0, window.height, TOGETHER):
+                piece = Window(window.u, window.v + first, window.width, min(TOGETHER, window.height - first))
+                share = (piece.v + 0.5 * (piece.height - 1)) / (self.model.height - 1) - 0.5
+                pieces.append(([piece], self.settings.rolling * share))
+        return pieces
 
     def _stream(self, k: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=[self._key, k + 2**32]))

@@ -26,6 +26,8 @@ class CameraSettings:
         stamp_noise: standard deviation of the time stamp [s].
         loss: probability that a field is lost.
         doubled: probability that a field arrives twice.
+        rolling: time from the first row's exposure to the last row's [s]; 0 where all rows are exposed together. Fields
+            are timed by their middle row.
         auto_exposure: time constant with which the exposure follows the light [s]; 0 for a fixed one.
         resolution: texel of the drawn surface [m].
     """
@@ -43,6 +45,7 @@ class CameraSettings:
     stamp_noise: float = 0.00005
     loss: float = 0.0
     doubled: float = 0.0
+    rolling: float = 0.0
     auto_exposure: float = 0.0
     resolution: float = 0.00025
 
@@ -59,6 +62,9 @@ class CameraSettings:
         if self.exposure * self.rate > 1.0:
             raise InputError("the exposure cannot be longer than the time between two fields", field="camera.exposure",
                              value=self.exposure)
+        if self.rolling * self.rate > 1.0:
+            raise InputError("the rows cannot be read out more slowly than fields come", field="camera.rolling_ms",
+                             value=1e3 * self.rolling)
         for name in ("loss", "doubled"):
             if getattr(self, name) >= 1.0:
                 raise InputError("expected a probability below 1", field=f"camera.{name}", value=getattr(self, name))
