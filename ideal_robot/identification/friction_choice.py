@@ -202,8 +202,9 @@ class FrictionChoice:
                     rigid = min(rigid, score)
                 if best is None or score < best[0] * (1.0 - _WORTH * (option.size > best[1].size)):
                     best = (score, option)
-            assert best is not None
-            chosen[j] = best[1], self._shape(projection, j, best[1], known, polish=True)
+            # In short recordings none of the leaders may brake any more; the simplest law, of braking terms, does.
+            law = options[0] if best is None else best[1]
+            chosen[j] = law, self._shape(projection, j, law, known, polish=True)
         return [option.make(shape) for option, shape in chosen], scores
 
     def _start(self, option: Candidate) -> tuple[float, ...]:
@@ -272,7 +273,7 @@ class FrictionChoice:
 
 
 def _leaders(options: Sequence[Candidate], scores: dict[str, float]) -> list[Candidate]:
-    """The options within two per cent of the best held-out error, and the simplest one."""
+    """The options within two per cent of the best held-out error."""
     best = min(scores.values())
     near = {label for label, score in scores.items() if score < 1.02 * best}
     return [o for o in options if o.make([1.0] * len(o.bounds)).label in near] or [options[0]]

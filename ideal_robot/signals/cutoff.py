@@ -17,6 +17,7 @@ from scipy import linalg, signal
 from ideal_robot.arrays import Array
 from ideal_robot.signals.filtered_at import filtered_at, not_zero
 from ideal_robot.signals.preprocess import (
+    EvenSignals,
     FilteredSignals,
     decimated,
     decimation_taps,
@@ -38,6 +39,8 @@ so far apart; filtered soonest where the samples of an element are neighbours in
 _FOLDS = 8
 _LONGEST = 60.0
 """Seconds of all recordings together that the choice looks at."""
+_SHORTEST = 15.0
+"""Seconds of a recording that it looks at, at least: the slowest filters lose one or two at each end and hole."""
 _FINE = 6.0
 """Samples a period of the cut-off that tell candidates apart: errors are within 0.3 % of those of all samples."""
 _WORSE = 1.15
@@ -97,12 +100,17 @@ def choose_cutoff(recordings: Sequence[Recording], columns: Columns, *, start: A
         information: what is known of them, as an inverse covariance ``(P, P)``.
         candidates: cut-offs to try [Hz], rising.
     """
-    parts = [_first(r, _LONGEST / len(recordings)) for r in recordings]
+    # Of many recordings as many, evenly spread, as leave each its seconds.
+    some = np.linspace(0, len(recordings) - 1, min(len(recordings), int(_LONGEST / _SHORTEST))).astype(int)
+    parts = [_first(recordings[i], _LONGEST / len(some)) for i in some]
     rate = min(1.0 / _step(r) for r in parts)
     band = min(float(np.median([motion_band(r) for r in parts])), 0.1 * rate)
+    even = [evenly_sampled(r, columns=False) for r in parts]
     usable = [c for c in candidates if c <= min(0.2 * rate, _BEYOND * band)] or [0.2 * rate]
+    # Where a recording is too short for the slowest filters, quicker ones are left; for none, the last says so.
+    usable = [c for c in usable if all(one.long_enough(c) for one in even)] or usable[-1:]
     errors: dict[float, float] = {}
-    under = [_Judged(r, columns, band, usable[0]) for r in parts]
+    under = [_Judged(one, columns, band, usable[0]) for one in even]
     for cutoff in usable:
         moved = [recording.moved(cutoff) for recording in under]
         held = np.any([not_zero(m.elements) for m in moved], axis=0)
@@ -172,14 +180,14 @@ class _Judged:
     """One recording under several cut-offs, judged at the same instants.
 
     Args:
-        recording: with ``q_i`` and ``tau_i``.
+        even: the recording, evenly sampled, with ``tau_i``.
         columns: the model's observation matrix.
         band: of the judgement [Hz].
         slowest: the least cut-off [Hz].
     """
 
-    def __init__(self, recording: Recording, columns: Columns, band: float, slowest: float) -> None:
-        self._even = evenly_sampled(recording, columns=False)
+    def __init__(self, even: EvenSignals, columns: Columns, band: float, slowest: float) -> None:
+        self._even = even
         self._columns, self._band = columns, band
         t, step = self._even.t, float(self._even.t[1] - self._even.t[0])
         # Clear of the ends and of holes for the slowest filter.

@@ -54,7 +54,7 @@ def error_budget(recording: Recording, s: FilteredSignals) -> ErrorBudget:
 
 def _white_level(q: Array, dt: float) -> Array:
     """Standard deviation of the white part of the positions ``(n,)``, from the top of their spectrum."""
-    f, power = signal.welch(np.diff(q, 2, axis=0), fs=1.0 / dt, nperseg=min(len(q), 1024), axis=0)
+    f, power = signal.welch(np.diff(q, 2, axis=0), fs=1.0 / dt, nperseg=min(len(q) - 2, 1024), axis=0)
     top = (f > 0.35 / dt) & (f < 0.48 / dt)
     # The second difference has the gain (2 sin(π f dt))⁴; without it, leakage of the motion would count as noise.
     level = np.median(power[top] / (2.0 * np.sin(np.pi * f[top, None] * dt)) ** 4, axis=0)

@@ -28,6 +28,8 @@ ORDER = 4
 _FINE = 10.0
 """Samples a period of the cut-off that are enough for motion below it."""
 _MINIMUM_SAMPLES = 100
+_FEWEST = 10
+"""Samples that have to be left after filtering and decimation."""
 _GAP = 5.0
 """A pause longer than this many sampling steps is a hole; nothing near it is trusted."""
 
@@ -147,13 +149,22 @@ class EvenSignals:
             raise InputError("the band that is kept must hold more than one oscillation of the recording: "
                              f"above {1.0 / (len(self.t) * dt):.3g} Hz", file=self.source, field="cutoff_decimation",
                              value=cutoff_decimation)
-        factor = max(1, round(0.5 * rate / wanted))
-        keep = _kept(self.hole, factor, edge=_edge_samples(rate, cutoff, factor))
-        if keep.sum() < 10:
+        factor, keep = self._thinning(cutoff, wanted)
+        if keep.sum() < _FEWEST:
             raise InputError("too short: after filtering and removing the edges fewer than 10 samples are left",
                              file=self.source, field="t", value=f"{self.t[-1] - self.t[0]:.3g} s")
         return FilteredSignals(self.t, q, qd, qdd, self.tau, factor, cutoff, 0.5 * rate / factor, keep, self.source,
                                self.columns)
+
+    def long_enough(self, cutoff: float) -> bool:
+        """Whether ends and holes leave samples enough under a cut-off [Hz] and a decimation at half of it."""
+        return bool(self._thinning(cutoff, 0.5 * cutoff)[1].sum() >= _FEWEST)
+
+    def _thinning(self, cutoff: float, wanted: float) -> tuple[int, np.ndarray]:
+        """Factor of decimation, and which decimated samples are clear of ends and holes."""
+        rate = 1.0 / float(self.t[1] - self.t[0])
+        factor = max(1, round(0.5 * rate / wanted))
+        return factor, _kept(self.hole, factor, edge=_edge_samples(rate, cutoff, factor))
 
 
 def evenly_sampled(recording: Recording, *, columns: bool = True) -> EvenSignals:

@@ -40,3 +40,31 @@ def test_all_candidates_are_judged_in_one_band_and_a_limit_is_named() -> None:
     assert choice.cutoff_decimation == 0.5 * choice.cutoff
     stopped = CutoffChoice(4.0, 2.0, 2.5, {4.0: 0.1, 5.0: 0.2}, "lower")
     assert stopped.warning.startswith("cutoff-at-limit: the position filter of 4 Hz")
+
+
+def test_many_recordings_with_holes_leave_each_filter_its_seconds() -> None:
+    """Ten stretches of a long recording, each with the logger's pause in its first seconds, failed as too short."""
+    rng = np.random.default_rng(3)
+    t = np.concatenate([np.arange(0.0, 3.0, 0.002), np.arange(3.5, 30.0, 0.002)])
+    parts = []
+    for k in range(10):
+        w = 2.0 * np.pi * 0.4 * np.array([1.0, 1.37, 2.3])
+        phase = np.outer(t + 30.0 * k, w)
+        q, qd, qdd = (np.sum(values, axis=1)[:, None]
+                      for values in (np.sin(phase), w * np.cos(phase), -(w**2) * np.sin(phase)))
+        tau = 3.0 * qdd + 5.0 * qd + 2.0 * q + 0.1 * rng.normal(size=q.shape)
+        parts.append(Recording.from_arrays(t, q=q, tau=tau))
+    choice = choose_cutoff(parts, columns, start=np.zeros(3), information=np.zeros((3, 3)))
+    assert min(choice.errors) == 4.0
+
+
+def test_a_recording_too_short_for_slow_filters_is_left_the_quicker_ones() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 4.0, 0.002)
+    w = 2.0 * np.pi * np.array([0.7, 1.6])
+    q, qd, qdd = (np.sum(values, axis=1)[:, None]
+                  for values in (np.sin(np.outer(t, w)), w * np.cos(np.outer(t, w)), -(w**2) * np.sin(np.outer(t, w))))
+    tau = 3.0 * qdd + 5.0 * qd + 2.0 * q + 0.1 * rng.normal(size=q.shape)
+    choice = choose_cutoff([Recording.from_arrays(t, q=q, tau=tau)], columns, start=np.zeros(3),
+                           information=np.zeros((3, 3)))
+    assert 4.0 < min(choice.errors) <= choice.cutoff
