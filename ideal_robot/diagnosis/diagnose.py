@@ -75,7 +75,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
                 cutoff=cutoff)
     found = stages.prepared(case, tuple(warnings))
     if len(found.problem.regression.undecided) == robot.n:
-        return undecided(case, found)
+        return undecided(case, stages.sensors_alone(case, found))
     for heading, stage in STAGES.items():
         found = stage(replace(case, progress=steps.begin(heading)), found)
     return diagnosis_of(case, found)

@@ -22,9 +22,7 @@ from ideal_robot.effects.arm.backlash import ArmBacklash
 
 def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
     """The domains that the recording has beside the motor torque, after their search."""
-    torque = in_position_band(found.problem.regression, case.recording)
-    validation = None if found.validation is None or case.validate is None else \
-        in_position_band(found.validation, case.validate)
+    torque, validation = _in_position_band(case, found)
     for build in (arm_angle_regression, tool_regression):
         made = build(case.recording, case.robot, torque, case.stiffness)
         if made is None:
@@ -35,6 +33,12 @@ def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]
         other = None if other is None else without_known(other, found.start.effects)
         blocks = time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=other is None)
         yield _diagnosed(case, made, other, blocks)
+    yield from diagnosed_sensors(case, found)
+
+
+def diagnosed_sensors(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
+    """The domains of a force sensor and of a camera, as far as the recording has them, after their search."""
+    torque, validation = _in_position_band(case, found)
     for made, other in force_regressions(case.recording, case.validate, case.robot, torque, validation,
                                          case.stiffness):
         yield _diagnosed(case, made, other, blocks_of(made, held_out=other is None))
@@ -42,6 +46,12 @@ def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]
     line = line_regression(case.recording, case.robot, torque, case.stiffness)
     if line is not None:
         yield _diagnosed(case, line, None, line_blocks(line, held_out=True))
+
+
+def _in_position_band(case: Case, found: Findings) -> tuple[Regression, Regression | None]:
+    validation = None if found.validation is None or case.validate is None else \
+        in_position_band(found.validation, case.validate)
+    return in_position_band(found.problem.regression, case.recording), validation
 
 
 def _diagnosed(case: Case, made: Regression, validation: Regression | None, blocks: Blocks) -> DomainDiagnosis:

@@ -42,15 +42,26 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:
-    """The answer where no joint moves enough to decide anything."""
+    """The answer where no joint moves enough to decide anything of the arm: what sensors show beside it as it is."""
     made = found.problem.regression
     error, signal = (rms(values, made.use) for values in (made.y, made.measured))
     channels = tuple(ChannelResult(name, unit, float(error[j]), float(error[j]), float(error[j]),
                                    float(made.noise_floor[j]), float(signal[j]), float(np.mean(made.use[:, j])))
                      for j, (name, unit) in enumerate(zip(made.channels, made.units, strict=True)))
-    return Diagnosis("undecided", channels, (), (), "nothing: no joint moves enough to decide anything", 0.0,
-                     made.undecided, warnings=found.warnings, model=case.given,
-                     unused=unused_columns(case.recording, (made,)))
+    effects = tuple(effect for result in found.results for effect in result.found)
+    model = None if case.given is None else case.given.with_effects(tuple(f.fitted for f in effects))
+    how, seconds = "nothing: no joint moves enough to decide anything", 0.0
+    if found.domains:
+        how = f"of sensors alone, no joint moves enough: {_held_out(case, found)}"
+        seconds = found.domains[0].held_out_seconds
+    return Diagnosis("effects" if effects else "undecided",
+                     channels + tuple(channel for result in found.results for channel in result.channels), effects, (),
+                     how, seconds, made.undecided,
+                     before=tuple(structure for result in found.results for structure in result.before),
+                     remaining=tuple(structure for result in found.results for structure in result.remaining),
+                     warnings=found.warnings, model=model, traces=tuple(result.traces for result in found.results),
+                     not_transferred=found.not_transferred,
+                     unused=unused_columns(case.recording, (made, *(d.problem.regression for d in found.domains))))
 
 
 def _held_out(case: Case, found: Findings) -> str:

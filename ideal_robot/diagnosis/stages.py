@@ -10,7 +10,7 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import about_model, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.other_channels import diagnosed_channels
+from ideal_robot.diagnosis.other_channels import diagnosed_channels, diagnosed_sensors
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.known_model import selected_against
 from ideal_robot.diagnosis.statistics.prior import prior_precision
@@ -160,6 +160,15 @@ def effects_of_other_channels(case: Case, found: Findings) -> Findings:
     settled = [domain.settled() for domain in diagnosed_channels(case, found)]
     return replace(found, domains=(*found.domains, *(domain for domain, _ in settled)),
                    not_transferred=found.not_transferred + tuple(d for _, dropped in settled for d in dropped))
+
+
+def sensors_alone(case: Case, found: Findings) -> Findings:
+    """Force sensor and camera, where no joint moves enough to decide anything of the arm: the model stays as it is."""
+    if case.validate is not None:
+        found = replace(found, validation=case.torque_regression(case.validate, found.start))
+    settled = [domain.settled() for domain in diagnosed_sensors(case, found)]
+    return errors_before_and_after(case, replace(found, domains=tuple(domain for domain, _ in settled),
+                                                 not_transferred=tuple(d for _, gone in settled for d in gone)))
 
 
 def errors_before_and_after(case: Case, found: Findings) -> Findings:

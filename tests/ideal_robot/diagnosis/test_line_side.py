@@ -44,6 +44,23 @@ def test_latency_is_found_and_nothing_where_there_is_none(robot: Robot) -> None:
         assert found == expected
 
 
+def test_a_run_in_which_no_joint_moves_enough_still_tells_of_the_camera(robot: Robot) -> None:
+    """The first 1.8 s: too little for friction and bodies, and the model that was known stays as it is."""
+    kind, size, recording = draw_line_trial(35, "camera_latency")
+    short = recording.t < 1.8
+    run = Recording({name: values[short] for name, values in recording.columns.items()}, recording.meta)
+    model = Model.nominal(robot)
+    found = diagnose(run, robot, model=model)
+    assert (found.verdict, [e.fitted.name for e in found.effects]) == ("effects", [kind])
+    np.testing.assert_allclose(found.effects[0].fitted.coefficients[0], size, rtol=0.1)
+    assert sorted(found.undecided) == list(range(1, robot.n + 1))
+    assert found.model is not None
+    assert [e.name for e in found.model.effects] == [kind]
+    assert all(c.rms_after == c.rms_before for c in found.channels if c.channel.startswith("tau"))
+    assert found.traces[0][0] == ("line",)
+    assert "cam_t, line_x_i, line_y_i, line_z_i" not in found.unused
+
+
 def test_columns_are_what_moved_points_do(robot: Robot) -> None:
     """Finite differences: the residual of the recording with its points (or stamps) moved by a little.
 
