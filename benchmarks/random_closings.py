@@ -23,6 +23,7 @@ import numpy as np
 from benchmarks.outside_library import close_outside, crossed_drag, place_friction, slack_at_first
 from benchmarks.random_lines import closed_line
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.plain import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.models import model_for
@@ -207,7 +208,7 @@ def main() -> None:
             continue
         line = one_closing(seed, given.individuals, given.rounds)
         with given.file[0].open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+            file.write(json.dumps(plain(line), allow_nan=False) + "\n")
         print(json.dumps({key: line.get(key) for key in ("seed", "scene", "kind", "measured", "error_mm", "cpu_s",
                                                          "failed")}), flush=True)
 

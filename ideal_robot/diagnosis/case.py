@@ -11,6 +11,7 @@ from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_reg
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Progress
+from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult
 from ideal_robot.diagnosis.validation.result import NotTransferred
@@ -78,6 +79,7 @@ class Findings:
         results: what they add to the report.
         warnings: for people.
         refuted: names and joints of effects that physics does not allow as they come out, and that are no longer tried.
+        beside_known: where the given model's parameters do not hold, what was selected with them held all the same.
         held: parameters, from 0, that are zero as they would drive the joint instead of braking it.
     """
 
@@ -91,4 +93,5 @@ class Findings:
     results: tuple[DomainResult, ...] = ()
     warnings: tuple[str, ...] = ()
     refuted: tuple[tuple[str, int], ...] = ()
+    beside_known: tuple[tuple[Candidate, ...], ...] = ()
     held: tuple[int, ...] = ()

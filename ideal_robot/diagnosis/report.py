@@ -8,12 +8,15 @@ import numpy as np
 
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.unused import unused_columns
+from ideal_robot.diagnosis.statistics.estimate import fitted_effect
+from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters, with_possible_inertias
 from ideal_robot.diagnosis.validation.beside_lag import beside_lag
 from ideal_robot.diagnosis.validation.braking import without_scatter
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
+from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
@@ -38,7 +41,16 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
                      warnings=found.warnings + warnings, model=model,
                      traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred,
                      unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)),
-                     refitted=refitted)
+                     refitted=refitted, beside_known=_beside_known(found))
+
+
+def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
+    result = []
+    for candidates in found.beside_known:
+        problem = found.problem.with_prior(prior_precision(found.start, found.problem)).held()
+        fit = problem.on_all_blocks().fit(candidates, uncertainty=True)
+        result.append(tuple(fitted_effect(candidate, fit, k) for k, candidate in enumerate(candidates)))
+    return tuple(result)
 
 
 def undecided(case: Case, found: Findings) -> Diagnosis:

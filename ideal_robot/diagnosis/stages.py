@@ -96,15 +96,15 @@ def _searched(case: Case, found: Findings) -> Findings:
     if case.given is None or not np.any(found.start.covariance):
         choices = Search(problem, effects, options, case.rng, absorbed=False, only=case.only,
                          refuted=found.refuted, progress=case.progress).run(start)
-    else:
-        prior = prior_precision(found.start, problem)
-        choices, holds = selected_against(problem, prior, effects, options, case.rng, only=case.only,
-                                          progress=case.progress, start=start, refuted=found.refuted)
-        problem = problem.with_prior(prior if holds else None)
-        if not holds:
-            warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
-                         "parameters are therefore not listed as effects",)
-    return replace(found, problem=problem, choices=tuple(choices), warnings=warnings)
+        return replace(found, choices=tuple(choices))
+    prior = prior_precision(found.start, problem)
+    selected = selected_against(problem, prior, effects, options, case.rng, only=case.only, progress=case.progress,
+                                start=start, refuted=found.refuted)
+    if not selected.holds:
+        warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
+                     "parameters are therefore not listed as effects",)
+    return replace(found, problem=problem.with_prior(prior if selected.holds else None), choices=selected.choices,
+                   warnings=warnings, beside_known=selected.beside_known)
 
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:

@@ -61,7 +61,8 @@ def effects_of_arm(found: Diagnosis, run: Recording, robot: Robot, model: Model)
         model: that was known.
     """
     effects = [one.fitted for one in (*found.effects, *found.unknown) if one.fitted.domain != SENSOR]
-    sized = beside_held_model(checked([run], robot)[0][0], robot, model, effects)
+    regression = torque_regression(checked([run], robot)[0][0], robot, model, payload=True)
+    sized = beside_held_model(regression, model, effects)
     return tuple(effect for effect in (*sized, *(one for one in effects if one.domain != MOTOR_TORQUE))
                  if _acts(effect))
 

@@ -30,8 +30,9 @@ from scenes.path.foreseen import left_unexplained
 from scenes.path.player import Play
 from scenes.path.scene import JointPath
 
-_LEAST = 0.99
-"""An error that falls by less than a hundredth has not fallen."""
+_LEAST, _LEAST_FALL = 0.95, 3e-6
+"""An error that falls by less than a twentieth, or by less than 3 µm, has not fallen: so much worse a path still counts
+as no worse, and no arm repeats it to better than that from one day to the next."""
 _LEAST_OF_REFIT = 0.75
 """Nor, where nothing but friction known before was fitted anew, by less than a quarter: of a healthy arm, too, it
 differs between two recordings, with the temperature at the least."""
@@ -152,7 +153,7 @@ class _Ladder:
         # Whatever is doubtful about what is not measured, the error has to fall.
         reached, present = max(pairs, key=lambda pair: pair[0] / pair[1])
         adds = len(model.effects) > len(self.model.effects)
-        if reached >= (_LEAST if adds else _LEAST_OF_REFIT) * present:
+        if reached >= min((_LEAST if adds else _LEAST_OF_REFIT) * present, present - _LEAST_FALL):
             return self._note(label, f"the path error does not fall: {1e3 * present:.3g} to {1e3 * reached:.3g} mm",
                               reached)
         self.cell, self.present = tried, played

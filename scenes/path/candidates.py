@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.validation.adoption import adopted, behind_gears, with_joint
 from ideal_robot.diagnosis.validation.friction_anew import friction_anew
 from ideal_robot.diagnosis.validation.held_fit import beside_held_model
@@ -76,6 +77,8 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
 
     Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction that
     their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb term.
+    Where the parameters of the model do not hold, what explains most of the recording with them held is tried, too: the
+    effects of another name that the diagnosis then reports may be such as do not act on a path.
     Where refitting the model alone explains a joint's error, its friction is a change of its own: as the joint fit has
     it, or fitted beside all else.
 
@@ -87,11 +90,12 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
         robot: the arm.
         measured: what the arm measures.
     """
-    refused, torque, behind = _sorted(found, measured)
+    refused, torque, behind = _sorted([one.fitted for one in (*found.effects, *found.unknown)], measured)
     whole_behind = () if measured == "motor" else behind_gears(model, found, run, robot)
     # What does not act on the path takes its share of the recording all the same.
     of_torque = [one.fitted for one in (*found.effects, *found.unknown)]
-    sized = beside_held_model(moved, robot, model, of_torque)
+    regression = torque_regression(moved, robot, model, payload=True)
+    sized = beside_held_model(regression, model, of_torque)
     held = tuple(effect for effect in sized if _place(effect) in {_place(one) for one in torque})
     whole: list[Candidate] = []
     if held or whole_behind:
@@ -101,6 +105,10 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
     changed = more or any(a is not b for a, b in zip(predicting.friction.laws, model.friction.laws, strict=True))
     if changed and not any(_not_of_currents(effect, measured) for effect in more):
         whole.append(Candidate("all that predict the run better", lambda _: predicting, more))
+    for own in found.beside_known:
+        _, acting, _ = _sorted(beside_held_model(regression, model, own), measured)
+        if acting:
+            whole.append(Candidate.adding("all that explains it with the model as it was", (*acting, *whole_behind)))
     apart: list[Forms] = [(Candidate.adding(_name(effect), (effect,)),) for effect in behind]
     for joint in dict.fromkeys(effect.joint for effect in torque):
         own = tuple(effect for effect in torque if effect.joint == joint)
@@ -112,7 +120,7 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
                                                                     effects=own), own))
         if forms:
             apart.append(tuple(forms))
-    for joint, anew in friction_anew(moved, robot, model, tuple(one.joint for one in found.refitted)).items():
+    for joint, anew in friction_anew(regression, model, tuple(one.joint for one in found.refitted)).items():
         label = f"friction of joint {joint} fitted anew"
         fits = [anew] if found.model is None else [anew, found.model]
         apart.append(tuple(Candidate(label, partial(with_joint, fitted=fit, joint=joint, effects=()), ())
@@ -120,11 +128,11 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
     return tuple(whole), apart, refused
 
 
-def _sorted(found: Diagnosis, measured: Measured) -> tuple[list[Refusal], list[FittedEffect], list[FittedEffect]]:
+def _sorted(effects: Sequence[FittedEffect],
+            measured: Measured) -> tuple[list[Refusal], list[FittedEffect], list[FittedEffect]]:
     """What is not tried, effects of the torque, and those behind the gears."""
     refused, torque, behind = list[Refusal](), list[FittedEffect](), list[FittedEffect]()
-    for one in (*found.effects, *found.unknown):
-        effect = one.fitted
+    for effect in effects:
         nowhere = effect.effect.loop_change(effect.coefficients, effect.theta).nowhere
         if effect.domain == SENSOR:
             nowhere = "no sensor takes part in this path"

@@ -7,10 +7,7 @@ its size from the same recording.
 from __future__ import annotations
 
 import dataclasses
-from itertools import pairwise
 from pathlib import Path
-
-import numpy as np
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.validation.oracle import with_named_effects
@@ -26,11 +23,12 @@ from scenes.metrics import PathErrors
 from scenes.models import model_for
 from scenes.path.adoption_on_path import Step, adopt_on_path, measured_error
 from scenes.path.asked_motion import AskedMotion, asked_motion
-from scenes.path.cell import PathCell, set_up, training_path
+from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop_page import write_circle
 from scenes.path.close_loop_result import CloseLoopResult
+from scenes.path.diagnostic_motion import diagnostic_motion
 from scenes.path.last_good import last_good
-from scenes.path.scene import JointPath, PathScene
+from scenes.path.scene import PathScene
 from scenes.result import Progress, part_of, silent
 from scenes.scene import OWN
 from scenes.undeclared import declared_world, undeclared_effects
@@ -133,25 +131,6 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
                                  first, steps, plan)
         job.begin("report")
         return result if out is None else write_circle(result, cell.model, out)
-
-
-def diagnostic_motion(cell: PathCell) -> JointPath:
-    """All joints about the path's postures, at full, half and a fifth of the path's speed, one after another."""
-    fast = training_path(cell.path, cell.world.t_ipo)
-    parts = [fast.q_d]
-    for slowness in (2, 5):
-        at = np.arange(0.0, len(fast.q_d) - 1, 1.0 / slowness)
-        parts.append(np.column_stack([np.interp(at, np.arange(len(fast.q_d)), q) for q in fast.q_d.T]))
-    q_d = np.concatenate([parts[0], *[_joined(a[-1], b) for a, b in pairwise(parts)]])
-    t = cell.world.t_ipo * np.arange(float(len(q_d)))
-    counts = np.ones(len(q_d), dtype=bool)
-    return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t), counts, cell.path.tool)
-
-
-def _joined(end: np.ndarray, part: np.ndarray, steps: int = 80) -> np.ndarray:
-    """A part with a smooth approach to its start in front."""
-    s = np.linspace(0.0, 1.0, steps)[:, None]
-    return np.concatenate([end + (part[0] - end) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), part])
 
 
 def _played(cell: PathCell, model: Model) -> PathErrors:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Progress, Search
+from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import Effect
 
@@ -18,9 +20,25 @@ _NEARLY_AS_GOOD = 1.1
 effects, and after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
 
 
+@dataclass(frozen=True)
+class Selection:
+    """What was selected.
+
+    Attributes:
+        choices: the effects.
+        holds: whether the model's parameters hold.
+        beside_known: where they do not, what a search with held parameters selected all the same: all of it, and what
+            of it the parameters, as uncertain as they are, do not take over.
+    """
+
+    choices: tuple[Choice, ...]
+    holds: bool
+    beside_known: tuple[tuple[Candidate, ...], ...] = ()
+
+
 def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], options: Options,
                      rng: np.random.Generator, *, only: Only | None, progress: Progress,
-                     start: Sequence[Choice] = (), refuted: Only = ()) -> tuple[list[Choice], bool]:
+                     start: Sequence[Choice] = (), refuted: Only = ()) -> Selection:
     """Selects effects with the model's parameters held, or with free ones where the model does not hold.
 
     Args:
@@ -33,14 +51,12 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
         progress: called with the share done and a word.
         start: choices of an earlier search to begin with.
         refuted: names and joints of effects that are not tried.
-
-    Returns:
-        The choices, and whether the model holds.
     """
     held = Search(problem.with_prior(prior).held(), effects, options, rng, absorbed=True, only=only,
                   refuted=refuted, progress=progress)
-    held.run(start)
+    every = tuple(choice.candidate for choice in held.run(start))
     held.settle(prior)
+    settled = tuple(choice.candidate for choice in held.model.choices)
     free = Search(problem, effects, options, rng, absorbed=False, only=only, refuted=refuted,
                   progress=progress)
     # A curve without a cause is no reason to hold what other parameters explain as well.
@@ -50,10 +66,10 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
     curved = any(c.candidate.effect.learned for c in held.model.choices)
     as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _NEARLY_AS_GOOD)
     if error < as_good * free.model.mean_squares():
-        return held.model.choices, True
+        return Selection(tuple(held.model.choices), True)
     # The search begins without effects, but with the weights that they leave.
     free.model.choices = []
     free.run()
     if error < nearly * free.model.mean_squares():
-        return held.model.choices, True
-    return free.model.choices, False
+        return Selection(tuple(held.model.choices), True)
+    return Selection(tuple(free.model.choices), False, tuple(dict.fromkeys(own for own in (every, settled) if own)))

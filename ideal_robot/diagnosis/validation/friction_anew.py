@@ -5,31 +5,25 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
 from ideal_robot.model.model import Model
-from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
 
 
-def friction_anew(recording: Recording, robot: Robot, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
+def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
     """The model with the friction coefficients of one joint as a recording has them, for each of some joints.
 
     A coefficient at most doubles, and none changes its sign: what a motion tells badly stays near what was known. The
     law and its shape stay, so does all else of the model.
 
     Args:
-        recording: of the arm, with ``q_i`` and ``tau_i``.
-        robot: the arm.
+        regression: of the motor torques, about the model.
         model: that is known; its effects stay.
         joints: from 1.
 
     Returns:
         A model for each joint whose friction can be told.
     """
-    if not joints:
-        return {}
-    regression = torque_regression(recording, robot, model)
     result: dict[int, Model] = {}
     at = model.base.count
     for joint, law in enumerate(model.friction.laws, start=1):

@@ -13,15 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.diagnosis.channels.blocks import time_blocks
-from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
 from ideal_robot.model.model import Model
-from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
 
 
 def held_problem(regression: Regression, model: Model) -> Problem:
@@ -36,13 +33,12 @@ def held_problem(regression: Regression, model: Model) -> Problem:
     return problem.with_prior(prior_precision(model, problem)).held()
 
 
-def beside_held_model(recording: Recording, robot: Robot, model: Model,
+def beside_held_model(regression: Regression, model: Model,
                       effects: Sequence[FittedEffect]) -> tuple[FittedEffect, ...]:
     """Effects with the sizes that they have together beside a model whose parameters are held.
 
     Args:
-        recording: that they were found in.
-        robot: the arm.
+        regression: of the motor torques, about the model, with the regressor of a payload.
         model: that was known then; effects in it stay as they are.
         effects: of which those of the motor torque are fitted, with their theta.
 
@@ -52,7 +48,6 @@ def beside_held_model(recording: Recording, robot: Robot, model: Model,
     of_torque = [effect for effect in effects if effect.effect.channel_prefix == MOTOR_TORQUE.prefix]
     if not of_torque:
         return ()
-    regression = torque_regression(recording, robot, model, payload=True)
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]
     found = held_problem(regression, model).fit(candidates, uncertainty=True)
     return tuple(replace(effect, coefficients=tuple(float(value) for value in own),

@@ -193,6 +193,8 @@ class Diagnosis(Summarised):
         not_transferred: effects that were found but are a habit of the recording.
         unused: columns that measure something but took no part, with the reason.
         refitted: joints whose error refitting the given model explains alone, so that a cause may hide in it.
+        beside_known: where the given model's parameters do not hold and were fitted anew, what explains most of the
+            recording with them as they were: one or two sets of effects, the sizes of each fitted together.
     """
 
     verdict: str
@@ -210,6 +212,7 @@ class Diagnosis(Summarised):
     not_transferred: tuple[NotTransferred, ...] = ()
     unused: dict[str, str] = field(default_factory=dict)
     refitted: tuple[RefitExplains, ...] = ()
+    beside_known: tuple[tuple[FittedEffect, ...], ...] = ()
 
     @property
     def unexplained(self) -> tuple[ChannelResult, ...]:
@@ -257,6 +260,8 @@ class Diagnosis(Summarised):
             "warnings": list(self.warnings),
             "unused": [{"columns": names, "reason": reason} for names, reason in self.unused.items()],
             "explained_by_refitting": [r.to_dict() for r in self.refitted],
+            "with_parameters_held": [[{"effect": e.name, "joint": e.joint, "parameters": [p.text for p in e.parameters]}
+                                      for e in effects] for effects in self.beside_known],
             "unexplained": [c.channel for c in self.unexplained],
         })
         return values

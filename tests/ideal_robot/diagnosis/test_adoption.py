@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.validation.adoption import adopted, with_joint
 from ideal_robot.diagnosis.validation.friction_anew import friction_anew
 from ideal_robot.diagnosis.validation.refit_explains import RefitExplains
@@ -84,11 +85,12 @@ def test_friction_that_refitting_alone_explains_is_taken_where_another_recording
 def test_friction_is_fitted_anew_beside_all_else_and_within_bounds(case):
     robot, known, _, _ = case
     run = recorded(with_coulomb(robot, [100.0, 60.0, 250.0, 100.0, 100.0, 100.0]))
-    anew = friction_anew(run, robot, known, (1, 2, 3))
+    regression = torque_regression(run, robot, known)
+    anew = friction_anew(regression, known, (1, 2, 3))
     assert list(anew) == [1, 2, 3]
     levels = np.array([[law.coefficients[1, 0] for law in anew[joint].friction.laws] for joint in anew])
     np.testing.assert_allclose(levels[0], 100.0, rtol=0.02)
     np.testing.assert_allclose(levels[1], [100.0, 60.0, 100.0, 100.0, 100.0, 100.0], rtol=0.02)
     # Two and a half times as much is more than friction does: the model keeps what it may.
     assert levels[2][2] <= 200.0
-    assert friction_anew(run, robot, known, ()) == {}
+    assert friction_anew(regression, known, ()) == {}

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.validation.held_fit import beside_held_model
 from ideal_robot.diagnosis.validation.oracle import with_named_effects
 from ideal_robot.effects import FittedEffect
@@ -41,7 +42,8 @@ def test_an_effect_of_a_joint_fit_has_its_own_size_beside_the_model(arm):
     """A joint fit had given half of it to friction."""
     robot, known, recording = arm
     half = dataclasses.replace(STICKS, coefficients=(30.0,))
-    own = beside_held_model(recording, robot, known, (half, dataclasses.replace(OFFSET, coefficients=(1.0,))))
+    regression = torque_regression(recording, robot, known, payload=True)
+    own = beside_held_model(regression, known, (half, dataclasses.replace(OFFSET, coefficients=(1.0,))))
     assert own[0].coefficients[0] == pytest.approx(60.0, rel=0.1)
     assert own[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
 

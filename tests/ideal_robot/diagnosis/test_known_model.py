@@ -52,6 +52,12 @@ def test_a_spring_that_refitting_swallows_is_said_with_the_parameters_that_moved
     (values,) = swallowed.to_dict()["explained_by_refitting"]
     assert values["moved"][0]["name"] == said.moved[0].name
     assert "range" in values["would_tell"]
+    # With the parameters as they were it is there: six newton metres per radian over 0.2 rad, whatever its name.
+    assert seen.beside_known == healthy.beside_known == ()
+    assert swallowed.to_dict()["with_parameters_held"][0][0]["joint"] == 1
+    assert swallowed.beside_known
+    for effects in swallowed.beside_known:
+        assert np.ptp(effects[0].coefficients) == pytest.approx(1.2, rel=0.1)
     assert "Nothing is missing" not in summary(swallowed)
 
 

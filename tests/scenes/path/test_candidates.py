@@ -1,0 +1,22 @@
+"""Which forms of a change a diagnosis suggests."""
+
+from __future__ import annotations
+
+import pytest
+
+from ideal_robot.diagnosis import Diagnosis
+from scenes.path.candidates import candidates
+from tests.scenes.path import kind_arm as arm
+from tests.scenes.path.effect_cases import CASES
+
+
+def test_what_explains_a_recording_with_the_model_as_it_was_is_tried_too() -> None:
+    """Where parameters were fitted anew, a body hides in them, and all that has a name then may be what cannot act."""
+    case = CASES["payload/tau"]()
+    moved = arm.recording(case.world, of=case.individual)
+    found = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true,),))
+    whole, apart, refused = candidates(arm.model(), found, moved, moved, arm.ROBOT, "tcp")
+    ((body,),) = [form.effects for form in whole]
+    assert body.coefficients[0] == pytest.approx(case.true.coefficients[0], rel=0.05)
+    assert not apart
+    assert not refused
