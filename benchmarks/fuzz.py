@@ -32,7 +32,12 @@ def main() -> None:
     parser.add_argument("--show", action="store_true", help="print what each case wrote to standard error")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-originals-"))
+    with tempfile.TemporaryDirectory(prefix="fuzz-originals-") as folder:
+        sys.exit(played(options, Path(folder)))
+
+
+def played(options: argparse.Namespace, folder: Path) -> bool:
+    """Plays the cases with sound files in a folder and prints what broke our promises; returns whether any did."""
     warm_up(sound(folder))
     # What is loaded now is never collected: collections in the cases would copy the pages they share with this process.
     gc.freeze()
@@ -44,21 +49,21 @@ def main() -> None:
         if time.monotonic() - start > 60.0 * options.minutes:
             break
         case = drawn(seed, folder, tuple(options.kinds.split(",")))
-        played = play(case)
+        one = play(case)
         counts[case.name] += 1
-        codes[case.name, played.code] += 1
-        longest, largest = max(longest, played.seconds), max(largest, played.peak)
+        codes[case.name, one.code] += 1
+        longest, largest = max(longest, one.seconds), max(largest, one.peak)
         if options.show:
-            print(case.words, played.code, f"{played.seconds:.2f} s", played.err, sep="\n")
-        if played.broken is not None:
-            broken[played.broken] += 1
-            print(f"seed {seed}: {case.name}: {played.broken}", flush=True)
+            print(case.words, one.code, f"{one.seconds:.2f} s", one.err, sep="\n")
+        if one.broken is not None:
+            broken[one.broken] += 1
+            print(f"seed {seed}: {case.name}: {one.broken}", flush=True)
     for name, count in sorted(counts.items()):
         print(f"{name:24s} {count:6d}  " + "  ".join(f"exit {code}: {n}" for (kind, code), n in sorted(codes.items())
                                                       if kind == name))
     print(f"{sum(counts.values())} cases from seed {options.first}, {sum(broken.values())} broken promises; longest "
           f"{longest:.1f} s, largest {largest / 1e9:.2f} GB")
-    sys.exit(bool(broken))
+    return bool(broken)
 
 
 if __name__ == "__main__":

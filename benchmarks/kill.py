@@ -181,8 +181,13 @@ def main() -> None:
     parser.add_argument("--signal", choices=("KILL", "TERM", "INT"), default="KILL")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="kill-") as folder:
+        sys.exit(killed(options, Path(folder)))
+
+
+def killed(options: argparse.Namespace, folder: Path) -> bool:
+    """Kills a verb so many times in a folder and prints what was left; returns whether a promise was broken."""
     rng, sent = np.random.default_rng(options.seed), signal.Signals[f"SIG{options.signal}"]
-    folder = Path(tempfile.mkdtemp(prefix="kill-"))
     originals.arm(folder)
     import scenes.cli  # noqa: F401
 
@@ -215,7 +220,7 @@ def main() -> None:
     print(f"{options.verb}, {options.count} times {sent.name} within {took:.1f} s: "
           + ", ".join(f"{n} {kind}" for kind, n in sorted(kinds.items()))
           + f"; all processes gone after {slowest:.2f} s at most, {outlived} outlived it")
-    sys.exit(bool(kinds["mixed"] or outlived or (sent is not signal.SIGKILL and slowest > LONGEST)))
+    return bool(kinds["mixed"] or outlived or (sent is not signal.SIGKILL and slowest > LONGEST))
 
 
 if __name__ == "__main__":

@@ -67,7 +67,8 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
     finally:
         # Any way out, an interrupt included; of what was moved nothing is left under that name.
         for partial, _ in moves:
-            partial.unlink(missing_ok=True)
+            with suppress(OSError):  # a disk that has become read-only, of which is told already
+                partial.unlink(missing_ok=True)
 
 
 def write_text(path: str | Path, text: str) -> Path:

@@ -19,6 +19,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import channel_findings, dead_joints
 from ideal_robot.signals.given import expect
 from ideal_robot.signals.recording import Recording
+from ideal_robot.signals.stretches import shortened
 
 _READING = "Reading"
 SHARES = {_READING: 0.03, "Baseline": 0.02, "Effects of the motor torque": 0.55, "Found, but not added": 0.02,
@@ -63,11 +64,14 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         model.require_arm(robot)
     # Torques made of currents without known gains are in amperes: then joints must not share inertias.
     amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
+    recording, shorter = shortened(recording)
     (recording,), warnings = checked([recording], robot)
+    warnings = shorter + warnings
     if validate is not None:
         expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
+        validate, shorter = shortened(validate)
         (validate,), more = checked([validate], robot)
-        warnings += more
+        warnings += shorter + more
     known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
     warnings += [finding.warning for finding in known]
     case = Case(recording, robot, model, validate, options or Options(), np.random.default_rng(seed), progress,

@@ -6,7 +6,7 @@ Topics: ``/joint_states`` (measured position and torque), ``/joint_commands`` an
 
 from __future__ import annotations
 
-import shutil
+import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import OutputError, whole_file
 
 JOINT_STATE, POSE, WRENCH = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/PoseStamped",
                              "geometry_msgs/msg/WrenchStamped")
@@ -34,14 +35,14 @@ def write_mcap(recording: Recording, path: str | Path) -> Path:
 
     Raises:
         InputError: another ending, or a recording without joints.
+        OutputError: it cannot be written, e.g. the disk is full.
     """
     path = Path(path)
     if path.suffix != ".mcap":
         raise InputError("expected a name ending in .mcap", field="path", value=str(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".mcap_") as folder:
+    with whole_file(path) as partial, tempfile.TemporaryDirectory(dir=path.parent, prefix=".mcap_") as folder:
         bag = _write(recording, Path(folder) / "bag", mcap=True)
-        next(bag.glob("*.mcap")).replace(path)
+        next(bag.glob("*.mcap")).replace(partial)
     return path
 
 
@@ -54,13 +55,17 @@ def write_rosbag2(recording: Recording, path: str | Path) -> Path:
 
     Raises:
         InputError: something of that name exists, or a recording without joints.
+        OutputError: it cannot be written, e.g. the disk is full.
     """
     path = Path(path)
     if path.exists():
         raise InputError("a bag is a new folder; choose a name that does not exist", field="path", value=str(path))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".bag_") as folder:
-        shutil.move(_write(recording, Path(folder) / path.name, mcap=False), path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".bag_") as folder:
+            _write(recording, Path(folder) / path.name, mcap=False).rename(path)
+    except (OSError, sqlite3.Error) as error:
+        raise OutputError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
     return path
 
 

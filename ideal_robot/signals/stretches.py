@@ -14,6 +14,10 @@ MOST = 500_000
 """Samples that are used at most, 17 minutes at 500 Hz: a fit takes about three kilobytes for each."""
 STRETCH = 50_000
 """Samples of a stretch, so many that what filters lose at its ends does not count."""
+_PAUSE, _STEPS = 0.9, 20.0
+"""Between two stretches that are joined at least: a time [s], and steps of sampling; a pause, but none to be named."""
+_TIMES = ("t", "cam_t")
+"""Columns that hold times."""
 FEWEST = 5_000
 """Samples that are used of each recording at least, where it has so many."""
 
@@ -36,6 +40,32 @@ def stretches(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], l
         used += rows * len(starts)
     return tuple(found), [f"long-recording: of {total} samples {used} are used, in {len(found)} stretches spread "
                           "evenly; give shorter recordings to choose which"]
+
+
+def shortened(recording: Recording) -> tuple[Recording, list[str]]:
+    """The recording, or of more than ``MOST`` samples its stretches as one recording, and a warning that says so.
+
+    The time between stretches is taken out: they follow each other after a pause, near which nothing is used.
+
+    Args:
+        recording: of any length; its columns may lie in files.
+    """
+    parts, warnings = stretches([recording])
+    if not warnings:
+        return recording, []
+    shifts: list[float] = []
+    end = 0.0
+    for part in parts:
+        step = float(part.t[-1] - part.t[0]) / max(len(part.t) - 1, 1)
+        begin = end + max(_PAUSE, _STEPS * step) if shifts else float(part.t[0])
+        shifts.append(begin - float(part.t[0]))
+        end = float(part.t[-1]) + shifts[-1]
+    columns = {name: np.concatenate([part.columns[name] + (shift if name in _TIMES else 0.0)
+                                     for part, shift in zip(parts, shifts, strict=True)])
+               for name in recording.columns}
+    for values in columns.values():
+        values.setflags(write=False)
+    return replace(recording, columns=columns), [f"{warnings[0]}; the time between them is taken out"]
 
 
 def _part(recording: Recording, start: int, rows: int) -> Recording:

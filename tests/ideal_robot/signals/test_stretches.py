@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals import stretches as module
 from ideal_robot.signals import table_file
 from ideal_robot.signals.column_store import in_file
+from ideal_robot.signals.preprocess import uniform_time
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.stretches import stretches
+from ideal_robot.signals.stretches import shortened, stretches
 
 
 def recording(length: int, source: str = "a") -> Recording:
@@ -66,3 +68,23 @@ def test_a_word_far_down_a_long_table_is_refused(tmp_path: Path, monkeypatch: py
     place.write_text("t,q_1\n" + "\n".join(lines) + "\n")
     with pytest.raises(InputError, match="not numeric"):
         Recording.read(place)
+
+
+def test_stretches_of_one_recording_follow_each_other_after_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a diagnosis works on; the camera's stamps stay with their samples."""
+    monkeypatch.setattr(module, "MOST", 10_000)
+    monkeypatch.setattr(module, "STRETCH", 1000)
+    given = recording(50_000)
+    assert shortened(recording(9_000))[1] == []
+    given = replace(given, columns={**given.columns, "cam_t": given.t - 0.04})
+    used, (warning,) = shortened(given)
+    assert warning.startswith("long-recording: of 50000 samples 10000 are used")
+    assert len(used.t) == 10_000
+    steps = np.diff(used.t)
+    assert np.count_nonzero(steps > 0.01) == 9
+    np.testing.assert_allclose(steps[steps > 0.01], 0.9)
+    np.testing.assert_allclose(used.t - used.columns["cam_t"], 0.04)
+    np.testing.assert_array_equal(used.columns["q_1"][-1000:], given.columns["q_1"][-1000:])
+    uniform, hole = uniform_time(used)
+    assert len(uniform) < 15_000
+    assert np.count_nonzero(np.diff(hole.astype(int)) == 1) == 9
