@@ -8,6 +8,9 @@ from ideal_robot.diagnosis.search.choice import Scored
 from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 
+_NEARLY = 0.9
+"""Share of a reduction that a likelier cause has to reach."""
+
 
 def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:
     """Candidates that Benjamini–Hochberg accepts.
@@ -62,6 +65,20 @@ def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: f
     difference = difference[np.isfinite(difference)]
     error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
     return bool(float(difference.sum()) < 2.0 * error)
+
+
+def likelier(best: Scored, others: list[Scored]) -> Scored:
+    """The best one, or one of the others that is taken sooner and reduces nearly as much.
+
+    Args:
+        best: scored.
+        others: scored against the same model.
+    """
+    for other in others:
+        if best.candidate.effect.name in other.candidate.effect.sooner_than \
+                and other.test.total > _NEARLY * best.test.total:
+            return other
+    return best
 
 
 def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:

@@ -21,10 +21,12 @@ class Columns:
     Attributes:
         values: ``(N, k, m)``: ``m`` columns on ``k`` channels.
         channels: which channels these are, ascending, from 0.
+        alike: whether the columns are pieces of one curve, in one unit.
     """
 
     values: Array
     channels: tuple[int, ...]
+    alike: bool = False
 
     @property
     def m(self) -> int:

@@ -13,7 +13,10 @@ from ideal_robot.diagnosis.statistics.block_products import BlockProducts, Colum
 _RIDGE = 1e-9
 """Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
 _SMOOTH = 3e-3
-"""The same for the coefficients of a candidate with many columns, some of which a fold may hardly show."""
+"""The same for the pieces of a curve, some of which a fold may hardly show. A body's ten columns are in units of their
+own: next to what a mass weighs, an inertia shows little and would be held at none."""
+_NOTHING = 1e-20
+"""Squares of a column over those of the candidate's largest below which it is rounding."""
 
 LEFT_OUT = 0.05
 """Weight of a fold in the fit that leaves it out. Working cycles go to some places and speeds once: what other folds
@@ -186,17 +189,18 @@ class Fit:
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
         CX, Cy, CC = self._candidate(key)
-        return self._joined(0, CX, Cy, CC)[:2]
+        return self._joined(0, CX, Cy, CC, self.design.groups[key].alike)[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         full = (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key))
         CX, Cy, CC = self._candidate(key)
-        gain, coefficients = self._joined(0, CX, Cy, CC)[:2]
+        alike = self.design.groups[key].alike
+        gain, coefficients = self._joined(0, CX, Cy, CC, alike)[:2]
         B, c = self.G.shape[:2]
         reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
         for k in range(self.folds):
-            _, gamma, beta = self._joined(k + 1, CX, Cy, CC)
+            _, gamma, beta = self._joined(k + 1, CX, Cy, CC, alike)
             mine = self.fold == k
             G = self.G[mine]
             before = np.append(-self._beta[k + 1], 1.0)
@@ -224,15 +228,15 @@ class Fit:
         CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in parts)
         return CX, Cy, CC
 
-    def _joined(self, k: int, CX: Array, Cy: Array, CC: Array) -> tuple[float, Array, Array]:
+    def _joined(self, k: int, CX: Array, Cy: Array, CC: Array, alike: bool) -> tuple[float, Array, Array]:
         """Schur complement: gain, coefficients of the group, and the refitted other parameters."""
         training = self._training[k]
         CX, Cy, CC = (np.tensordot(training, part, 1) for part in (CX, Cy[:, :, 0], CC))
         Z = CX @ self._inverse[k]
         S = CC - Z @ CX.T
         # A column that the others explain all but a hundred-thousandth of has nothing of its own.
-        own = np.diag(S) > 1e-5 * np.diag(CC)
-        if len(Cy) > 6:
+        own = (np.diag(S) > 1e-5 * np.diag(CC)) & (np.diag(CC) > _NOTHING * np.max(np.diag(CC), initial=0.0))
+        if alike and len(Cy) > 6:
             S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
         m = len(Cy)
         gamma = np.zeros(m)

@@ -85,7 +85,8 @@ class Problem:
 
     def columns(self, candidate: Candidate) -> Columns:
         """A candidate's columns at the rows of the regression."""
-        return self.prepared(candidate.effect.columns(self.regression.signals, candidate.joint, candidate.theta))
+        columns = candidate.effect.columns(self.regression.signals, candidate.joint, candidate.theta)
+        return replace(self.prepared(columns), alike=candidate.effect.learned)
 
     def design(self, effects: Sequence[Candidate] = ()) -> Design:
         """Parameters of the model and columns of effects, with their cross-products."""

@@ -26,7 +26,11 @@ _CLEAR = 3.0
 of the difference of two recordings, as the one that the model was made of bent its parameters no less than this one."""
 _DISTINGUISHED = 2.0
 """Reported standard deviations by which a single coefficient has to differ from none: what may as well be nothing is
-not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain."""
+not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain; but where
+none of several differs by one, they cancel each other."""
+_KEPT = 0.5
+"""Of the share of a channel's squares that the search asked, what is left of it on held-out data against a given model:
+what needs other parameters than the model's own to show is a change of these."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,11 @@ class DomainDiagnosis:
                 large = np.abs(own) > _CLEAR * np.sqrt(2.0) * wide[k]
                 needed = list(candidate.effect.without_which_none)
                 clear = bool(np.any(large[needed] if np.any(own[needed]) else large))
-            elif len(own) == 1 and not candidate.effect.bounds(signals, candidate.joint):
-                clear = bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
+            elif len(own) == 1:
+                physical = candidate.effect.theta_is_physical and candidate.effect.bounds(signals, candidate.joint)
+                clear = bool(physical) or bool(abs(own[0]) > _DISTINGUISHED * wide[k][0])
+            else:
+                clear = candidate.effect.learned or bool(np.any(np.abs(own) > wide[k]))
             near = at_standstill(candidate, signals)
             if allowed and clear and not near:
                 continue
@@ -130,11 +137,12 @@ class DomainDiagnosis:
     def _worthless(self) -> tuple[int, NotTransferred] | None:
         """The effect with which the held-out error of its channel rises most, if there is one."""
         levels = self._ladder()[1]
-        gains = [1.0 - after[j] / max(float(before[j]), 1e-300)
-                 for before, after, j in ((levels[k], levels[k + 1], self._channel(k, c, levels))
-                                          for k, c in enumerate(self.effects))]
-        k = int(np.argmin(gains))
-        return None if gains[k] > 0.0 else (k, self._not_added(k, levels, ""))
+        share = np.array([1.0 - (after[j] / max(float(before[j]), 1e-300)) ** 2
+                          for before, after, j in ((levels[k], levels[k + 1], self._channel(k, c, levels))
+                                                   for k, c in enumerate(self.effects))])
+        asked = _KEPT * np.array([c.asked for c in self.choices]) if self.problem.prior is not None else 0.0
+        k = int(np.argmin(share - asked))
+        return None if (share - asked)[k] > 0.0 else (k, self._not_added(k, levels, ""))
 
     def _not_added(self, k: int, levels: Sequence[Array], why: str) -> NotTransferred:
         candidate = self.effects[k]

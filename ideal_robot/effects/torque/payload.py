@@ -25,6 +25,8 @@ class Payload(Effect):
     depends_on_joint = False
     # Moments without mass are no body but how gears, rotors or filters bend what a motion shows.
     without_which_none = (0,)
+    # On the axis of the flange a body turns like the link before; tools are changed, links are not.
+    sooner_than = ("link_load",)
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:
