@@ -93,7 +93,8 @@ def _extended(case: Case, found: Findings, added: list[FoundEffect]) -> tuple[Mo
     model = with_parameters(found.start, final.change, final.covariance)
     warnings: tuple[str, ...] = ()
     try:
-        model = with_possible_inertias(model)
+        known = Model.nominal(case.robot) if case.given is None else case.given
+        model = with_possible_inertias(model, known.consistent)
     except IdealRobotError as error:
         # What was found does not depend on it: torques come from the base parameters.
         warnings = (f"the extended model predicts torques, but cannot be simulated: {error}",)

@@ -82,7 +82,7 @@ class Effect(ABC):
             effect can only be seen against a model identified before.
         like_the_model: columns, from 0, of the form of the model's own parameters, so that these may cancel them.
         without_which_none: columns, from 0, of which one at least has to differ from none, where any of them shows.
-        sooner_than: names of effects in whose place it is taken where it explains nearly as much, as the likelier cause.
+        sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
         theta_is_physical: False where theta only serves the computation and has no uncertainty of its own.
         scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.
         depends_on_joint: whether its numbers are in the units of its joint: of a sliding one in N and m.

@@ -40,15 +40,19 @@ def with_parameters(model: Model, change: Array, covariance: Array | None = None
         consistent=model.base.nearest_full(base_values, model.consistent))
 
 
-def with_possible_inertias(model: Model) -> Model:
+def with_possible_inertias(model: Model, near: Array) -> Model:
     """The model with inertias that bodies can have, nearest to its base parameters.
 
     A fit of all parameters leaves what the data hardly tell anywhere within its uncertainty, also where no body could
     have it; such an arm cannot be simulated. Predicted torques do not change, they come from the base parameters.
 
+    Args:
+        model: whose base parameters they shall have.
+        near: possible full parameters ``(p,)`` that what cannot be seen keeps near to.
+
     Raises:
         IdealRobotError: there are none near.
     """
     b = model.base.count
-    possible = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], model.consistent)
+    possible = consistent_parameters(model.base, model.base_values, model.covariance[:b, :b], near)
     return dataclasses.replace(model, consistent=possible.full)

@@ -26,6 +26,8 @@ _FAR = 3.0
 """Standard deviations by which a parameter has moved."""
 _FLOOR = 0.02
 """A parameter is never known better than this share of itself."""
+_ROUNDING = 1e-12
+"""Size of a derivative over the largest below which it is rounding."""
 _MOST = 4
 
 
@@ -65,7 +67,10 @@ def _moved(model: Model, change: Array, W: Array, visible: float) -> tuple[Moved
     """
     value = parameter_vector(model.base_values, model.friction)
     size = np.sqrt(np.mean(W**2, axis=0))
-    sigma = np.sqrt(np.diag(model.covariance) + (_FLOOR * value) ** 2 + (visible / np.maximum(size, 1e-300)) ** 2)
+    # A parameter that moves nothing here may be anything.
+    seen = size > _ROUNDING * np.max(size, initial=0.0)
+    unseen = np.divide(visible, size, out=np.full_like(size, np.inf), where=seen)
+    sigma = np.sqrt(np.diag(model.covariance) + (_FLOOR * value) ** 2 + unseen**2)
     weight = np.abs(change) * size
     far = [int(i) for i in np.argsort(-weight) if abs(change[i]) > _FAR * sigma[i] and weight[i] > 0.0]
     names = model.parameters

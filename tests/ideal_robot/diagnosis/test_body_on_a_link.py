@@ -35,7 +35,8 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray) -> tuple[Problem
     model = Model.nominal(robot)
     body = mass * np.array([1.0, *at, at[1]**2 + at[2]**2, -at[0] * at[1], at[0]**2 + at[2]**2, -at[0] * at[2],
                             -at[1] * at[2], at[0]**2 + at[1]**2])
-    tau = model.inverse_dynamics(q, qd, qdd) + regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * link - 10 : 10 * link] @ body
+    columns = regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * link - 10 : 10 * link]
+    tau = model.inverse_dynamics(q, qd, qdd) + columns @ body
     # What rotors do with the inertia of a wrist is known no better than this.
     tau = tau + 0.02 * np.std(tau, axis=0) * np.sin(7.0 * q) + 0.002 * np.std(tau, axis=0) * rng.normal(size=q.shape)
     made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
