@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,7 +104,7 @@ def _hour(robot: Robot, world: World, loop: LoopModel, once: Array, count: int, 
             if name == "oracle":
                 known_drives = known.drives if k >= lead else feedforward.ideal.drives
                 q_c, inner = feedforward.ideal.step_with(known_drives, state.ideal, horizon)
-                state = type(state)(inner, state.factors)
+                state = replace(state, ideal=inner)
                 arm.cycle(q_c)
                 continue
             q_c, state = feedforward.step(state, horizon)

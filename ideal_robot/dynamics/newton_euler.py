@@ -66,6 +66,19 @@ def chain_of(model: pin.Model) -> Chain:
     return Chain(rotation, position, axis, prismatic, mass, com, inertia, np.array(model.gravity.linear), np.zeros(n))
 
 
+def point_mass(chain: Chain, place: Array) -> Chain:
+    """The same kinematics with nothing but 1 kg at a point of the last link; torques are linear in its mass.
+
+    Args:
+        chain: kinematics and gravity.
+        place: of the mass in the last joint's frame ``(3,)`` [m].
+    """
+    n = len(chain.mass)
+    mass, com = np.zeros(n), np.zeros((n, 3))
+    mass[-1], com[-1] = 1.0, place
+    return chain._replace(mass=mass, com=com, inertia=np.zeros((n, 3, 3)), armature=np.zeros(n))
+
+
 @numba.njit(cache=True, inline="always")
 def _cross(a: Array, b: Array, out: Array) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]

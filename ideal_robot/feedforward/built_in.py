@@ -6,7 +6,7 @@ import numpy as np
 
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
-from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback, learn_on_model
 from ideal_robot.feedforward.linear_inverse import LinearInverse
@@ -61,7 +61,9 @@ def _precorrected(setting: Setting) -> Feedforward:
 
 
 def _adapted(setting: Setting) -> Feedforward:
-    start = AdaptedIdeal(_ideal(setting))
+    ideal, robot = _ideal(setting), setting.robot
+    tool = robot.pinocchio.frames[robot.tool_id].placement.translation
+    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)))
     if setting.practice is None:
         # Nothing to play beforehand: it learns while it works.
         return _corrected(setting, start)
@@ -98,4 +100,5 @@ MODEL_LEARNED = Method(_model_learned, "learning on the identified loop, before 
 LEARNED_1, LEARNED_2, LEARNED_3, LEARNED_4 = (_learned(step) for step in range(1, ITERATIONS + 1))
 IDEAL = Method(lambda setting: _corrected(setting, _ideal(setting)),
                "inverse of the whole identified loop over the horizon ([L] 2.2)")
-ADAPTED = Method(_adapted, "the ideal robot, its friction adapted before and while the path is played", Needs.PLAYS)
+ADAPTED = Method(_adapted, "the ideal robot, friction and tool mass adapted before and while the path is played",
+                 Needs.PLAYS)

@@ -1,13 +1,17 @@
-"""Adaptation: the ideal robot's friction follows the arm while it works ([L] Fig. 1, [G] Figs 3 and 12).
+"""Adaptation: friction and the tool's mass follow the arm while it works ([L] Fig. 1, [G] Figs 3 and 12).
 
-Friction changes with temperature and lubricant, rigid body and controller do not. So two factors per joint are
-estimated, one for the dry and one for the speed-dependent part of the identified friction, by recursive least squares
-with forgetting:
+Friction changes with temperature and lubricant, and a tool may be heavier than told; arm and controller do not change.
+So two factors per joint are estimated, one for the dry and one for the speed-dependent part of the identified friction,
+and one mass at the tool for all joints, by recursive least squares with forgetting:
 
-    τ - τ_rigid = θ_1 F(0) sign(q̇) + θ_2 (F(|q̇|) - F(0)) sign(q̇) + τ_offset
+    τ - τ_rigid + τ_ext = θ_1 F(0) sign(q̇) + θ_2 (F(|q̇|) - F(0)) sign(q̇) + τ_offset + m y(q, q̇, q̈)
+
+with y the torque of 1 kg at the tool. Friction turns round with the motion and is each joint's own; a weight does not,
+and shows in all joints as its lever has it. What the identified inertias are wrong by grows with the acceleration: it
+is counted to a sample's variance, else it would be taken for a mass.
 
 Safe by construction: without measurements nothing changes; samples that are not finite, too slow or far from
-what is expected do not count; forgetting stops when the motion tells nothing; the factors are bounded.
+what is expected do not count; forgetting stops when the motion tells nothing; all that is learned is bounded.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import inverse_dynamics
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, point_mass
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.loop.further_torque import further_torque
@@ -27,6 +31,16 @@ from ideal_robot.robots.interface import RobotState
 
 _WINDOW = 9
 """Measured positions whose polynomial gives velocity and acceleration at its middle."""
+_GRAVITY = 9.81
+_BELIEVED = 0.15
+"""Standard deviation of the friction factors before anything was measured."""
+_WEIGHT = 0.2
+"""Weight of an unknown tool mass before anything was measured, at a metre, over the largest dry friction: standard
+deviation. What is lighter is no more than friction's own changes leave."""
+_FARTHEST = 4.0
+"""Bound of the mass in these standard deviations."""
+_ACCELERATING = 0.03
+"""Share of the torque for acceleration that identified masses and rotors may be wrong by: standard deviation."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +49,15 @@ class FrictionFactors:
 
     Attributes:
         theta: factors on dry and on speed-dependent friction ``(n, 2)``.
-        covariance: of them ``(n, 2, 2)``.
-        q, tau: last measurements ``(m, n)`` with ``m`` up to the window.
+        mass: that the tool has beyond the model [kg].
+        covariance: of the factors, joint by joint, and the mass ``(2 n + 1, 2 n + 1)``.
+        q, tau: last measurements ``(m, n)`` with ``m`` up to the window, contact torque taken away.
         rejected: measurements in a row that did not count, per joint ``(n,)``.
         used: measurements that counted, per joint ``(n,)``.
     """
 
     theta: Array
+    mass: float
     covariance: Array
     q: Array
     tau: Array
@@ -50,7 +66,7 @@ class FrictionFactors:
 
 
 class FrictionAdaptation:
-    """Recursive least squares on the friction factors of every joint.
+    """Recursive least squares on the friction factors of every joint and the mass at the tool.
 
     Args:
         loop: the identified loop; its rigid body, rotors and friction are the reference.
@@ -58,17 +74,25 @@ class FrictionAdaptation:
         bounds: lowest and highest factor.
         noise: standard deviation of the torque residual relative to dry friction.
         gate: residuals beyond this many standard deviations do not count.
-        drift: how fast the factors may wander, standard deviation after one second.
+        drift: how fast the factors may wander, standard deviation after one second; the mass in its own standard
+            deviation.
+        tool: where in the last joint's frame the mass is ``(3,)`` [m]; no mass is learned if None: on the axes of a
+            wrist it hardly differs from what inertias may be wrong by.
     """
 
     def __init__(self, loop: LoopModel, *, memory: float = 20.0, bounds: tuple[float, float] = (0.3, 3.0),
-                 noise: float = 0.15, gate: float = 4.0, drift: float = 0.02) -> None:
+                 noise: float = 0.15, gate: float = 4.0, drift: float = 0.02,
+                 tool: Array | None = None) -> None:
         self.loop, self.bounds, self.gate = loop, bounds, gate
+        self._kilogram = point_mass(loop.chain, np.zeros(3) if tool is None else tool)
         self._forgetting = np.exp(-loop.t_ipo / memory)
-        self._drift = drift**2 * loop.t_ipo
         self._dry = loop.friction_torque[:, 0]
+        dry = np.maximum(self._dry.mean(axis=0), 1e-6)
+        self._mass = 0.0 if tool is None else float(_WEIGHT * dry.max() / _GRAVITY)
+        # All joints ask for the mass's drift in every cycle.
+        self._drift = drift**2 * loop.t_ipo * np.append(np.ones(2 * loop.n), self._mass**2 / loop.n)
         # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
-        self._sigma = np.sqrt(3.0) * np.maximum(noise * self._dry.mean(axis=0), 1e-6)
+        self._sigma = np.sqrt(3.0) * noise * dry
         # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
         # move on a path slide slowly all the time: what they say is all that is known of friction where they work.
         self._slow = 0.005 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
@@ -77,18 +101,31 @@ class FrictionAdaptation:
         self._fit = np.linalg.pinv(np.vander(t, 4, increasing=True))
 
     def init(self) -> FrictionFactors:
-        """Factors 1, believed to 15 %."""
+        """Factors 1, believed to 15 %, and no mass."""
         n = self.loop.n
-        return FrictionFactors(np.ones((n, 2)), np.tile(0.15**2 * np.eye(2), (n, 1, 1)), np.empty((0, n)),
-                               np.empty((0, n)), np.zeros(n), np.zeros(n))
+        variance = np.append(np.full(2 * n, _BELIEVED**2), self._mass**2)
+        return FrictionFactors(np.ones((n, 2)), 0.0, np.diag(variance), np.empty((0, n)), np.empty((0, n)),
+                               np.zeros(n), np.zeros(n))
 
-    def update(self, state: FrictionFactors, measured: RobotState) -> FrictionFactors:
-        """Takes what the controller reported at the end of one cycle."""
+    def carried(self, mass: float) -> Chain | None:
+        """The tool's mass beyond the model's as a body; None for none."""
+        return self._kilogram._replace(mass=mass * self._kilogram.mass) if mass != 0.0 else None
+
+    def update(self, state: FrictionFactors, measured: RobotState, tau_ext: Array | None = None) -> FrictionFactors:
+        """Takes what the controller reported at the end of one cycle.
+
+        Args:
+            state: before the cycle.
+            measured: motor angles and torques.
+            tau_ext: joint torque of contact that was expected ``(n,)`` [N m]; None for none.
+        """
         q, tau = np.asarray(measured.q, dtype=float), np.asarray(measured.tau, dtype=float)
         n = self.loop.n
         if q.shape != (n,) or tau.shape != (n,) or not (np.isfinite(q).all() and np.isfinite(tau).all()):
             # A hole in the measurements: the window starts anew, the factors stay.
             return replace(state, q=np.empty((0, n)), tau=np.empty((0, n)))
+        if tau_ext is not None:
+            tau = tau + self.loop.gain * tau_ext
         window_q = np.concatenate([state.q, q[None]])[-_WINDOW:]
         window_tau = np.concatenate([state.tau, tau[None]])[-_WINDOW:]
         state = replace(state, q=window_q, tau=window_tau)
@@ -109,11 +146,18 @@ class FrictionAdaptation:
             return state
         # Torque through the same filter as the positions, so that both are smoothed alike.
         tau = self._fit[0] @ (state.tau - self._ripple(state.q))
-        rigid = inverse_dynamics(loop.chain, position[None], speed[None], acceleration[None])[0]
-        further = further_torque(loop, np.zeros(1), position[None], speed[None], acceleration[None], rigid[None],
-                                 np.sign(speed)[None])[0]
+        at = position[None], speed[None]
+        rigid = inverse_dynamics(loop.chain, *at, acceleration[None])[0]
+        further = further_torque(loop, np.zeros(1), *at, acceleration[None], rigid[None], np.sign(speed)[None])[0]
         left = (tau - further) / loop.gain - rigid - loop.rotor_inertia * acceleration - loop.offset
-        theta, covariance = state.theta.copy(), state.covariance.copy()
+        steady = inverse_dynamics(loop.chain, *at, np.zeros_like(acceleration)[None])[0]
+        accelerating = rigid - steady + loop.rotor_inertia * acceleration
+        variance = self._sigma**2 + (_ACCELERATING * accelerating) ** 2
+        per_kilogram = inverse_dynamics(self._kilogram, *at, acceleration[None])[0]
+        factors, most = 2 * loop.n, _FARTHEST * self._mass
+        low, high = np.full(factors + 1, self.bounds[0]), np.full(factors + 1, self.bounds[1])
+        low[-1], high[-1] = -most, most
+        x, covariance = np.append(state.theta, state.mass), state.covariance
         rejected, used = state.rejected.copy(), state.used.copy()
         # All samples of the window must slide the same way.
         steps = np.diff(state.q, axis=0)
@@ -125,37 +169,53 @@ class FrictionAdaptation:
             side = 0 if v > 0 else 1
             dry = self._dry[side, i] + loop.friction_load[i] * abs(rigid[i])
             table = float(np.interp(abs(v), loop.friction_velocity[:, i], loop.friction_torque[side, :, i]))
-            h = np.sign(v) * np.array([dry, table - self._dry[side, i]])
-            P = covariance[i] / self._forgetting + self._drift * np.eye(2)
-            # Without information forgetting would let the covariance grow for ever.
-            P *= min(1.0, 0.5 / float(np.trace(P)))
-            innovation = left[i] - h @ theta[i]
-            S = float(h @ P @ h) + self._sigma[i] ** 2
+            own, h = slice(2 * i, 2 * i + 2), np.zeros(factors + 1)
+            h[own], h[-1] = np.sign(v) * np.array([dry, table - self._dry[side, i]]), per_kilogram[i]
+            P = self._aged(covariance, own)
+            innovation, said = left[i] - h @ x, P @ h
+            S = float(h @ said) + variance[i]
             if innovation**2 > self.gate**2 * S:
                 rejected[i] += 1
                 continue
-            gain = P @ h / S
-            theta[i] = np.clip(theta[i] + gain * innovation, *self.bounds)
-            covariance[i] = P - np.outer(gain, h @ P)
+            x = np.clip(x + said / S * innovation, low, high)
+            covariance = P - np.outer(said, said) / S
             rejected[i], used[i] = 0, used[i] + 1
-        return replace(state, theta=theta, covariance=covariance, rejected=rejected, used=used)
+        return replace(state, theta=x[:factors].reshape(-1, 2), mass=float(x[-1]), covariance=covariance,
+                       rejected=rejected, used=used)
+
+    def _aged(self, covariance: Array, own: slice) -> Array:
+        """Covariance before the next measurement of a joint whose factors are ``own``: forgotten and wandered a little.
+
+        The mass is not forgotten, as it does not change by itself.
+        """
+        P = covariance.copy()
+        # Without information forgetting would let the covariance grow for ever.
+        scale = np.sqrt(min(1.0 / self._forgetting, 0.5 / float(np.trace(P[own, own]))))
+        P[own] *= scale
+        P[:, own] *= scale
+        at = np.r_[own, len(P) - 1]
+        P[at, at] += self._drift[at]
+        return P
 
 
 @dataclass(frozen=True)
 class AdaptedState:
-    """State of the feedforward and of what it has learned of friction."""
+    """State of the feedforward, of what it has learned, and the contact torque that it was last told ``(n,)`` [N m]."""
 
     ideal: IdealState
     factors: FrictionFactors
+    tau_ext: Array | None = None
 
 
 class AdaptedIdeal(Feedforward):
-    """The ideal robot with friction that follows the arm. Without ``observe`` it is the ideal robot.
+    """The ideal robot whose friction and tool mass follow the arm. Without ``observe`` it is the ideal robot.
+
+    How far a mass that was learned bends the gears is left out: a camera calibrated with the tool on has seen that.
 
     Args:
         ideal: what is adapted.
         adaptation: how.
-        known: the factors to start with; 1, believed to 15 %, if None.
+        known: what to start with; factors 1, believed to 15 %, and no mass if None.
     """
 
     def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None,
@@ -165,19 +225,24 @@ class AdaptedIdeal(Feedforward):
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
 
     def init(self, q0: Array, factors: FrictionFactors | None = None) -> AdaptedState:
-        """At rest at ``q0``, with the factors known from before, if any."""
+        """At rest at ``q0``, with what is known from before, if anything."""
         factors = self.known if factors is None else factors
         return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors)
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
-        return replace(state, factors=self.adaptation.update(state.factors, measured))
+        return replace(state, factors=self.adaptation.update(state.factors, measured, state.tau_ext))
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
         """See ``Feedforward.step``."""
-        drives = self.ideal.drives._replace(**adapted(self.ideal.loop, state.factors.theta))
-        q_c, inner = self.ideal.step_with(drives, state.ideal, q_d, tau_ext_d)
-        return q_c, replace(state, ideal=inner)
+        factors, inner = state.factors, state.ideal
+        carried = self.adaptation.carried(factors.mass)
+        if inner.cycle == 0:
+            # The motors hold already at rest what was learned before the first step.
+            inner = self.ideal.init(inner.q_d[-1], carried)
+        drives = self.ideal.drives._replace(**adapted(self.ideal.loop, factors.theta))
+        q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried)
+        return q_c, AdaptedState(inner, factors, None if tau_ext_d is None else np.array(tau_ext_d[0]))
 
 
 def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:

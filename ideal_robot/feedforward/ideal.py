@@ -20,7 +20,7 @@ import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import inverse_dynamics
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.command_inverse import command_inverse
@@ -111,24 +111,25 @@ class IdealRobot(Feedforward):
         """
         return cls(loop_model(model, robot, delay=delay), n_d, **options)
 
-    def init(self, q0: Array) -> IdealState:
-        """See ``Feedforward.init``."""
+    def init(self, q0: Array, carried: Chain | None = None) -> IdealState:
+        """See ``Feedforward.init``; ``carried`` as in ``step_with``."""
         q0 = np.array(q0, dtype=float)
         loop, still = self.loop, np.zeros((1, self.loop.n))
         gravity = inverse_dynamics(loop.chain, q0[None], still, still)[0]
         further = further_torque(loop, np.zeros(1), q0[None], still, still, gravity[None], still)[0]
+        held = gravity if carried is None else gravity + inverse_dynamics(carried, q0[None], still, still)[0]
         sag = gravity * self._compliance + self._gap * side_of_gap(gravity, still[0], loop.gap_load)
         sag -= [unevenness(loop.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return IdealState(
             q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=np.zeros(loop.n),
-            tau=loop.gain * (gravity + loop.offset) + further, preslide=np.zeros(loop.n), sag=sag, cycle=0)
+            tau=loop.gain * (held + loop.offset) + further, preslide=np.zeros(loop.n), sag=sag, cycle=0)
 
     def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
         """See ``Feedforward.step``."""
         return self.step_with(self.drives, state, q_d, tau_ext_d)
 
-    def step_with(self, drives: Drives, state: IdealState, q_d: Array, tau_ext_d: Array | None = None
-                  ) -> tuple[Array, IdealState]:
+    def step_with(self, drives: Drives, state: IdealState, q_d: Array, tau_ext_d: Array | None = None,
+                  carried: Chain | None = None) -> tuple[Array, IdealState]:
         """``step`` with other drives than the identified ones, for adaptation.
 
         Args:
@@ -136,6 +137,7 @@ class IdealRobot(Feedforward):
             state: before the cycle.
             q_d: horizon ``(n_d, n)`` [rad].
             tau_ext_d: expected joint torque of contact ``(n_d, n)`` [N m].
+            carried: bodies that the motors carry beyond the model's. How far they bend the gears is left out.
         """
         loop = self.loop
         q_d = np.asarray(q_d, dtype=float)
@@ -170,6 +172,8 @@ class IdealRobot(Feedforward):
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
         smooth = reflected + loop.rotor_inertia * a_m + loop.offset
+        if carried is not None:
+            smooth = smooth + self._torque[0] @ inverse_dynamics(carried, q, qd, qdd)
         friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
         signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth + friction, further, self._lag,
