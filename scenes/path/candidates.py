@@ -77,8 +77,10 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
 
     Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction that
     their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb term.
-    Where the parameters of the model do not hold, what explains most of the recording with them held is tried, too: the
-    effects of another name that the diagnosis then reports may be such as do not act on a path.
+    Where the parameters of the model do not hold, what explains most of the recording with them held is tried, too:
+    effects of another name that the diagnosis then reports may be such as do not act on a path. Of these, changes of
+    parameters are candidates one by one, for beside them stands what only makes up for the rest: as large as they are
+    alone, or with the others.
     Where refitting the model alone explains a joint's error, its friction is a change of its own: as the joint fit has
     it, or fitted beside all else.
 
@@ -105,10 +107,15 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
     changed = more or any(a is not b for a, b in zip(predicting.friction.laws, model.friction.laws, strict=True))
     if changed and not any(_not_of_currents(effect, measured) for effect in more):
         whole.append(Candidate("all that predict the run better", lambda _: predicting, more))
+    hidden: dict[tuple[str, int], list[FittedEffect]] = {}
     for own in found.beside_known:
         _, acting, _ = _sorted(beside_held_model(regression, model, own), measured)
         if acting:
             whole.append(Candidate.adding("all that explains it with the model as it was", (*acting, *whole_behind)))
+        for effect in acting:
+            if effect.effect.absorbed_by_base:
+                sizes = hidden.setdefault((effect.name, effect.joint), [])
+                sizes += [effect] if sizes else [*beside_held_model(regression, model, (effect,)), effect]
     apart: list[Forms] = [(Candidate.adding(_name(effect), (effect,)),) for effect in behind]
     for joint in dict.fromkeys(effect.joint for effect in torque):
         own = tuple(effect for effect in torque if effect.joint == joint)
@@ -120,6 +127,8 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
                                                                     effects=own), own))
         if forms:
             apart.append(tuple(forms))
+    apart += [tuple(Candidate.adding(f"{_name(own[0])}, {_HELD}", (effect,)) for effect in own)
+              for own in hidden.values()]
     for joint, anew in friction_anew(regression, model, tuple(one.joint for one in found.refitted)).items():
         label = f"friction of joint {joint} fitted anew"
         fits = [anew] if found.model is None else [anew, found.model]

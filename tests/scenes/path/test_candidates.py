@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.effects import FittedEffect
 from scenes.path.candidates import candidates
 from tests.scenes.path import kind_arm as arm
 from tests.scenes.path.effect_cases import CASES
@@ -14,9 +15,12 @@ def test_what_explains_a_recording_with_the_model_as_it_was_is_tried_too() -> No
     """Where parameters were fitted anew, a body hides in them, and all that has a name then may be what cannot act."""
     case = CASES["payload/tau"]()
     moved = arm.recording(case.world, of=case.individual)
-    found = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true,),))
-    whole, apart, refused = candidates(arm.model(), found, moved, moved, arm.ROBOT, "tcp")
-    ((body,),) = [form.effects for form in whole]
-    assert body.coefficients[0] == pytest.approx(case.true.coefficients[0], rel=0.05)
-    assert not apart
+    offset = FittedEffect("current_offset", 1, "tau_1", (1.0,))
+    found = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true, offset),))
+    (together,), (alone, of_offset), refused = candidates(arm.model(), found, moved, moved, arm.ROBOT, "tcp")
+    assert [effect.name for effect in together.effects] == ["payload", "current_offset"]
+    for form in (together, *alone):
+        assert form.effects[0].coefficients[0] == pytest.approx(case.true.coefficients[0], rel=0.05)
+    assert [len(form.effects) for form in alone] == [1, 1]
+    assert [form.effects[0].name for form in of_offset] == ["current_offset"] * 2
     assert not refused
