@@ -48,8 +48,24 @@ def noise_left(residual: Array, use: np.ndarray) -> Array:
     Its third differences, in which no motion is left, over stretches that count ``(N, c)``: never more than noise, and
     for a residual that is nothing else all of it.
     """
-    third = np.diff(residual, 3, axis=0)
-    whole = use[3:] & use[2:-1] & use[1:-2] & use[:-3]
+    third, whole = _third_differences(residual, use)
     count = whole.sum(axis=0)
     squares = (third**2 * whole).sum(axis=0) / np.maximum(count, 1)
     return np.where(count >= _FEWEST, np.sqrt(squares / 20.0), np.inf)
+
+
+def usual_noise(residual: Array, use: np.ndarray) -> Array:
+    """The same from the median of their sizes ``(c,)``, which kicks do not raise; zero where too few samples count.
+
+    What changes from each sample to the next all the time depends on nothing that the motion does: encoder steps and
+    jitter that a controller hands on, and oscillations at the end of the band. Above it the controller damps them, so
+    that the spectrum there does not show them.
+    """
+    third, whole = _third_differences(residual, use)
+    sizes = [np.median(np.abs(d[w])) if w.sum() >= _FEWEST else 0.0 for d, w in zip(third.T, whole.T, strict=True)]
+    return np.asarray(1.4826 * np.array(sizes) / np.sqrt(20.0))
+
+
+def _third_differences(residual: Array, use: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Third differences ``(N - 3, c)``, and where all samples of one count."""
+    return np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]

@@ -41,6 +41,7 @@ class ChannelResult:
         spread: standard deviation of what was measured; ``rms_signal`` where it is not known.
         judged: whether all that may cause its error was looked at; not the arm's geometry where an axis of the tool's
             place is missing.
+        usual: what changes from sample to sample of the error all the time, as noise.
     """
 
     channel: str
@@ -53,11 +54,12 @@ class ChannelResult:
     counted: float = 1.0
     spread: float = float("nan")
     judged: bool = True
+    usual: float = 0.0
 
     @property
     def loud(self) -> bool:
-        """Whether the error is still several times the noise of the measurement."""
-        return self.rms_after > _LOUD * self.noise_floor > 0.0
+        """Whether the error is still several times the noise of the measurement, and of what else is never still."""
+        return self.noise_floor > 0.0 and self.rms_after > _LOUD * max(self.noise_floor, self.usual)
 
     @property
     def unexplained(self) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
@@ -175,6 +176,35 @@ def test_none_is_said_only_where_nothing_is_left_that_matters(one):
     assert kicked.verdict == "unknown"
     assert kicked.to_dict()["unexplained"] == ["tau_1"]
     assert "Nothing is missing" not in summary(kicked)
+
+
+def test_what_is_never_still_is_nothing_that_a_cause_is_missing_for(one):
+    # Encoder steps and jitter that the controller hands on up to its bandwidth: no noise is left above the band.
+    recording, tau = moved()
+    low = signal.butter(4, 12.0, fs=250.0, output="sos")
+    shaken = signal.sosfiltfilt(low, np.random.default_rng(5).normal(size=len(tau)))
+    shaken *= 0.15 * np.std(tau) / np.std(shaken)
+    found = diagnose(Recording({**recording.columns, "tau_1": tau + shaken}), one)
+    (channel,) = found.channels
+    assert channel.rms_after > 3.0 * channel.noise_floor
+    assert channel.rms_after > 0.1 * channel.spread
+    assert (found.verdict, found.unexplained) == ("none", ())
+
+
+def test_what_was_found_takes_away_half_as_much_where_nobody_looked(one):
+    def left(asked: float) -> tuple[DomainDiagnosis, tuple]:
+        domain = domain_of(one, moved(stribeck=0.1)[0], Candidate(find("stribeck", "tau"), 1, (0.3,)))
+        return dataclasses.replace(domain, choices=[Choice(domain.effects[0], 1e-9, asked=asked)]).settled()
+
+    before, after = (level[0] for level in left(0.0)[0].levels_with_held_parameters())
+    share = 1.0 - (after / before) ** 2
+    assert 0.05 < share < 0.95
+    kept, dropped = left(1.9 * share)
+    assert len(kept.choices) == 1
+    assert not dropped
+    kept, dropped = left(2.1 * share)
+    assert not kept.choices
+    assert "half of what was asked" in dropped[0].reason
 
 
 def test_a_coefficient_of_friction_that_would_drive_is_none_in_the_extended_model(one):

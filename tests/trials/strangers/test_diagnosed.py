@@ -63,6 +63,11 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
     pytest.param(735017, id="a sign that changes over a hundredth of the top speed is no degressive friction"),
     pytest.param(735026, id="axes two degrees off parallel have rotors of their own, which are no curve"),
     pytest.param(735012, id="what a hardly loaded gear bends by is no curve nobody knows the cause of"),
+    pytest.param(735016, id="terms of a balancing spring that are loose each are certain together"),
+    pytest.param(720000, id="bristles of which neither the friction nor the travel is known are none"),
+    pytest.param(735033, id="encoder steps that a wrist's controller hands on are nothing that is missing"),
+    pytest.param(735037, id="a delay of one joint that hardly shows where nobody looked is none"),
+    pytest.param(736001, id="a lag that differs from none by less than two deviations is none"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
