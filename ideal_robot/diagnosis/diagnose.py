@@ -11,6 +11,7 @@ from ideal_robot.diagnosis.case import Case
 from ideal_robot.diagnosis.report import diagnosis_of, undecided
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
+from ideal_robot.diagnosis.validation.comparable import unlike
 from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
@@ -78,6 +79,15 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
                 shared=model is not None or not amperes, only=only, dead=tuple(dead_joints(tuple(known))),
                 cutoff=cutoff)
     found = stages.prepared(case, tuple(warnings))
+    if validate is not None and model is None:
+        missed = unlike(case, found, validate)
+        if missed:
+            warnings.append("validation-not-predicted: with the parameters of the recording alone the error of the "
+                            f"other one is larger than what it varies by in {', '.join(missed)}; it decides and "
+                            "reports nothing, blocks of the recording kept apart do (give --model, or a recording "
+                            "that moves as widely as the other)")
+            case = replace(case, validate=None)
+            found = stages.prepared(case, tuple(warnings))
     if len(found.problem.regression.undecided) == robot.n:
         return undecided(case, stages.sensors_alone(case, found))
     for heading, stage in STAGES.items():

@@ -140,7 +140,7 @@ class DomainDiagnosis:
             why = ("it has a sign or a size that physics does not allow" if not allowed
                    else "it is not distinguished from none" if not clear
                    else "it is how friction goes through standstill, at the end of what was searched")
-            said = ", ".join(p.text for p in fitted_effect(candidate, self.final, k).parameters)
+            said = ", ".join(p.text for p in fitted_effect(candidate, widened, k).parameters)
             gone = self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
             return k, replace(gone, refuted=not allowed)
         return None

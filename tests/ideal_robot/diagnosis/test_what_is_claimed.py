@@ -143,6 +143,19 @@ def test_against_a_given_model_half_of_what_the_search_asked_has_to_be_left(one)
         assert bool(given.settled()[0].choices) == kept
 
 
+def test_a_recording_that_the_parameters_do_not_predict_judges_nothing(one):
+    # Measured: in amperes two short motions of one arm, each of them many times the other's torque off.
+    recording = moved(stribeck=0.8)[0]
+    other = Recording({**recording.columns, "tau_1": -recording.columns["tau_1"]})
+    asked = diagnose(recording, one, validate=recording, only=(("stribeck", 1),))
+    found = diagnose(recording, one, validate=other, only=(("stribeck", 1),))
+    assert not any("validation-not-predicted" in text for text in asked.warnings)
+    assert any("validation-not-predicted" in text and "tau_1" in text for text in found.warnings)
+    assert found.held_out_how.startswith("every fourth")
+    assert found.channels[0].rms_after < 0.2 * found.channels[0].rms_signal
+    assert [e.fitted.name for e in found.effects] == ["stribeck"]
+
+
 def test_what_does_not_lower_the_held_out_error_is_not_added_behind_the_gear_either(one):
     recording, _ = moved()
     rng = np.random.default_rng(2)
