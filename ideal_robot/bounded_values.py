@@ -23,7 +23,10 @@ MAX_ITEMS = 2_000_000
 MAX_NUMBER = 1e15
 """Largest magnitude of a number; nothing that an arm has comes near it in SI units."""
 
-_QUOTED = re.compile(r'"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'')
+_QUOTED = re.compile(r'"(?:[^"\\\n]++|\\[^\n]?)*+"?|\'[^\'\n]*+\'?')
+"""A text in quotes, or the rest of a line whose quote never closes: whatever is read, each place is looked at once."""
+_MANY_PARTS = re.compile(rf"(?<![\w\"'.-])(?:[\w\"'-]++\s*+\.\s*+){{{10 * MAX_DEPTH},}}")
+"""A key of very many parts; it begins where a word begins, or long words would be looked at again and again."""
 
 
 def read_text(path: Path, what: str, limit: int = MAX_BYTES) -> str:
@@ -62,6 +65,8 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
     """The checked values of a TOML file; raises InputError as ``read_text`` and ``checked`` do."""
     text = read_text(path, what, limit=2_000_000)
     _shallow(text, path, what)
+    if _MANY_PARTS.search(text):
+        raise InputError(f"a key of more than {MAX_DEPTH} parts", file=path)
     try:
         values = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -103,7 +108,7 @@ def _number(value: float, key: str, file: str | Path | None) -> None:
 
 
 def _shallow(text: str, path: Path, what: str) -> None:
-    """Refuses what would overflow a parser's stack: brackets outside quotes, or keys of many dots, nested too deep."""
+    """Refuses what would overflow a parser's stack: brackets outside quotes nested too deep."""
     bare = _QUOTED.sub("", text)
     depth = 0
     for bracket in re.finditer(r"[\[{\]}]", bare):
@@ -111,8 +116,6 @@ def _shallow(text: str, path: Path, what: str) -> None:
         # Quotes that never close hide brackets or show too many; the parser itself names those.
         if depth > 20 * MAX_DEPTH:
             raise InputError(f"nested deeper than {MAX_DEPTH}; is this {what}?", file=path)
-    if re.search(rf"(?:[\w\"'-]+\s*\.\s*){{{10 * MAX_DEPTH},}}", text):
-        raise InputError(f"a key of more than {MAX_DEPTH} parts", file=path)
 
 
 def _short(error: BaseException) -> str:

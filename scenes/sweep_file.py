@@ -35,6 +35,8 @@ class SweepFile:
             self._read()
 
     def _read(self) -> None:
+        if not self.path.is_file():
+            raise InputError("not a plain file", field="--lines", value=str(self.path))
         raw = self.path.read_bytes()
         # A sweep that was killed may have left its last line unfinished.
         whole = raw[: raw.rfind(b"\n") + 1]

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 import re
-import sys
-import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -15,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.errors import InputError
+from ideal_robot.library_words import kept_words
 
 MAX_BYTES = 20_000_000
 """Longest URDF [characters]."""
@@ -118,10 +116,7 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
 
 def _built(text: str, file: str | Path | None) -> pin.Model:
     """Pinocchio's model; what its URDF library writes to standard error meanwhile goes into our one line."""
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as said:
-        before = os.dup(2)
-        os.dup2(said.fileno(), 2)
+    with kept_words() as said:
         try:
             return pin.buildModelFromXML(text)
         except Exception as error:  # the binding raises whatever the library leads to
@@ -129,6 +124,3 @@ def _built(text: str, file: str | Path | None) -> pin.Model:
             reason = re.search(r"Error:\s*([^\n]*)", said.read().decode(errors="replace"))
             shown = reason.group(1) if reason else " ".join(str(error).split())
             raise InputError(f"not a readable URDF ({shown[:200]})", file=file) from error
-        finally:
-            os.dup2(before, 2)
-            os.close(before)

@@ -88,6 +88,9 @@ class RsiFormat:
 
 def _root(file: Path) -> ElementTree.Element:
     """The root of a configuration that is small and declares nothing."""
+    if not file.is_file():
+        # One that is read without an end, or waits for a writer, is none either.
+        raise InputError("cannot be read: no such file", file=file)
     try:
         with file.open("rb") as stream:
             text = stream.read(MAX_FILE + 1)

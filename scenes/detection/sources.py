@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from ideal_robot.errors import InputError
+from ideal_robot.library_words import kept_words
 from sensing.camera.field import Gray
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
@@ -45,7 +46,11 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
 
 
 def _read(path: Path) -> Gray:
-    gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    try:
+        with kept_words():
+            gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:
+        raise InputError(f"not a readable picture ({' '.join(str(error).split())[:120]})", file=path) from error
     if gray is None:
         raise InputError("not a readable picture", file=path)
     return _checked(np.asarray(gray, dtype=np.uint8), str(path))
@@ -56,13 +61,15 @@ def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
     if not (source.isdigit() or address or os.path.isfile(source)):
         raise InputError("no such file or folder, nor the number of a camera or an address such as rtsp://…",
                          field="source", value=source)
-    capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
+    with kept_words():
+        capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
     try:
         if not capture.isOpened():
             raise InputError("this video or camera cannot be opened", field="source", value=source)
         index = taken = 0
         while taken < most:
-            there, frame = capture.read()
+            with kept_words():
+                there, frame = capture.read()
             if not there:
                 break
             if index % every == 0:

@@ -11,12 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import read_json
 from ideal_robot.errors import InputError
 from ideal_robot.whole_file import write_text
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
-
-_LARGEST = 65536
 
 
 @dataclass(frozen=True)
@@ -70,9 +69,7 @@ def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCame
     if file is None or not file.exists():
         return CalibratedCamera(by_hand, file, wanted=file is not None)
     try:
-        if file.stat().st_size > _LARGEST:
-            raise ValueError("too large")
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = read_json(file, "a calibrated camera")
         mount = _pose(np.array(values["rotation"], float), np.array(values["translation_m"], float))
         moved = None if values.get("surface") is None else np.array(values["surface"], float)
         surface = None if moved is None else _pose(moved[:3, :3], moved[:3, 3])
@@ -81,7 +78,7 @@ def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCame
         offset, residual = float(values["time_offset_s"]), values.get("residual_mm")
         if not abs(offset) < 1.0:
             raise ValueError("no time offset")
-    except (OSError, ValueError, KeyError, TypeError, IndexError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError) as error:
         raise InputError(f"holds no calibrated camera ({error}); remove it, and the camera is calibrated anew",
                          file=file) from error
     if (camera.width, camera.height) != (by_hand.width, by_hand.height):

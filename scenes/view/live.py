@@ -54,7 +54,7 @@ class LiveView:
             if size != self._size and count:
                 begun = float(journal_rows(self._folder, 0, 1)[0][0, 1])
                 rows, meta = journal_rows(self._folder, max(count - _RECENT, 0))
-        except (OSError, ValueError, KeyError, TypeError, IndexError):
+        except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
             self._ended()
             return
         if size == self._size:
@@ -102,8 +102,8 @@ class LiveView:
         try:
             if file.stat().st_mtime < self._begun:
                 return
-            told = json.loads(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+            told = dict(json.loads(file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError, RecursionError):
             return
         failure = told.get("failure")
         self._say(f"**{told.get('scene')}**, {told.get('method')}: "
