@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import collections
+import contextlib
 import gc
 import sys
 import tempfile
@@ -45,19 +46,21 @@ def played(options: argparse.Namespace, folder: Path) -> bool:
     codes: collections.Counter[tuple[str, int]] = collections.Counter()
     broken: collections.Counter[str] = collections.Counter()
     longest, largest, start = 0.0, 0, time.monotonic()
-    for seed in range(options.first, options.first + options.count):
-        if time.monotonic() - start > 60.0 * options.minutes:
-            break
-        case = drawn(seed, folder, tuple(options.kinds.split(",")))
-        one = play(case)
-        counts[case.name] += 1
-        codes[case.name, one.code] += 1
-        longest, largest = max(longest, one.seconds), max(largest, one.peak)
-        if options.show:
-            print(case.words, one.code, f"{one.seconds:.2f} s", one.err, sep="\n")
-        if one.broken is not None:
-            broken[one.broken] += 1
-            print(f"seed {seed}: {case.name}: {one.broken}", flush=True)
+    # Ended by hand, it tells what was played until then.
+    with contextlib.suppress(KeyboardInterrupt):
+        for seed in range(options.first, options.first + options.count):
+            if time.monotonic() - start > 60.0 * options.minutes:
+                break
+            case = drawn(seed, folder, tuple(options.kinds.split(",")))
+            one = play(case)
+            counts[case.name] += 1
+            codes[case.name, one.code] += 1
+            longest, largest = max(longest, one.seconds), max(largest, one.peak)
+            if options.show:
+                print(case.words, one.code, f"{one.seconds:.2f} s", one.err, sep="\n")
+            if one.broken is not None:
+                broken[one.broken] += 1
+                print(f"seed {seed}: {case.name}: {one.broken}", flush=True)
     for name, count in sorted(counts.items()):
         print(f"{name:24s} {count:6d}  " + "  ".join(f"exit {code}: {n}" for (kind, code), n in sorted(codes.items())
                                                       if kind == name))
