@@ -127,9 +127,10 @@ class DomainDiagnosis:
                 clear = bool(np.any(large[needed] if np.any(own[needed]) else large))
             elif len(own) == 1:
                 # A theta that is known no better than to its own size makes nothing certain; one that only serves the
-                # computation is no number at all.
+                # computation is no number at all. Where another recording decides, that is the evidence.
                 bounds = candidate.effect.bounds(signals, candidate.joint) if candidate.effect.theta_is_physical else []
-                vague = not bounds or bool(np.all(widened.theta_std[k] > np.abs(candidate.theta)))
+                vague = not bounds or (self.validation is None
+                                       and bool(np.all(widened.theta_std[k] > np.abs(candidate.theta))))
                 clear = not vague or bool(abs(own[0]) > _DISTINGUISHED * wide[k][0])
             else:
                 clear = (candidate.effect.learned or bool(np.any(np.abs(own) > wide[k]))
