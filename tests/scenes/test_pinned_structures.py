@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,12 +13,20 @@ import numpy as np
 import pytest
 
 from ideal_robot.bounded_values import read_json, read_toml
+from ideal_robot.diagnosis import stages
+from ideal_robot.diagnosis.case import Case
+from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.progress import silent
 from ideal_robot.rsi.format import RsiFormat
+from ideal_robot.signals.recording import Recording
 from scenes.camera_table import CameraTable, believed_camera
 from scenes.detection.sources import pictures
 from scenes.follow.camera_file import calibrated_camera
 from scenes.sweep_file import SweepFile
+from tests.fuzz import originals
 
 
 @pytest.mark.parametrize("text", ["x" * 300_000, "\\\"" * 150_000, "'a" * 150_000, " ." * 150_000])
@@ -69,3 +78,21 @@ def test_what_libraries_say_of_broken_pictures_goes_nowhere(tmp_path: Path, name
     with pytest.raises(InputError):
         list(pictures(str(tmp_path / name)))
     assert capfd.readouterr().err == ""
+
+
+def test_of_a_parameter_without_a_finite_covariance_nothing_is_known(tmp_path: Path) -> None:
+    """A hole (``null``) in the covariance of a model file ended a diagnosis in a singular value decomposition."""
+    robot = originals.arm(tmp_path)
+    columns = originals.motion(tmp_path)
+    recording = Recording.from_arrays(columns["t"], **{
+        name: np.column_stack([columns[f"{name}_{i}"] for i in (1, 2)]) for name in ("q", "tau")})
+    nominal = Model.nominal(robot)
+    covariance = np.diag(np.full(len(nominal.covariance), 1e-4))
+    covariance[0, 3] = np.nan
+    model = replace(nominal, covariance=covariance)
+    case = Case(recording, robot, model, None, Options(), np.random.default_rng(0), silent, True, None)
+    precision = prior_precision(model, stages.prepared(case, ()).problem)
+    assert np.isfinite(precision).all()
+    assert not precision[0].any()
+    assert not precision[:, 3].any()
+    assert precision[1, 1] > 0.0

@@ -32,4 +32,8 @@ def prior_precision(model: Model, problem: Problem) -> Array:
     size = len(values)
     floor = np.where(np.isfinite(visible[:size]), np.hypot(0.02 * values, visible[:size]), 1.0)
     covariance = model.covariance + np.diag(floor**2)
-    return np.asarray(fit.inflation * np.linalg.pinv(covariance))
+    # Of parameters without a finite covariance nothing is known.
+    known = np.isfinite(covariance).all(axis=0) & np.isfinite(covariance).all(axis=1)
+    precision = np.zeros_like(covariance)
+    precision[np.ix_(known, known)] = fit.inflation * np.linalg.pinv(covariance[np.ix_(known, known)])
+    return precision
