@@ -36,6 +36,8 @@ as no worse, and no arm repeats it to better than that from one day to the next.
 _LEAST_OF_REFIT = 0.75
 """Nor, where nothing but friction known before was fitted anew, by less than a quarter: of a healthy arm, too, it
 differs between two recordings, with the temperature at the least."""
+_NO_LESS = 1.01
+"""A hundredth more left on the identified loop says nothing against a change: what gears carry hardly shows there."""
 _DOUBT_OF_GEARS = 0.3
 """Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
 small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show
@@ -130,7 +132,7 @@ class _Ladder:
         left = [self._left(model) for model in models]
         order = [int(k) for k in np.argsort(left)]
         if forms[0].shows_in_loop:
-            order = [k for k in order if left[k] < before]
+            order = [k for k in order if left[k] < _NO_LESS * before]
             if not order:
                 return self._note(label, f"played on the identified loop it explains no more of the run: "
                                          f"{1e3 * before:.3g} to {1e3 * min(left):.3g} mm are left")
