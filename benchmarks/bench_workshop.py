@@ -29,6 +29,8 @@ def main() -> None:
         "kinematic errors, 0.3 mm and 0.02°": {"world": workshop.arm_world},
         "surface off by 3 mm": {"displacement": {"height_mm": 3.0}},
         "surface tilted by 1°": {"displacement": {"tilt_deg": 1.0}},
+        "flat, rendered": {"camera": {"renderer": "bullet"}},
+        "surface bent by 1 mm, rendered": {"displacement": {"bow_mm": 1.0}, "camera": {"renderer": "bullet"}},
         "width and ink of the line": {"wear": {key: wear[key] for key in ("width_percent", "fade_percent")}},
         "gaps": {"wear": {"gaps": wear["gaps"]}},
         "scratch and crossing": {"wear": {key: wear[key] for key in ("scratches", "crossings")}},

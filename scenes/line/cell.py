@@ -15,6 +15,7 @@ from scenes.camera_table import believed_camera, true_camera
 from scenes.camera_world import camera_settings
 from scenes.drawn_line import Geometry, geometry
 from scenes.line.appearance import look_at_line
+from scenes.line.bent_surface import bent_surface
 from scenes.line.calibration import calibrate_by_moving
 from scenes.line.known import Known, line_follower, span_of
 from scenes.line.scene import LineScene
@@ -33,6 +34,10 @@ from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import Lamp
 from sim.camera.surface import DrawnLine
+from sim.contact.contact import HeightSurface
+
+STRIPS = (0.05, 0.05)
+"""Size of the pieces of a bent surface [m]: a bow of 1 mm over 1 m leaves them by 3 µm."""
 
 
 @dataclass(kw_only=True)
@@ -45,6 +50,8 @@ class Cell(Known):
     true_camera: CameraModel
     noise: np.random.Generator
     camera_noise: np.random.Generator
+    relief: HeightSurface | None = None
+    """Heights over the surface's plane where it is bent."""
 
 
 def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraModel | None = None) -> Cell:
@@ -63,9 +70,9 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     # A controller's cycle times are no secret: they stand in its manual.
     robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
                     t_velocity=world.t_velocity)
-    place, noise, camera_noise, calibration, _, wear, _ = streams(scene)
+    place, noise, camera_noise, calibration, _, wear, _, bend = streams(scene)
     where = geometry(scene, place)
-    line = drawn_line(scene, where, wear)
+    line, relief = drawn_line(scene, where, wear), bent_surface(scene, where, bend)
     detector = DETECTORS.get(scene.camera.detector)()
     believed = believed_camera(scene.camera, scene.calibration)
     true = true_camera(believed, scene.calibration, calibration)
@@ -77,13 +84,12 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
                                         None if hand_eye is None else hand_eye.surface)
     return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), world=world, geometry=where, line=line,
                 true_camera=true, camera=believed, reference=reference, follower=follower, detector=detector,
-                noise=noise, camera_noise=camera_noise)
+                noise=noise, camera_noise=camera_noise, relief=relief)
 
 
 def streams(scene: LineScene) -> list[np.random.Generator]:
     """Independent random streams, so that changing one effect does not change the draws of another."""
-    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(7)]
-
+    return [np.random.default_rng(child) for child in np.random.SeedSequence(scene.seed).spawn(8)]
 
 
 @dataclass(frozen=True)
@@ -109,7 +115,8 @@ def camera_of(cell: Cell) -> RenderedCamera:
     lamp = lamp_over(scene, cell.geometry, streams(scene)[6])
     if scene.camera.renderer == "sampled":
         return RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp)
-    return BulletCamera(cell.true_camera, cell.line, settings, cell.camera_noise, tool=True, lamp=lamp)
+    return BulletCamera(cell.true_camera, cell.line, settings, cell.camera_noise, tool=True, lamp=lamp,
+                        relief=cell.relief, strips=STRIPS)
 
 
 def lamp_over(scene: LineScene, where: Geometry, rng: np.random.Generator) -> Lamp | None:

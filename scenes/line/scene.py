@@ -47,6 +47,14 @@ class Light(Table):
     """Gray levels added where the surface mirrors the lamp into the camera."""
 
 
+class BentDisplacement(Displacement):
+    """By how much the drawn line and its surface are elsewhere than told."""
+
+    bow_mm: float = pydantic.Field(default=0.0, ge=0, le=20)
+    """How far the surface's middle is out of the plane of its ends, over the line's length, up or down; needs
+    camera.renderer = "bullet"."""
+
+
 class LineScene(Scene):
     """An arm with a camera follows a drawn line."""
 
@@ -66,7 +74,7 @@ class LineScene(Scene):
     feature: tuple[Feature, ...] = ()
     wear: Wear = Wear()
     light: Light = Light()
-    displacement: Displacement = Displacement()
+    displacement: BentDisplacement = BentDisplacement()
     reference: Reference = Reference()
     camera: CameraTable = CameraTable()
     calibration: Calibration = Calibration()

@@ -212,7 +212,7 @@ def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple
     if isinstance(cell, LineCell):
         lamp = lamp_over(scene, cell.geometry, line_streams(scene)[6])  # type: ignore[arg-type]
         return cell.line, LiveCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp,
-                                     tool=table.renderer == "bullet")
+                                     relief=cell.relief, tool=table.renderer == "bullet")
     if cell.scene.task != "glue":
         return None, None
     noise, calibration = cell.camera_streams

@@ -49,11 +49,15 @@ class BulletCamera(RenderedCamera):
         settings, rng, lamp: as ``RenderedCamera``.
         relief: heights over the same plane; None for the plane itself.
         tool: whether the tool's tip and a hose beside it are in the picture.
+        strips: length of the relief's flat pieces along the plane's x and y [m]; for a surface that is bent along x
+            alone the usual ones.
     """
 
     def __init__(self, model: CameraModel, surface: DrawnLine, settings: CameraSettings, rng: np.random.Generator, *,
-                 relief: HeightSurface | None = None, tool: bool = False, lamp: Lamp | None = None) -> None:
+                 relief: HeightSurface | None = None, tool: bool = False, lamp: Lamp | None = None,
+                 strips: tuple[float, float] | None = None) -> None:
         super().__init__(model, surface, settings, rng, lamp=lamp)
+        self._strips = strips
         self._relief = relief
         self._offsets = displacements(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
@@ -125,8 +129,10 @@ class BulletCamera(RenderedCamera):
     def _load_surface(self, texture: Texture, folder: Path) -> None:
         x0, y1 = texture.x_min, texture.y_max
         width, depth = texture.size
-        columns = max(2, int(np.ceil(width / STRIP))) if self._relief is not None else 1
-        rows = ROWS if self._relief is not None else 1
+        rows = columns = 1
+        if self._relief is not None:
+            along, across = (STRIP, depth / ROWS) if self._strips is None else self._strips
+            columns, rows = max(2, int(np.ceil(width / along))), max(2, int(np.ceil(depth / across)))
         x = x0 + width * np.arange(columns + 1) / columns
         y = y1 - depth + depth * np.arange(rows + 1) / rows
         lines = []
