@@ -35,6 +35,9 @@ def command(
     for option, (path, _) in wanted.items():
         if option in ("--csv", "--parquet") and path is not None and path.suffix != f".{option[2:]}":
             raise InputError(f"expected a name ending in .{option[2:]}", field=option, value=str(path))
+    if rosbag2 is not None and rosbag2.exists():
+        raise InputError("a bag is a new folder; choose a name that does not exist", field="--rosbag2",
+                         value=str(rosbag2))
     check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet)
     loaded = Recording.read(recording)
     with progress_bar("export") as progress:

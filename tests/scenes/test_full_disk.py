@@ -84,3 +84,5 @@ def test_places_of_an_export_are_tried_before_work_begins(tmp_path: Path) -> Non
     place.mkdir()
     with pytest.raises(InputError, match="is a folder"):
         export.command(tmp_path / "absent.csv", mcap=place, csv=tmp_path / "x.csv")
+    with pytest.raises(InputError, match="a bag is a new folder"):
+        export.command(tmp_path / "absent.csv", rosbag2=place, csv=tmp_path / "x.csv")
