@@ -13,6 +13,9 @@ FORCE_ERRORS = (0.3, 0.002)
 """Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant
 of damping or stamps [s]."""
 
+NOTICED = 0.08
+"""Time from a touch until the arm answers it: the sensor's, two cycles, and the arm's own [s]."""
+
 
 class Phase(Enum):
     """Phases of a motion in contact, in their order."""
@@ -31,7 +34,8 @@ class ContactSettings:
     Attributes:
         force: F_r, wanted normal force [N].
         elasticity: E that is assumed, from calibration [N/m].
-        descent: speed of the approach [m/s].
+        descent: largest speed of the approach [m/s].
+        plunge: force that may have built up when the touch has been noticed and answered [N].
         reach: distance the approach may take before there has to be contact [m].
         touch: force from which there is contact [N].
         settle: time for which the force has to be near F_r before the travel begins [s].
@@ -46,6 +50,7 @@ class ContactSettings:
     force: float = 20.0
     elasticity: float = 5000.0
     descent: float = 0.03
+    plunge: float = 10.0
     reach: float = 0.05
     touch: float = 3.0
     settle: float = 0.15
@@ -57,9 +62,14 @@ class ContactSettings:
     correction: float = 4.0
 
     def __post_init__(self) -> None:
-        for key in ("force", "elasticity", "descent", "reach", "touch", "cutoff", "correction", "clearance"):
+        for key in ("force", "elasticity", "descent", "reach", "touch", "plunge", "cutoff", "correction", "clearance"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
+
+    @property
+    def approach(self) -> float:
+        """Speed of the approach [m/s]: the stiffer the contact, the slower."""
+        return min(self.descent, self.plunge / (self.elasticity * NOTICED))
 
 
 def surface_model(

@@ -13,6 +13,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, surface_model
 from planning.force.sliding_plan import SPARE, SlidingPlan
+from planning.force.surface_forecast import SurfaceForecast
 from planning.line.fusion import DeviationFilter, Fused, Measurement
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
@@ -76,6 +77,7 @@ class SurfaceFollower:
                 field="fusion",
                 value=self.fusion.model.directions,
             )
+        self._forecast = SurfaceForecast(force_errors)
         self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)
         first = pin.SE3(table.rotations[0], table.frames.position[0] + start_height * table.frames.up[0])
         self._q_start = self._kinematics.solve(first, table.q[0])
@@ -168,7 +170,10 @@ class SurfaceFollower:
         # a wrong time stamp, adds a share of the velocity.
         rising = float(self._velocity(float(t[middle])) @ up)
         wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
-        return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
+        fused = self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
+        if fused.dof and not self._lateral:
+            self._forecast.add(float(s.mean()), float(value.mean()), float(covariance.mean()), wrong.mean(axis=0))
+        return fused
 
     def _velocity(self, t: float) -> Array:
         """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""
@@ -250,7 +255,9 @@ class SurfaceFollower:
         ahead = (keep + 1 + np.arange(self._plan.samples)) * self._T
         estimate, _ = self.fusion.deviation(self._table.s[rows], t)
         if self._contact_since is None:
-            estimate[:, 1] = self._height - self.settings.descent * (t + ahead)
+            estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
+        elif self.phase is Phase.TRAVEL and not self._lateral:
+            estimate[:, 1] = self._forecast.height(self._table.s[rows])
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])

@@ -146,8 +146,8 @@ class PathDeviation(DeviationModel):
         distance = knot * np.abs(np.subtract.outer(np.arange(self._count), np.arange(self._count)))
         bend = shape if bow is None else bow
         processes = [
-            (shape, shape**2 * _matern(distance, length)),
-            (bend, bend**2 * _matern(distance, bow_length or length)),
+            (shape, shape**2 * matern(distance, length)),
+            (bend, bend**2 * matern(distance, bow_length or length)),
         ]
         self._prior = np.zeros((self.size, self.size))
         plane = [displacement] * 2 + [rotation]
@@ -206,7 +206,7 @@ class PathDeviation(DeviationModel):
         ]
 
 
-def _matern(distance: Array, length: float) -> Array:
+def matern(distance: Array, length: float) -> Array:
     """Correlation of the Matérn process with ν = 7/2 at a distance."""
     r = np.sqrt(7.0) * distance / length
     return np.asarray((1.0 + r + 0.4 * r**2 + r**3 / 15.0) * np.exp(-r))

@@ -48,6 +48,13 @@ class PoseHistory:
             self._t.popleft()
             self._q.popleft()
 
+    def revise(self, t: float, q: Array) -> None:
+        """Replaces the sample at ``t`` [s] by ``q (n,)`` [rad]: what was estimated then is known better now."""
+        for i in range(len(self._t) - 1, -1, -1):
+            if abs(self._t[i] - t) < 1e-9:
+                self._q[i] = np.array(q, dtype=float)
+                return
+
     def q(self, t: float) -> Array:
         """Joint angles ``(n,)`` [rad] at ``t`` [s].
 

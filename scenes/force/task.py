@@ -15,7 +15,10 @@ from ideal_robot.robots.interface import RobotState
 from planning.follower import ForceFollower
 from planning.force.contact import Phase
 from planning.force.direct_force import DirectForceFeedback
+from planning.force.felt_arm import FeltArm
 from planning.force.stop_conditions import StopConditions
+from planning.force.tare import Tare
+from planning.path.kinematics import InverseKinematics
 from scenes.force.known import N_D, Known
 from scenes.force.line_camera import GlueCamera, glue_fusion
 from scenes.force.result import ForceLog
@@ -61,13 +64,14 @@ class ForceTask:
             if method.key == DIRECT and gains is not None:
                 self._direct = DirectForceFeedback(self._surface, *gains)
         self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
-        self._filter = WrenchFilter(WINDOW)
+        self._filter, self._tare = WrenchFilter(WINDOW), Tare()
         model = cell.model if method.knows_model else None
         self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay))
         # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
         self._geometry = CorrectedArm(cell.robot, () if model is None else model.effects)
-        self._observer = None if model is None else ArmObserver(model, cell.robot.t_ipo)
-        self._arm = self._observer.init(self.q_start) if self._observer is not None else None
+        self._kinematics = InverseKinematics(cell.robot)
+        self._arm = None if model is None else FeltArm(ArmObserver(model, cell.robot.t_ipo), self.q_start,
+                                                       self._kinematics.torque)
         self._state = self.feedforward.init(self.q_start)
         self.log = ForceLog()
         self._torque = np.zeros((N_D, cell.robot.n))
@@ -102,7 +106,8 @@ class ForceTask:
             q: motor angles ``(n,)`` [rad].
             q_d: horizon of the last cycle ``(n_d, n)`` [rad]; not needed.
         """
-        self.follower.observe(t, self._arm_angles(q))
+        arm = q if self._arm is None else self._geometry.as_drawn(self._arm.step(t, q, self._torque[0]))
+        self.follower.observe(t, arm)
 
     def plan(self, t: float, q_d: Array) -> Array:
         """Desired joint positions over the horizon ``(n_d, n)``."""
@@ -152,13 +157,6 @@ class ForceTask:
         lifted = self._direct is not None and self._direct.lifted >= self._surface.settings.clearance
         return self.follower.phase is Phase.DONE or lifted
 
-    def _arm_angles(self, q: Array) -> Array:
-        """q_a from the motor angles, the contact torque included; of the drawn arm whose tool is in the same place."""
-        if self._observer is None or self._arm is None:
-            return q
-        self._arm = self._observer.step(self._arm, q, self._torque[0])
-        return self._geometry.as_drawn(self._arm.q_a)
-
     def _sense(self, t: float) -> None:
         arrived = self._sensor.arrived(t)
         if not arrived:
@@ -167,7 +165,16 @@ class ForceTask:
         history = self.follower.history
         contact = np.array([self.tool.contact(s.wrench, history.pose(max(s.t, history.first)).rotation)[:3]
                             for s in samples])
-        fused = self.follower.update_force(np.array([s.t for s in samples]), contact)
+        t_felt = np.array([s.t for s in samples])
+        if self.follower.phase is Phase.APPROACH:
+            self._tare.add(t_felt, contact)
+        contact = contact - self._tare.force
+        if self._arm is not None:
+            force = np.array([history.pose(max(s.t, history.first)).rotation @ f
+                              for s, f in zip(samples, contact, strict=True)])
+            for at, q_a in self._arm.feel(t_felt, force):
+                history.revise(at, self._geometry.as_drawn(q_a))
+        fused = self.follower.update_force(t_felt, contact)
         nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
         self.log.samples.append((samples[-1].t, self.follower.force, nis))
         if self._direct is not None:

@@ -1,0 +1,147 @@
+"""The surface ahead of the tip, from waves that the surface behind it has shown."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from planning.line.deviation_model import matern
+
+SPACING = 0.004
+"""Way over which older measurements are one [m]."""
+RECENT = 8
+"""Newest measurements, which are kept as they are: a mean would be late where the tip is slow."""
+WINDOW = 100
+"""Places that are remembered."""
+MOST = 10
+"""Measurements that count of a place where the tip stands."""
+DISPLACEMENT, ROTATION = 0.02, 0.05
+"""Standard deviations of the surface's height [m] and slope against the nominal plane."""
+ROUGHEST, SMOOTHEST = 6e-3, 5e-6
+"""Bounds of the standard deviation of the shape that is no wave [m]."""
+LENGTH = 0.08
+"""Distance over which that shape becomes another [m]."""
+WAVELENGTHS = 1.0 / np.linspace(1.0 / 0.8, 1.0 / 0.08, 60)
+"""Waves that a surface may have [m]."""
+LARGEST_WAVE = 1e-4
+"""Bound of a wave's variance [m²]."""
+BETTER = 0.1
+"""Gain of log likelihood from which on a change of the kernel is taken."""
+BEGIN = 8
+"""Places from which on waves are learned."""
+
+
+class SurfaceForecast:
+    r"""Height along the path as a Gaussian process whose kernel is learned from what was felt.
+
+    .. math:: k(s, s') = \sigma_0^2 + \sigma_1^2 s s' + \sigma^2\, m(s - s')
+              + \sum_i \gamma_i \cos \frac{2 \pi (s - s')}{\lambda_i}
+
+    with Matérn's correlation m. A force shows the surface under the tip and nothing ahead, so the height is continued
+    over all that delays an answer, some 15 mm at 0.2 m/s. There a prior of smoothness alone leaves a tenth of a
+    millimetre; surfaces that were milled, bent or cast have waves, and one that was felt once goes on. Most variances
+    γ are zero: one at a time is changed to its best value, as Tipping and Faul's *fast marginal likelihood* does for
+    relevance vectors (2003), and σ by factors of two, whenever that makes what was felt likelier. Errors of the sensor
+    itself are part of the same regression.
+
+    Args:
+        errors: standard deviations of the sensor's errors ``(b,)``, as ``planning.line.fusion.DeviationFilter`` has them.
+    """
+
+    def __init__(self, errors: tuple[float, ...]) -> None:
+        self._errors = np.square(errors)
+        # Of each place: arc length, value, variance, effects of the sensor's errors; and the measurements in it.
+        self._places = np.zeros((0, 3 + len(errors)))
+        self._counts: list[int] = []
+        self._learned_at = -np.inf
+        self._gamma, self._sigma = np.zeros(len(WAVELENGTHS)), ROUGHEST
+        self._turn = 0
+        self._weights: Array | None = None
+
+    @property
+    def waves(self) -> dict[float, float]:
+        """Wavelengths [m] that were found, and their standard deviations [m]."""
+        found = np.flatnonzero(self._gamma)
+        return {float(WAVELENGTHS[i]): float(np.sqrt(self._gamma[i])) for i in found}
+
+    def add(self, s: float, value: float, variance: float, wrong: Array) -> None:
+        """Takes one measurement.
+
+        Args:
+            s: arc length that was felt [m].
+            value: height there [m].
+            variance: of the value [m²].
+            wrong: how much each error of the sensor adds to the value ``(b,)``.
+        """
+        self._places = np.vstack([self._places[-WINDOW:], np.concatenate([[s, value, variance], wrong])])
+        self._counts = [*self._counts[-WINDOW:], 1]
+        self._weights = None
+        old = len(self._places) - RECENT - 1
+        if old > 0 and self._places[old, 0] - self._places[old - 1, 0] < 0.5 * SPACING:
+            self._counts[old - 1] = min(self._counts[old - 1] + 1, MOST)
+            self._places[old - 1] += (self._places[old] - self._places[old - 1]) / self._counts[old - 1]
+            self._places = np.delete(self._places, old, axis=0)
+            del self._counts[old]
+        if s - self._learned_at >= SPACING and len(self._places) > BEGIN:
+            self._learned_at = s
+            self._learn()
+
+    def height(self, s: Array) -> Array:
+        """Height expected at arc lengths ``(m,)`` [m]; zero before anything was felt."""
+        if not len(self._places):
+            return np.zeros(len(s))
+        at, origin = self._places[:, 0], self._places[-1, 0]
+        if self._weights is None:
+            self._weights = np.linalg.solve(self._covariance(self._sigma, self._gamma), self._places[:, 1])
+        apart = s[:, None] - at
+        cross = DISPLACEMENT**2 + ROTATION**2 * np.outer(s - origin, at - origin)
+        cross += self._sigma**2 * matern(np.abs(apart), LENGTH)
+        for i in np.flatnonzero(self._gamma):
+            cross += self._gamma[i] * np.cos(2 * np.pi / WAVELENGTHS[i] * apart)
+        return np.asarray(cross @ self._weights)
+
+    def _covariance(self, sigma: float, gamma: Array) -> Array:
+        at, wrong = self._places[:, 0], self._places[:, 3:]
+        away, apart = at - at[-1], at[:, None] - at
+        K = DISPLACEMENT**2 + ROTATION**2 * np.outer(away, away) + sigma**2 * matern(np.abs(apart), LENGTH)
+        for i in np.flatnonzero(gamma):
+            K += gamma[i] * np.cos(2 * np.pi / WAVELENGTHS[i] * apart)
+        return np.asarray(K + (wrong * self._errors) @ wrong.T + np.diag(self._places[:, 2]))
+
+    def _likelihood(self, sigma: float, gamma: Array) -> tuple[float, Array, Array]:
+        """Log likelihood of what was felt but for a constant, the covariance's inverse, and the latter times values."""
+        K, value = self._covariance(sigma, gamma), self._places[:, 1]
+        inverse = np.linalg.inv(K)
+        weights = inverse @ value
+        size = float(np.linalg.slogdet(K)[1])
+        return -0.5 * (float(value @ weights) + size), inverse, weights
+
+    def _learn(self) -> None:
+        """One step: another size of the shape that is no wave, and another variance of one wave."""
+        best, inverse, weights = self._likelihood(self._sigma, self._gamma)
+        self._turn += 1
+        sigma = float(np.clip(self._sigma * (0.5 if self._turn % 2 else 2.0), SMOOTHEST, ROUGHEST))
+        if sigma != self._sigma:
+            likelihood, other, others = self._likelihood(sigma, self._gamma)
+            if likelihood > best:
+                self._sigma, best, inverse, weights = sigma, likelihood, other, others
+        phase = 2 * np.pi / WAVELENGTHS * self._places[:, :1]
+        # Of each wave the two numbers on which the likelihood depends, as if the wave were not in the kernel.
+        spread, fit = np.zeros(len(WAVELENGTHS)), np.zeros(len(WAVELENGTHS))
+        for wave in (np.cos(phase), np.sin(phase)):
+            with_it = np.einsum("ij,ij->j", wave, inverse @ wave)
+            share = np.maximum(1.0 - self._gamma * with_it, 1e-6)
+            spread += 0.5 * with_it / share
+            fit += 0.5 * (wave.T @ weights / share) ** 2
+        gamma = np.minimum(np.where(fit > spread, (fit - spread) / spread**2, 0.0), LARGEST_WAVE)
+        gain = _gain(gamma, spread, fit) - _gain(self._gamma, spread, fit)
+        changed = self._gamma.copy()
+        most = int(np.argmax(gain))
+        changed[most] = gamma[most]
+        if self._likelihood(self._sigma, changed)[0] > best + BETTER:
+            self._gamma = changed
+
+
+def _gain(gamma: Array, spread: Array, fit: Array) -> Array:
+    """Log likelihood that waves of variances γ add, each for itself."""
+    return np.asarray(-np.log1p(gamma * spread) + gamma * fit / (1.0 + gamma * spread))
