@@ -194,14 +194,21 @@ class SurfaceFollower:
         """
         if self._contact_since is not None:
             step = 0.006
-            d, _ = self.fusion.deviation(np.array([s - 2 * step, s]))
             known = min(max(s - 2 * step, 0.0) / KNOWN_AFTER, 1.0)
-            self.slope[0] = known * float(np.clip((d[1, 1] - d[0, 1]) / (2 * step), -STEEPEST, STEEPEST))
+            self.slope[0] = known * float(np.clip(self._slope_along(s, step), -STEEPEST, STEEPEST))
             if force @ up > self.settings.touch:
                 across_now = float(np.clip(-(force @ across) / (force @ up), -STEEPEST, STEEPEST))
                 self.slope[1] += 0.1 * (across_now - self.slope[1])
         normal = up - self.slope[0] * along - self.slope[1] * across
         return np.asarray(normal / np.linalg.norm(normal))
+
+    def _slope_along(self, s: float, step: float) -> float:
+        """Slope along the path at arc length ``s``, from heights ``step`` [m] apart."""
+        if self._lateral:
+            d, _ = self.fusion.deviation(np.array([s - 2 * step, s]))
+            return float(d[1, 1] - d[0, 1]) / (2 * step)
+        before, after = self._forecast.height(np.array([s - step, s + step]))
+        return float(after - before) / (2 * step)
 
     @property
     def descended(self) -> float:

@@ -17,12 +17,14 @@ MOST = 10
 """Measurements that count of a place where the tip stands."""
 DISPLACEMENT, ROTATION = 0.02, 0.05
 """Standard deviations of the surface's height [m] and slope against the nominal plane."""
-ROUGHEST, SMOOTHEST = 6e-3, 5e-6
-"""Bounds of the standard deviation of the shape that is no wave [m]."""
+SHAPE, ROUGHEST, SMOOTHEST = 1e-4, 6e-3, 5e-6
+"""Standard deviation of the shape that is no wave, at first, and its bounds [m]."""
 LENGTH = 0.08
 """Distance over which that shape becomes another [m]."""
 WAVELENGTHS = 1.0 / np.linspace(1.0 / 0.8, 1.0 / 0.08, 60)
 """Waves that a surface may have [m]."""
+WAVES = (4e-3 * WAVELENGTHS**2 / 0.09) ** 2 / len(WAVELENGTHS)
+"""Variances of the waves before any is known: the longer, the larger [m²]."""
 LARGEST_WAVE = 1e-4
 """Bound of a wave's variance [m²]."""
 BETTER = 0.1
@@ -39,9 +41,9 @@ class SurfaceForecast:
 
     with Matérn's correlation m. A force shows the surface under the tip and nothing ahead, so the height is continued
     over all that delays an answer, some 15 mm at 0.2 m/s. There a prior of smoothness alone leaves a tenth of a
-    millimetre; surfaces that were milled, bent or cast have waves, and one that was felt once goes on. Most variances
-    γ are zero: one at a time is changed to its best value, as Tipping and Faul's *fast marginal likelihood* does for
-    relevance vectors (2003), and σ by factors of two, whenever that makes what was felt likelier. Errors of the sensor
+    millimetre; surfaces that were milled, bent or cast have waves, and one that was felt once goes on. One variance γ at
+    a time is changed to its best value, as Tipping and Faul's *fast marginal likelihood* does for relevance vectors
+    (2003), and σ by factors of two, whenever that makes what was felt likelier. Errors of the sensor
     itself are part of the same regression.
 
     Args:
@@ -54,15 +56,9 @@ class SurfaceForecast:
         self._places = np.zeros((0, 3 + len(errors)))
         self._counts: list[int] = []
         self._learned_at = -np.inf
-        self._gamma, self._sigma = np.zeros(len(WAVELENGTHS)), ROUGHEST
+        self._gamma, self._sigma = WAVES.copy(), SHAPE
         self._turn = 0
         self._weights: Array | None = None
-
-    @property
-    def waves(self) -> dict[float, float]:
-        """Wavelengths [m] that were found, and their standard deviations [m]."""
-        found = np.flatnonzero(self._gamma)
-        return {float(WAVELENGTHS[i]): float(np.sqrt(self._gamma[i])) for i in found}
 
     def add(self, s: float, value: float, variance: float, wrong: Array) -> None:
         """Takes one measurement.
@@ -96,16 +92,15 @@ class SurfaceForecast:
         apart = s[:, None] - at
         cross = DISPLACEMENT**2 + ROTATION**2 * np.outer(s - origin, at - origin)
         cross += self._sigma**2 * matern(np.abs(apart), LENGTH)
-        for i in np.flatnonzero(self._gamma):
-            cross += self._gamma[i] * np.cos(2 * np.pi / WAVELENGTHS[i] * apart)
+        cross += (_waves(s) * np.tile(self._gamma, 2)) @ _waves(at).T
         return np.asarray(cross @ self._weights)
 
     def _covariance(self, sigma: float, gamma: Array) -> Array:
         at, wrong = self._places[:, 0], self._places[:, 3:]
         away, apart = at - at[-1], at[:, None] - at
         K = DISPLACEMENT**2 + ROTATION**2 * np.outer(away, away) + sigma**2 * matern(np.abs(apart), LENGTH)
-        for i in np.flatnonzero(gamma):
-            K += gamma[i] * np.cos(2 * np.pi / WAVELENGTHS[i] * apart)
+        waves = _waves(at)
+        K += (waves * np.tile(gamma, 2)) @ waves.T
         return np.asarray(K + (wrong * self._errors) @ wrong.T + np.diag(self._places[:, 2]))
 
     def _likelihood(self, sigma: float, gamma: Array) -> tuple[float, Array, Array]:
@@ -125,10 +120,9 @@ class SurfaceForecast:
             likelihood, other, others = self._likelihood(sigma, self._gamma)
             if likelihood > best:
                 self._sigma, best, inverse, weights = sigma, likelihood, other, others
-        phase = 2 * np.pi / WAVELENGTHS * self._places[:, :1]
         # Of each wave the two numbers on which the likelihood depends, as if the wave were not in the kernel.
         spread, fit = np.zeros(len(WAVELENGTHS)), np.zeros(len(WAVELENGTHS))
-        for wave in (np.cos(phase), np.sin(phase)):
+        for wave in np.split(_waves(self._places[:, 0]), 2, axis=1):
             with_it = np.einsum("ij,ij->j", wave, inverse @ wave)
             share = np.maximum(1.0 - self._gamma * with_it, 1e-6)
             spread += 0.5 * with_it / share
@@ -140,6 +134,12 @@ class SurfaceForecast:
         changed[most] = gamma[most]
         if self._likelihood(self._sigma, changed)[0] > best + BETTER:
             self._gamma = changed
+
+
+def _waves(s: Array) -> Array:
+    """Cosines and sines of all waves at arc lengths ``(m,)`` [m], ``(m, 2 waves)``."""
+    phase = 2 * np.pi / WAVELENGTHS * s[:, None]
+    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
 
 
 def _gain(gamma: Array, spread: Array, fit: Array) -> Array:
