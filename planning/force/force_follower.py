@@ -27,6 +27,8 @@ STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is assumed."""
 KNOWN_LATERAL = 0.001
 """Standard deviation of the lateral deviation below which the line counts as known [m]."""
+CLEAR = 4e-5
+"""Height that a sample's noise is worth, below which the forecast knows waves better than the map does [m]."""
 KNOWN_AFTER = 0.03
 """Way after which the slope along the path is known from the map [m]."""
 
@@ -171,7 +173,7 @@ class SurfaceFollower:
         rising = float(self._velocity(float(t[middle])) @ up)
         wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
         fused = self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
-        if fused.dof and not self._lateral:
+        if fused.dof and self._forecasts:
             self._forecast.add(float(s.mean()), float(value.mean()), float(covariance.mean()), wrong.mean(axis=0))
         return fused
 
@@ -202,9 +204,14 @@ class SurfaceFollower:
         normal = up - self.slope[0] * along - self.slope[1] * across
         return np.asarray(normal / np.linalg.norm(normal))
 
+    @property
+    def _forecasts(self) -> bool:
+        """Whether the forecast continues the surface: with a soft contact noise hides the waves it would learn."""
+        return not self._lateral and self.settings.noise / self.settings.elasticity < CLEAR
+
     def _slope_along(self, s: float, step: float) -> float:
         """Slope along the path at arc length ``s``, from heights ``step`` [m] apart."""
-        if self._lateral:
+        if not self._forecasts:
             d, _ = self.fusion.deviation(np.array([s - 2 * step, s]))
             return float(d[1, 1] - d[0, 1]) / (2 * step)
         before, after = self._forecast.height(np.array([s - step, s + step]))
@@ -263,7 +270,7 @@ class SurfaceFollower:
         estimate, _ = self.fusion.deviation(self._table.s[rows], t)
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
-        elif self.phase is Phase.TRAVEL and not self._lateral:
+        elif self.phase is Phase.TRAVEL and self._forecasts:
             estimate[:, 1] = self._forecast.height(self._table.s[rows])
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)

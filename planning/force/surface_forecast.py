@@ -40,14 +40,14 @@ class SurfaceForecast:
               + \sum_i \gamma_i \cos \frac{2 \pi (s - s')}{\lambda_i}
 
     with Matérn's correlation m. A force shows the surface under the tip and nothing ahead, so the height is continued
-    over all that delays an answer, some 15 mm at 0.2 m/s. There a prior of smoothness alone leaves a tenth of a
-    millimetre; surfaces that were milled, bent or cast have waves, and one that was felt once goes on. One variance γ at
-    a time is changed to its best value, as Tipping and Faul's *fast marginal likelihood* does for relevance vectors
-    (2003), and σ by factors of two, whenever that makes what was felt likelier. Errors of the sensor
-    itself are part of the same regression.
+    over all that delays an answer, some 15 mm at 0.2 m/s. A prior of smoothness alone is poor there;
+    surfaces that were milled, bent or cast have waves, and one that was felt once goes on. One variance γ
+    at a time is changed to its best value, as Tipping and Faul's *fast marginal likelihood* does for relevance vectors
+    (2003), and σ by factors of two, whenever that makes what was felt likelier. Errors of the sensor itself are part
+    of the same regression.
 
     Args:
-        errors: standard deviations of the sensor's errors ``(b,)``, as ``planning.line.fusion.DeviationFilter`` has them.
+        errors: standard deviations of the sensor's errors ``(b,)``, as in ``planning.line.fusion.DeviationFilter``.
     """
 
     def __init__(self, errors: tuple[float, ...]) -> None:
@@ -88,12 +88,13 @@ class SurfaceForecast:
             return np.zeros(len(s))
         at, origin = self._places[:, 0], self._places[-1, 0]
         if self._weights is None:
-            self._weights = np.linalg.solve(self._covariance(self._sigma, self._gamma), self._places[:, 1])
+            K = self._covariance(self._sigma, self._gamma)
+            self._weights = np.asarray(np.linalg.solve(K, self._places[:, 1]), dtype=np.float64)
         apart = s[:, None] - at
         cross = DISPLACEMENT**2 + ROTATION**2 * np.outer(s - origin, at - origin)
         cross += self._sigma**2 * matern(np.abs(apart), LENGTH)
         cross += (_waves(s) * np.tile(self._gamma, 2)) @ _waves(at).T
-        return np.asarray(cross @ self._weights)
+        return np.asarray(cross @ self._weights, dtype=np.float64)
 
     def _covariance(self, sigma: float, gamma: Array) -> Array:
         at, wrong = self._places[:, 0], self._places[:, 3:]
@@ -106,7 +107,7 @@ class SurfaceForecast:
     def _likelihood(self, sigma: float, gamma: Array) -> tuple[float, Array, Array]:
         """Log likelihood of what was felt but for a constant, the covariance's inverse, and the latter times values."""
         K, value = self._covariance(sigma, gamma), self._places[:, 1]
-        inverse = np.linalg.inv(K)
+        inverse = np.asarray(np.linalg.inv(K), dtype=float)
         weights = inverse @ value
         size = float(np.linalg.slogdet(K)[1])
         return -0.5 * (float(value @ weights) + size), inverse, weights

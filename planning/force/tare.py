@@ -1,4 +1,4 @@
-"""What a force sensor shows of nothing: its bias has drifted since calibration, and the approach is the time to see it."""
+"""What a force sensor shows of nothing: its bias has drifted since calibration, and the approach shows by how much."""
 
 from __future__ import annotations
 
