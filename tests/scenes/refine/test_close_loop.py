@@ -123,6 +123,15 @@ def test_with_arm_angles_the_loop_closes(measured: str) -> None:
     assert after <= 1.25 * oracle
 
 
+@pytest.mark.slow
+def test_an_oracle_told_of_what_the_arm_does_not_measure_leaves_the_path_as_it_was() -> None:
+    """Motor currents say nothing of 25 µrad of play: a size fitted to them once sent the tool a metre away."""
+    scene = load_scene("close_stribeck").model_copy(update={"world": {"backlash": [0.0, 0.0, 2.5e-5, 0.0, 0.0, 0.0]}})
+    result = close_loop(scene, measured="motor", ask=False)
+    assert result.undeclared == (("backlash", 3),)
+    assert result.oracle.aligned.E_car <= result.before.aligned.E_car
+
+
 def test_another_word_for_what_is_measured_is_refused() -> None:
     with pytest.raises(InputError, match="motor, arm or tcp"):
         close_loop(_small(), measured="everything")
