@@ -80,7 +80,11 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[st
     with prepared(scene, progress) as shared, tempfile.TemporaryDirectory() as folder:
         def again(known: Model, own: Prepared = shared) -> LineResult:
             file = known.save(Path(folder) / "model.json")
-            return play(scene.model_copy(update={"model": str(file)}), IDEAL, shared=own)
+            tried = play(scene.model_copy(update={"model": str(file)}), IDEAL, shared=own)
+            if tried.failure and not before.failure:
+                # Of the piece before it stopped nothing can be compared.
+                raise SceneError(tried.failure)
+            return tried
 
         progress(0.1, "before")
         before = present = play(scene, IDEAL, shared=shared)
@@ -106,10 +110,10 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[st
                 candidate = with_effects(extended, added)
                 try:
                     tried = again(candidate)
-                except SceneError as failed:
+                    reached = spread(visible(tried.recording, seen_by), robot, model)
+                except (SceneError, InputError) as failed:
                     steps.append(Trial(round_, words(added), False, f"cannot be played: {failed}", float("nan")))
                     continue
-                reached = spread(visible(tried.recording, seen_by), robot, model)
                 taken = reached < LEAST * error
                 refused = "" if taken else "the points that were seen lie no closer to one curve"
                 steps.append(Trial(round_, words(added), taken, refused, reached))
@@ -141,7 +145,11 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[st
         progress(0.75, "oracle")
         told = with_effects(model, named_camera_effects(run, robot, model, undeclared)) if undeclared else model
         told = with_named_effects(about, robot, told, arm) if arm else told
-        oracle = again(told) if undeclared or arm else before
+        try:
+            oracle = again(told) if undeclared or arm else before
+        except SceneError:
+            # With what it fitted to the first run the line is lost: it would leave that out.
+            oracle = before
         progress(0.9, "true")
         known = with_effects(model, _true_stamps(scene))
         right = dataclasses.replace(shared, believed=cell.true_camera) if not scene.calibration.by_moving else shared

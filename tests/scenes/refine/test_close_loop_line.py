@@ -30,6 +30,18 @@ def test_after_is_close_to_the_oracle() -> None:
     assert result.after.mean < 0.5 * result.before.mean
 
 
+@pytest.mark.slow
+def test_a_change_with_which_the_run_stops_is_refused_and_the_next_one_tried() -> None:
+    """Stamps and their drift together lost the line after a quarter of a second, and the closing with it."""
+    rng = np.random.default_rng([1014, 14])
+    scene = drawn_line(rng).changed(**drawn_error(rng))
+    assert isinstance(scene, LineScene)
+    result = close_loop(scene, measured="motor")
+    assert [step.taken for step in result.steps] == [False, True]
+    assert result.steps[0].refused.startswith("cannot be played")
+    assert result.after.mean < 0.5 * result.before.mean
+
+
 def test_follower_takes_the_latency_from_the_model() -> None:
     model = Model.nominal(Robot.load("kr6"))
     assert assumed_latency(model) == 0.0
