@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError
 from ideal_robot.signals.recording import Recording
 from trials.strangers.arm import draw_arm
 from trials.strangers.drawn_effect import Draw, Drawn, Setup, Values
@@ -107,7 +107,7 @@ def draw_trial(seed: int, kind: str | None = None, engine: str | None = None,
     for _ in range(25):
         try:
             trial = _attempt(rng, seed, kind, engine, size, seconds)
-        except (RuntimeError, InputError):
+        except (RuntimeError, IdealRobotError):
             # A plant that its controller cannot hold, or that an engine's step is too long for, is no trial.
             continue
         if trial is not None:
