@@ -133,7 +133,7 @@ class DomainDiagnosis:
                                        and bool(np.all(widened.theta_std[k] > np.abs(candidate.theta))))
                 clear = not vague or bool(abs(own[0]) > _DISTINGUISHED * wide[k][0])
             else:
-                clear = (candidate.effect.learned or bool(np.any(np.abs(own) > wide[k]))
+                clear = (candidate.effect.learned or bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
                          or self._shares(self._ladder()[1])[k] > _MOST)
             near = at_standstill(candidate, signals)
             if allowed and clear and not near:

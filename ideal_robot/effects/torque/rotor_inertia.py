@@ -15,6 +15,8 @@ class RotorInertia(Effect):
     coefficient_names = ("change of rotor inertia",)
     coefficient_units = ("kg m²",)
     absorbed_by_base = True
+    # Ten numbers of a body can do what one inertia does, and bend with gears and filters besides.
+    sooner_than = ("link_load",)
     source = "[J] (1): I_a"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:

@@ -68,6 +68,8 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
     pytest.param(735033, id="encoder steps that a wrist's controller hands on are nothing that is missing"),
     pytest.param(735037, id="a delay of one joint that hardly shows where nobody looked is none"),
     pytest.param(736001, id="a lag that differs from none by less than two deviations is none"),
+    pytest.param(730175, id="a rotor behind a soft gear is no body of ten numbers on its link"),
+    pytest.param(730174, id="a coupling all of whose numbers are within two deviations of none is none"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
