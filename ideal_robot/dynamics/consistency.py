@@ -60,7 +60,7 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
         margin: smallest allowed eigenvalue of a pseudo-inertia, relative to that of the nominal link's mean.
 
     Raises:
-        IdealRobotError: the solver finds no solution.
+        IdealRobotError: the solver finds no solution, or the covariance is none.
     """
     n = len(nominal) // 12
     scale = parameter_scales(nominal, n)
@@ -71,7 +71,12 @@ def consistent_parameters(base: BaseParameters, values: Array, covariance: Array
     correlation = covariance / np.outer(np.maximum(std, 1e-100), np.maximum(std, 1e-100))
     correlation = 0.999 * np.where(np.outer(std > 0, std > 0), correlation, 0.0)
     np.fill_diagonal(correlation, 1.0)
-    whiten = np.linalg.inv(np.linalg.cholesky(correlation + 1e-9 * np.eye(len(std)))) / floor
+    try:
+        whiten = np.linalg.inv(np.linalg.cholesky(correlation + 1e-9 * np.eye(len(std)))) / floor
+    except np.linalg.LinAlgError:
+        raise IdealRobotError("the identified parameters have no usable standard deviations, so that no physically "
+                              "possible inertias can be near them; check masses, lengths and inertias of the robot "
+                              "description for numbers that cannot be") from None
     # Unknowns are the full parameters in units of their scales.
     A = np.vstack([whiten @ base.grouping * scale, np.sqrt(_PRIOR) * np.eye(len(nominal))])
     b = np.concatenate([whiten @ values, np.sqrt(_PRIOR) * nominal / scale])

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+import pytest
 
 from ideal_robot.dynamics import base_parameters, link_parameters
 from ideal_robot.dynamics.consistency import consistent_parameters, pseudo_inertia
+from ideal_robot.errors import IdealRobotError
 
 
 def arm() -> tuple[pin.Model, np.ndarray]:
@@ -58,3 +60,13 @@ def test_precise_data_leave_what_they_cannot_show_at_its_nominal_value() -> None
         covariance = np.diag((precision * np.maximum(np.abs(values), 1e-3)) ** 2)
         full = consistent_parameters(base, values, covariance, nominal).full
         np.testing.assert_allclose(full, nominal, atol=2e-3)
+
+
+def test_a_covariance_that_is_none_is_said() -> None:
+    """A URDF with inertias of 1e59 kg m² ended in a traceback of the factorisation (fuzz, seed 34932)."""
+    model, full = arm()
+    base = base_parameters(model)
+    covariance = np.eye(base.count)
+    covariance[0, 1] = covariance[1, 0] = 5.0
+    with pytest.raises(IdealRobotError, match="no usable standard deviations"):
+        consistent_parameters(base, base.of(full), covariance, full)
