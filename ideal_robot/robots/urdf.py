@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ideal_robot.captured_stderr import kept_words
 from ideal_robot.errors import InputError
-from ideal_robot.library_words import kept_words
 
 MAX_BYTES = 20_000_000
 """Longest URDF [characters]."""

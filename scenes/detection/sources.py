@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ideal_robot.captured_stderr import kept_words
 from ideal_robot.errors import InputError
-from ideal_robot.library_words import kept_words
 from sensing.camera.field import Gray
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
