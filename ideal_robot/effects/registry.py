@@ -23,6 +23,7 @@ _TABLE = {
     "stribeck/tau": "torque.stribeck:Stribeck",
     "asymmetric_friction/tau": "torque.asymmetric_friction:AsymmetricFriction",
     "load_dependent_friction/tau": "torque.load_dependent_friction:LoadDependentFriction",
+    "load_direction_friction/tau": "torque.load_direction_friction:LoadDirectionFriction",
     "thermal_drift/tau": "torque.thermal_drift:ThermalDrift",
     "presliding_hysteresis/tau": "torque.presliding_hysteresis:PreslidingHysteresis",
     "torque_ripple/tau": "torque.torque_ripple:TorqueRipple",

@@ -26,7 +26,7 @@ from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, point_mas
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop_model import LoopModel, friction_of_load
 from ideal_robot.robots.interface import RobotState
 
 _WINDOW = 9
@@ -167,7 +167,7 @@ class FrictionAdaptation:
             if abs(v) < self._slow[i] or not same:
                 continue
             side = 0 if v > 0 else 1
-            dry = self._dry[side, i] + loop.friction_load[i] * abs(rigid[i])
+            dry = self._dry[side, i] + friction_of_load(loop.friction_load[i], loop.friction_driven[i], rigid[i], v)
             table = float(np.interp(abs(v), loop.friction_velocity[:, i], loop.friction_torque[side, :, i]))
             own, h = slice(2 * i, 2 * i + 2), np.zeros(factors + 1)
             h[own], h[-1] = np.sign(v) * np.array([dry, table - self._dry[side, i]]), per_kilogram[i]
@@ -249,4 +249,5 @@ def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:
     """Friction fields of a loop model with the factors ``theta (n, 2)`` applied."""
     dry = loop.friction_torque[:, :1]
     torque = theta[:, 0] * dry + theta[:, 1] * (loop.friction_torque - dry)
-    return {"friction_torque": torque, "friction_load": theta[:, 0] * loop.friction_load}
+    return {"friction_torque": torque, "friction_load": theta[:, 0] * loop.friction_load,
+            "friction_driven": theta[:, 0] * loop.friction_driven}

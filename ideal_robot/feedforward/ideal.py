@@ -27,7 +27,15 @@ from ideal_robot.feedforward.command_inverse import command_inverse
 from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, behind_uneven_gears, bristles, ripple_torque, unevenness
+from ideal_robot.loop.loop_model import (
+    Drives,
+    LoopModel,
+    behind_uneven_gears,
+    bristles,
+    friction_of_load,
+    ripple_torque,
+    unevenness,
+)
 from ideal_robot.model.gear_gap import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -219,7 +227,7 @@ def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, presli
             v = v_m[j, i]
             sliding = (np.interp(abs(v), drives.friction_velocity[:, i],
                                  drives.friction_torque[0 if v >= 0.0 else 1, :, i])
-                       + drives.friction_load[i] * abs(load[j, i]))
+                       + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[j, i], v))
             if drives.friction_bend[i] > 0.0:
                 z = bristles(z, v, t_position, sliding, dry, drives.friction_bend[i])
                 torque[j, i] = dry * z

@@ -186,7 +186,8 @@ class Precorrection(Feedforward):
         loop = self._loop
         table = loop.friction_torque[np.where(qd < 0, 1, 0), :, np.arange(loop.n)]
         sliding = [np.interp(abs(v), loop.friction_velocity[:, i], table[i]) for i, v in enumerate(qd)]
-        return np.asarray(sliding) + loop.friction_load * np.abs(load)
+        per_load = loop.friction_load + np.where(load * qd > 0.0, loop.friction_driven, 0.0)
+        return np.asarray(sliding) + per_load * np.abs(load)
 
 
 def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:

@@ -13,6 +13,7 @@ from ideal_robot.model.arm_with_effects import chain_with, changes_of, stiffness
 def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopModel:
     """The loop with the effects added that act in it."""
     torque, load, bend = loop.friction_torque.copy(), loop.friction_load.copy(), loop.friction_bend.copy()
+    driven = loop.friction_driven.copy()
     offset, rotor, gain = loop.offset.copy(), loop.rotor_inertia.copy(), loop.gain.copy()
     half_gap, gap_load = loop.half_gap.copy(), loop.gap_load.copy()
     ripples, uneven = [loop.ripple], [loop.uneven]
@@ -23,6 +24,7 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
             for side, sense in enumerate((1.0, -1.0)):
                 torque[side] += sense * _curve(effect, sense * loop.friction_velocity)
         load[j] += change.friction_per_load
+        driven[j] += change.friction_per_driven_load
         bend[j] = max(bend[j], change.presliding)
         offset[j] += change.offset
         gain[j] *= 1.0 + change.gain
@@ -36,9 +38,9 @@ def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopMode
     stiffness = stiffness_with(loop.stiffness, changes)
     return loop.replace(
         chain=chain_with(loop.chain, changes), friction_torque=np.maximum(torque, 0.0),
-        friction_load=np.maximum(load, 0.0), friction_bend=bend, offset=offset, rotor_inertia=rotor, gain=gain,
-        stiffness=stiffness, half_gap=half_gap, gap_load=gap_load, ripple=_joined(ripples, loop.n),
-        uneven=_joined(uneven, loop.n),
+        friction_load=np.maximum(load, 0.0), friction_driven=np.maximum(driven, 0.0), friction_bend=bend,
+        offset=offset, rotor_inertia=rotor, gain=gain, stiffness=stiffness, half_gap=half_gap, gap_load=gap_load,
+        ripple=_joined(ripples, loop.n), uneven=_joined(uneven, loop.n),
         # Where there was no dry friction, what is found is all of it.
         friction_dry=np.where(loop.friction_torque[:, 0].mean(axis=0) > 0.0, loop.friction_dry,
                               np.where(torque[:, 0].mean(axis=0) > 0.0, torque[:, 0].mean(axis=0), 1.0)),

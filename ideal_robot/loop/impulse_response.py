@@ -75,7 +75,8 @@ class LinearLoop:
         # does not meet.
         none = np.zeros((0, 3, loop.n))
         smooth = loop.replace(friction_torque=np.zeros_like(loop.friction_torque), friction_load=np.zeros(loop.n),
-                              ripple=none, uneven=none, half_gap=np.zeros(loop.n), terms=())
+                              friction_driven=np.zeros(loop.n), ripple=none, uneven=none, half_gap=np.zeros(loop.n),
+                              terms=())
         rest = np.tile(np.asarray(q, dtype=float), (length + 2, 1))
         still = simulate(smooth, rest).q_a
         g = np.empty((length + 1, loop.n))

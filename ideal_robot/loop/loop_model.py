@@ -31,6 +31,7 @@ class Drives(NamedTuple):
     friction_velocity: Array
     friction_torque: Array
     friction_load: Array
+    friction_driven: Array
     friction_bend: Array
     offset: Array
     stiffness: Array
@@ -63,6 +64,7 @@ class LoopModel:
         friction_torque: what sliding friction brakes with at them, forward and backward ``(2, m, n)`` [N m]; at speed 0
             the dry friction.
         friction_load: friction in proportion to the torque the gear transmits ``(n,)`` [-].
+        friction_driven: the same of torque that the motor drives the load with, on top ``(n,)`` [-]; 0 if not given.
         friction_bend: angle over which friction of size ``friction_dry`` turns after a reversal ``(n,)`` [rad]; 0 for a
             jump. What more there is at standstill takes as much longer: bristles are as stiff as they were.
         friction_dry: dry friction that ``friction_bend`` belongs to ``(n,)`` [N m]; that of the table if not given.
@@ -116,9 +118,11 @@ class LoopModel:
     gap_load: Array = field(default_factory=lambda: np.zeros(0))
     terms: tuple[FittedEffect, ...] = ()
     friction_dry: Array = field(default_factory=lambda: np.zeros(0))
+    friction_driven: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        for name, none in (("gain", 1.0), ("half_gap", 0.0), ("gap_load", 0.0)):
+        for name, none in (("gain", 1.0), ("half_gap", 0.0), ("gap_load", 0.0),
+                           ("friction_driven", 0.0)):
             if not len(getattr(self, name)):
                 object.__setattr__(self, name, np.full(len(self.rotor_inertia), none))
         if not len(self.friction_dry):
@@ -178,6 +182,19 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
         phase = ripple[m, 0, i] * q
         torque += ripple[m, 1, i] * np.cos(phase) + ripple[m, 2, i] * np.sin(phase)
     return torque
+
+
+@numba.njit(cache=True)
+def friction_of_load(per_load: float, per_driven: float, load: float, sense: float) -> float:
+    """What the load on a gear's teeth adds to its sliding friction [N m].
+
+    Args:
+        per_load: friction per torque [-].
+        per_driven: the same on top where the motor drives the load [-].
+        load: torque that the gear transmits [N m].
+        sense: velocity, or the torque that is about to move a joint at rest; only its sign counts.
+    """
+    return (per_load + (per_driven if load * sense > 0.0 else 0.0)) * abs(load)
 
 
 @numba.njit(cache=True)

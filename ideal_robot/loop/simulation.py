@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import Drives, LoopModel, bristles, ripple_torque, unevenness
+from ideal_robot.loop.loop_model import Drives, LoopModel, bristles, friction_of_load, ripple_torque, unevenness
 
 
 @dataclass(frozen=True)
@@ -217,7 +217,8 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
                        - ripple_torque(drives.ripple, i, q_m[i]))
                 side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
                 friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
-                            + drives.friction_load[i] * abs(load[i]))
+                            + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
+                                               v_m[i] if v_m[i] != 0.0 else net))
                 v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
                 acceleration[i] = (load[i] - bias[i] + external[cycle, i]
                                    + give[i] * 0.5 * dt * stiffness[i] * (slope[i] * v_m[i] - v_a[i]))

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from trials.strangers import drive
-from trials.strangers.drawn_effect import Draw, Drawn, Setup, in_drive, span
+from trials.strangers.drawn_effect import Draw, Drawn, Setup, in_drive, in_proportion, span
 
 
 def base_tilt(rng: np.random.Generator, s: Setup, j: int) -> Drawn:
@@ -53,7 +53,8 @@ def load_direction_friction(rng: np.random.Generator, s: Setup, j: int) -> Drawn
         s: plant and logger that get the effect.
         j: joint, from 0.
     """
-    return in_drive("load_direction_friction", j, {drive.DRIVING: 0.05}, {}, 12.0)
+    return in_drive("load_direction_friction", j, {drive.DRIVING: 0.05}, {}, 12.0,
+                    in_proportion("load_direction_friction", j, "friction per load driven", 0.05))
 
 
 def angle_drag(rng: np.random.Generator, s: Setup, j: int) -> Drawn:

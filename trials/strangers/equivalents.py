@@ -24,10 +24,6 @@ EQUIVALENT: dict[str, tuple[tuple[str, str], ...]] = {
     "backlash": (
         ("arm:backlash", "the same gear where its angle is measured on the arm's side"),
     ),
-    "load_direction_friction": (
-        ("load_dependent_friction", "both are dry friction in proportion to the gear's load; the share that depends on "
-                                    "driving or driven is in proportion to the load itself, which a free gain takes"),
-    ),
     "link_load": (
         ("payload", "a body on the last link but one, seen by the last joint alone, only by its inertia"),
     ),

@@ -53,10 +53,19 @@ class LoadDependentFriction(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, np.abs(self.carried(signals, joint, theta)) * signals.sliding_direction(joint))
+
+    def carried(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """What the teeth carry ``(N,)`` [N m]: the load without the inertia that sits before them.
+
+        Args:
+            signals: of ``N`` samples.
+            joint: from 1.
+            theta: the inertia [kg m²].
+        """
         # Files of earlier versions have no theta.
         before = theta[0] if theta else 0.0
-        carried = signals.load[:, joint - 1] - before * signals.qdd[:, joint - 1]
-        return signals.on_joint(joint, np.abs(carried) * signals.sliding_direction(joint))
+        return np.asarray(signals.load[:, joint - 1] - before * signals.qdd[:, joint - 1])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""

@@ -126,15 +126,24 @@ def asymmetric_friction() -> Case:
     return dataclasses.replace(case, friction=(known, 0.0))
 
 
-def load_dependent_friction() -> Case:
-    true = visible("load_dependent_friction/tau", 2, (1.0,))
+def _of_load(key: str, share: Callable[[float, float], float]) -> Case:
+    """Friction per load of joint 2: of a unit, given the load and the direction."""
+    true = visible(key, 2, (1.0,))
     model = arm.ROBOT.pinocchio
     data = model.createData()
 
     def torque(t: float, q: Array, qd: Array, q_a: Array) -> float:
         load = pin.nonLinearEffects(model, data, q_a, qd)[1]
-        return float(true.coefficients[0] * abs(load) * _along(qd[1]))
+        return float(true.coefficients[0] * share(load, _along(qd[1])))
     return _with_torque(true, torque)
+
+
+def load_dependent_friction() -> Case:
+    return _of_load("load_dependent_friction/tau", lambda load, along: abs(load) * along)
+
+
+def load_direction_friction() -> Case:
+    return _of_load("load_direction_friction/tau", lambda load, along: abs(load) * along if load * along > 0.0 else 0.0)
 
 
 def presliding_hysteresis() -> Case:
@@ -287,6 +296,7 @@ def kinematic_error() -> Case:
 CASES: dict[str, Callable[[], Case]] = {
     "viscous/tau": viscous, "coulomb/tau": coulomb, "degressive/tau": degressive, "stribeck/tau": stribeck,
     "asymmetric_friction/tau": asymmetric_friction, "load_dependent_friction/tau": load_dependent_friction,
+    "load_direction_friction/tau": load_direction_friction,
     "presliding_hysteresis/tau": presliding_hysteresis, "torque_ripple/tau": torque_ripple,
     "current_offset/tau": current_offset, "drive_gain/tau": drive_gain, "rotor_inertia/tau": rotor_inertia,
     "gravity_spring/tau": gravity_spring, "cable_spring/tau": cable_spring, "payload/tau": payload,
