@@ -9,6 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
@@ -75,10 +76,11 @@ def _rest(plant: Plant) -> Callable[[float, Array, Array, Array], Array] | None:
         return None
     rows = [*_BY_WORLD, drive.V_SURPLUS, drive.V_DEGRESSIVE]
     plain[rows] = plant.block[rows]
+    carries = _Load(plant) if block[drive.DRIVING].any() else None
     zero = np.zeros(plant.n)
 
     def torque(t: float, q: Array, v: Array, q_a: Array) -> Array:
-        load = plant.holding(q_a) if block[drive.DRIVING].any() else zero
+        load = zero if carries is None else carries(t, q_a)
         result = np.empty(plant.n)
         for j in range(plant.n):
             speed, carried = float(v[j]), float(load[j])
@@ -93,6 +95,27 @@ def _rest(plant: Plant) -> Callable[[float, Array, Array, Array], Array] | None:
         return result
 
     return torque
+
+
+class _Load:
+    """Torque at the gears' outputs ``(n,)`` [N m], by what the arm did in its last two steps; its weight at first.
+
+    Args:
+        plant: the arm.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self._plant, self._data = plant, plant.model.createData()
+        self._seen: list[tuple[float, Array]] = []
+
+    def __call__(self, t: float, q_a: Array) -> Array:
+        self._seen = [*self._seen[-2:], (t, q_a.copy())]
+        if len(self._seen) < 3:
+            return self._plant.holding(q_a)
+        (first, a), (middle, b), (last, c) = self._seen
+        earlier, later = (b - a) / (middle - first), (c - b) / (last - middle)
+        acceleration = (later - earlier) / (last - middle)
+        return np.asarray(pin.rnea(self._plant.model, self._data, q_a, later, acceleration)).copy()
 
 
 def simulate(plant: Plant, motion: Motion) -> Run:

@@ -83,5 +83,9 @@ def test_teeth_carry_what_is_behind_the_gear():
     column = effect.columns(signals, 2, (0.7,))[:, 1, 0]
     carried = np.abs(signals.load[:, 1] - 0.7 * signals.qdd[:, 1])
     np.testing.assert_allclose(column, carried * signals.sliding_direction(2), atol=1e-12)
+    driven = find("load_direction_friction", "tau").columns(signals, 2, (0.7,))[:, 1, 0]
+    drives = (signals.load[:, 1] - 0.7 * signals.qdd[:, 1]) * signals.qd[:, 1] > 0.0
+    np.testing.assert_allclose(driven[drives], column[drives], atol=1e-12)
+    np.testing.assert_allclose(driven[~drives], 0.0, atol=1e-12)
     # Models written before the effect knew of inertia before the gear.
     np.testing.assert_allclose(effect.columns(signals, 2, ()), effect.columns(signals, 2, (0.0,)))

@@ -67,6 +67,16 @@ def test_further_torques_move_the_simulated_loop_as_a_change_of_its_drives_does(
     assert left < 0.1 * moved
 
 
+@pytest.mark.parametrize("name", ["load_dependent_friction", "load_direction_friction"])
+def test_friction_of_the_load_in_the_drives_is_the_effects_torque_beside_them(name):
+    loop, q_c = plant(delay=0), motion()
+    found = (FittedEffect(name, 2, "tau_2", (0.3,)),)
+    inside, beside = with_effects(loop, found), loop.replace(terms=found)
+    moved = np.abs(simulate(inside, q_c).q_a - simulate(loop, q_c).q_a).max()
+    left = np.abs(simulate(inside, q_c).q_a - simulate(beside, q_c).q_a).max()
+    assert left < 0.25 * moved
+
+
 def test_a_gear_found_again_from_torques_is_a_change_of_what_was_found():
     loop = plant().replace(stiffness=np.full(6, 1000.0))
     first, second = (FittedEffect("joint_elasticity", 1, "tau_1", (value,)) for value in (2e-3, -3e-4))
