@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -22,7 +24,7 @@ class LoadDependentFriction(Effect):
     theta_units = ("kg m²",)
     coefficient_names = ("friction per load",)
     coefficient_units = ("1",)
-    discriminating_motion = (
+    discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("coulomb", "the same strokes at postures of high and of low gravity load"),
     )
     source = "P. Hamon, M. Gautier, P. Garrec, IROS 2010: dry friction depending on load"
