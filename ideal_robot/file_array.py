@@ -6,6 +6,9 @@ import math
 import mmap
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
@@ -41,9 +44,19 @@ def in_new_file(count: int) -> Array:
 
 
 def no_room(error: OSError) -> OutputError:
-    """What is said where a file without a name cannot be written."""
-    return OutputError(f"{tempfile.gettempdir()}: temporary files of a long run cannot be written "
-                       f"({error.strerror or error}); make room, or set TMPDIR to another folder")
+    """What is said where the folder for temporary files has no room."""
+    return OutputError(f"{tempfile.gettempdir()}: temporary files cannot be written ({error.strerror or error}); make "
+                       "room, or set TMPDIR to another folder")
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yields a folder that is removed when the block ends; OutputError where it cannot be written."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="ideal-robot-") as folder:
+            yield Path(folder)
+    except OSError as error:
+        raise no_room(error) from error
 
 
 def file_of(values: Array) -> mmap.mmap | None:

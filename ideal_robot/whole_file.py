@@ -5,6 +5,7 @@ Whatever ends the program in between — an error, a full disk, ``kill -9`` — 
 
 from __future__ import annotations
 
+import errno
 import glob
 import os
 import secrets
@@ -21,8 +22,33 @@ _ABANDONED = 86_400.0
 """What a killed run left of a file is removed by the next one when it is older than this [s]."""
 
 
+_REMEDIES = {errno.ENOSPC: "make room", errno.EDQUOT: "make room", errno.EFBIG: "raise the limit on the size of files",
+             errno.EROFS: "give another place, or make it writable", errno.EACCES: "give another place, or make it "
+             "writable", errno.EPERM: "give another place, or make it writable",
+             errno.ENOENT: "its folder is gone; make it again", errno.ENOTDIR: "give another place"}
+"""Errors of the system, and what helps."""
+
+
 class OutputError(IdealRobotError):
     """A result could not be written; what was there before is untouched."""
+
+    @classmethod
+    def of(cls, place: object, error: Exception, remedy: str | None = None) -> OutputError:
+        """What is said of a place that cannot be written.
+
+        Args:
+            place: the file or folder, as the user named it.
+            error: of the system, or of a library that met one.
+            remedy: what helps; by the kind of error if None.
+        """
+        number = getattr(error, "errno", None) or 0
+        reason = os.strerror(number) if number else str(error)
+        return cls(f"{place}: cannot be written ({reason}); "
+                   f"{remedy or _REMEDIES.get(number, 'look at the disk, or give another place')}")
+
+    def named(self, partial: Path, place: Path) -> OutputError:
+        """The same of the place that a partial file or folder stands for."""
+        return OutputError(str(self).replace(str(partial), str(place)))
 
 
 @contextmanager
@@ -63,7 +89,12 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
             synchronise(folder)
     except OSError as error:
         names = ", ".join(str(place) for _, place in moves) or str(places[0])
-        raise OutputError(f"{names}: cannot be written ({error.strerror or error})") from error
+        raise OutputError.of(names, error) from error
+    except OutputError as error:
+        # What a writer says of a partial file is meant of the file.
+        for partial, place in moves:
+            error = error.named(partial, place)
+        raise error from error.__cause__
     finally:
         # Any way out, an interrupt included; of what was moved nothing is left under that name.
         for partial, _ in moves:

@@ -16,6 +16,8 @@ from ideal_robot.whole_file import OutputError, partial_name, synchronise
 
 _EXCHANGE = 2
 """``RENAME_EXCHANGE`` of renameat2(2)."""
+_TRIED = 4096
+"""How much is written to find out whether there is room [bytes]; no report is smaller."""
 _TRIES = 100
 """How often a folder that other runs exchange meanwhile is looked at anew."""
 
@@ -60,9 +62,10 @@ def _check(path: Path, option: str, folder: bool) -> None:
         place = place.parent
     if not place.is_dir():
         raise InputError(f"{place} is a file, not a folder", field=option, value=str(path))
-    # Asking for the rights is not enough: read-only and vanished file systems say so only when written to.
-    with tempfile.NamedTemporaryFile(dir=place, prefix=".ideal-robot-"):
-        pass
+    # Asking for the rights is not enough: full, read-only and vanished file systems say so only when written to.
+    with tempfile.NamedTemporaryFile(dir=place, prefix=".ideal-robot-") as tried:
+        tried.write(bytes(_TRIED))
+        tried.flush()
 
 
 @contextmanager
@@ -90,7 +93,9 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         _take_place(new, place)
         synchronise(place.parent)
     except OSError as error:
-        raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
+        raise OutputError.of(folder, error) from error
+    except OutputError as error:
+        raise (error if new is None else error.named(new, folder)) from error.__cause__
     finally:
         if new is not None:
             shutil.rmtree(new, ignore_errors=True)

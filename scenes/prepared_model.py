@@ -12,6 +12,7 @@ import ideal_robot
 from ideal_robot.robots.robot import Robot
 from ideal_robot.summary import Summarised
 from scenes.identification.models import identified_model
+from scenes.outputs import check_outputs
 from scenes.result import Progress, silent
 from sim.arm.world import World
 
@@ -55,11 +56,13 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
         progress: called with the fraction done.
 
     Raises:
-        InputError: an arm whose world does not fit its data.
+        InputError: an arm whose world does not fit its data; a cache folder that cannot be written.
     """
     path = cache_folder() / f"{robot.name}_{_digest(robot, world)}.json"
     if os.path.isfile(path):
         return PreparedModel(path, fresh=False)
+    # Found now, not after the arm has been moved for minutes.
+    check_outputs({"IDEAL_ROBOT_CACHE": path.parent})
     model, _ = identified_model(world.robot, world=world, progress=progress)
     return PreparedModel(model.save(path), fresh=True)
 

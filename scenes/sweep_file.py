@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Hashable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -50,16 +51,32 @@ class SweepFile:
             os.truncate(self.path, len(whole))
 
     def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
-        """Appends an answer; it is on the disk when this returns."""
+        """Appends an answer; it is on the disk when this returns.
+
+        Raises:
+            OutputError: it cannot be written; the file holds the answers before it.
+        """
         line = json.dumps({"job": plain(job), "answer": plain(answer)}, allow_nan=False) + "\n"
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(line)
-                file.flush()
-                os.fsync(file.fileno())
+            with self.path.open("ab", buffering=0) as file:
+                whole = file.tell()
+                try:
+                    _append(file.fileno(), line.encode())
+                except OSError:
+                    with suppress(OSError):  # a disk that is read-only by now; --resume cuts the line off
+                        file.truncate(whole)
+                    raise
         except OSError as error:
-            raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
+            raise OutputError.of(self.path, error, "make room and go on with --resume; it holds the answers before "
+                                                   "this one") from error
+
+
+def _append(descriptor: int, line: bytes) -> None:
+    """Writes a line to the disk; a full disk may take a part of it before it says so."""
+    while line:
+        line = line[os.write(descriptor, line) :]
+    os.fsync(descriptor)
 
 
 def key_of(job: dict[str, Any]) -> Hashable:

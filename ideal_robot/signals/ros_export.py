@@ -65,7 +65,7 @@ def write_rosbag2(recording: Recording, path: str | Path) -> Path:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=".bag_") as folder:
             _write(recording, Path(folder) / path.name, mcap=False).rename(path)
     except (OSError, sqlite3.Error) as error:
-        raise OutputError(f"{path}: cannot be written ({getattr(error, 'strerror', None) or error})") from error
+        raise OutputError.of(path, error) from error
     return path
 
 

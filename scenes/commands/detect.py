@@ -24,6 +24,7 @@ def command(
 
     Example: `ideal-robot detect pictures/ --json line.json`
     """
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import show_table
     from scenes.detection.page import detection_page, figures, table
     from scenes.detection.sources import pictures
@@ -42,12 +43,14 @@ def command(
             progress(min(0.9, len(results) / most), name)
             results.append((name, gray, detect_in_picture(gray, chosen, points=points)))
         progress(0.95, "page")
-        page = detection_page(source, detector, results).write(out / "report.html")
-    if json is not None:
-        write_json(json, {"source": source, "detector": detector,
-                          "pictures": [figures(name, found) for name, _, found in results]})
+        report = out / "report.html"
+        with whole_files(report, json) as (page_file, json_file):
+            detection_page(source, detector, results).write(page_file)
+            if json_file is not None:
+                write_json(json_file, {"source": source, "detector": detector,
+                                       "pictures": [figures(name, found) for name, _, found in results]})
     show_table("detect", *table(results))
-    typer.echo(f"report: {page}")
+    typer.echo(f"report: {report}")
     if not any(found.found for _, _, found in results):
         typer.echo("ideal-robot: no picture shows a line", err=True)
         raise typer.Exit(1)

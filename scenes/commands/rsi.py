@@ -52,6 +52,8 @@ def command(
     from ideal_robot.errors import InputError
     from ideal_robot.robots.robot import Robot
     from ideal_robot.rsi.format import RsiFormat
+    from ideal_robot.signals.recording import WRITTEN
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
     from scenes.progress_bar import progress_bar
@@ -60,6 +62,8 @@ def command(
     from scenes.rsi.setup import rsi_server
 
     check_outputs(record=record, json=json)
+    if record.suffix not in WRITTEN:
+        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--record", value=str(record))
     if self_test:
         _self_test(robot, model, method, core, json)
         return
@@ -80,10 +84,12 @@ def command(
         with (stopping_on_signals(server.stop, lambda: server.link.counts.cycles > 0),
               progress_bar("rsi") as progress):
             run = server.play(patience=wait, core=core, progress=progress)
-    run.recording.write(record)
-    if json is not None:
-        write_json(json, {**run.json(), "recording": record})
+    # Shown first: the arm has moved, and what no disk takes is read at least.
     show_table("", *run.table())
+    with whole_files(record, json) as (record_file, json_file):
+        run.recording.write(record_file)
+        if json_file is not None:
+            write_json(json_file, {**run.json(), "recording": record})
     typer.echo(f"recording: {record}")
     if run.failure is not None:
         typer.echo(f"ideal-robot: {run.failure}", err=True)

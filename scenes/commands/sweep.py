@@ -35,7 +35,7 @@ def command(
     import pandas as pd
 
     from ideal_robot.errors import InputError
-    from ideal_robot.whole_file import write_text
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import numbers, show_table, whole_numbers
     from scenes.outputs import check_outputs
     from scenes.progress_bar import progress_bar
@@ -53,14 +53,10 @@ def command(
     with progress_bar(f"{len(work)} runs") as progress:
         answers = sweep(work, processes=processes, dask=dask, file=file,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
-    if json is not None:
-        write_json(json, {"runs": answers})
     frame = pd.json_normalize(answers)
     names = {key: title for key, title in FIGURES.items() if key in frame}
     frame = frame.rename(columns=names)
     shown = ["scene", "method", *(["individual"] if individuals else []), "seed", *names.values(), "failure"]
-    if csv is not None:
-        write_text(csv, frame[shown].to_csv(index=False))
     kinds = [key for key in ("scene", "method", "m/s") if key in frame]
     figures = [title for title in names.values() if title not in ("m/s",)]
     worst = frame.groupby(kinds, sort=False, dropna=False)[figures].max().reset_index()
@@ -68,6 +64,12 @@ def command(
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
     rows = [[*row, int(count)] for row, count in zip(worst.astype(object).to_numpy().tolist(), counts, strict=True)]
     show_table("largest of each kind of run", [*kinds, *figures, "runs"], rows)
+    # Shown first: what no disk takes is read at least.
+    with whole_files(json, csv) as (json_file, csv_file):
+        if json_file is not None:
+            write_json(json_file, {"runs": answers})
+        if csv_file is not None:
+            frame[shown].to_csv(csv_file, index=False)
     if all(answer.get("failure") for answer in answers):
         raise typer.Exit(1)
 

@@ -47,7 +47,7 @@ class Journal:
         try:
             self._file = (folder / ROWS).open("w+b", buffering=0)
         except OSError as error:
-            raise OutputError(f"{folder / ROWS}: cannot be written ({error.strerror or error})") from error
+            raise OutputError.of(folder / ROWS, error) from error
 
     def add(self, t: float, state: RobotState, q_d: Array, q_c: Array) -> None:
         """One cycle; what the disk does not take is missing.

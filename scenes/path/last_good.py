@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ideal_robot.model.model import Model
+from ideal_robot.whole_file import OutputError
 from scenes.scene_error import SceneError
 
 NAME = "extended_model.json"
@@ -31,7 +32,6 @@ class LastGood:
     def model(self, model: Model) -> None:
         """Writes the model of the round that is done, whole or not at all."""
         if self.folder is not None:
-            self.folder.mkdir(parents=True, exist_ok=True)
             model.save(self.folder / NAME)
         self.kept = self.round
 
@@ -44,16 +44,17 @@ def last_good(folder: Path | None) -> Iterator[LastGood]:
         folder: of the closing's results; None where nothing is written.
 
     Raises:
-        SceneError: in place of an interrupt or the end of the process while a round was being done.
+        SceneError: in place of an interrupt, the end of the process or a full disk while a round was being done.
     """
     keep = LastGood(folder)
     try:
         yield keep
-    except (KeyboardInterrupt, SystemExit) as ended:
+    except (KeyboardInterrupt, SystemExit, OutputError) as ended:
         if not keep.round:
             raise
         if keep.kept and folder is not None:
             left = f"{folder / NAME} is the model of round {keep.kept}"
         else:
             left = "no round was done, the model is as it was"
-        raise SceneError(f"interrupted in round {keep.round}; {left}") from ended
+        why = f"{ended}; ended" if isinstance(ended, OutputError) else "interrupted"
+        raise SceneError(f"{why} in round {keep.round}; {left}") from ended

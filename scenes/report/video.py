@@ -12,6 +12,7 @@ from PIL import Image
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.progress import Progress, silent
+from ideal_robot.whole_file import OutputError, whole_file
 from scenes.report.replay import Replay
 from sim.arm.picture import Picture, Stage
 
@@ -44,21 +45,17 @@ def write_video(replay: Replay, path: Path, *, rate: float = 12.0, slow: float =
 
     Raises:
         InputError: another ending.
+        OutputError: the file cannot be written.
         IdealRobotError: this OpenCV cannot write MP4 films.
     """
     check_video(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
-    try:
+    with whole_file(path) as partial:
         if path.suffix.lower() == ".gif":
             pictures = [_small(frame) for frame in frames(replay, rate * slow, progress)]
             pictures[0].save(partial, save_all=True, append_images=pictures[1:], duration=round(1000.0 / rate), loop=0,
                              optimize=True)
         else:
             _mp4(replay, partial, rate, slow, progress)
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 
@@ -70,6 +67,7 @@ def _small(frame: Picture) -> Image.Image:
 
 def _mp4(replay: Replay, path: Path, rate: float, slow: float, progress: Progress) -> None:
     writer: cv2.VideoWriter | None = None
+    count = 0
     for frame in frames(replay, rate * slow, progress):
         if writer is None:
             writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate,
@@ -77,8 +75,13 @@ def _mp4(replay: Replay, path: Path, rate: float, slow: float, progress: Progres
             if not writer.isOpened():
                 raise IdealRobotError("this OpenCV cannot write MP4 films; give a name ending in .gif")
         writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+        count += 1
     if writer is not None:
         writer.release()
+    # OpenCV says nothing of a disk that is full.
+    written = cv2.VideoCapture(str(path))
+    if int(written.get(cv2.CAP_PROP_FRAME_COUNT)) != count:
+        raise OutputError.of(path, OSError("the film is not whole"), "make room, or give another place")
 
 
 def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator[Picture]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import temporary_folder
 from sim.arm.world import STEP
 from sim.bullet import pybullet
 
@@ -39,8 +37,8 @@ def load_links(model: pin.Model, client: int, tool: pin.SE3 | None = None, tool_
     Returns:
         PyBullet's id of the body.
     """
-    with tempfile.TemporaryDirectory(prefix="arm-") as folder:
-        path = Path(folder) / "links.urdf"
+    with temporary_folder() as folder:
+        path = folder / "links.urdf"
         path.write_text(links_urdf(model, tool, tool_radius), encoding="utf-8")
         body = pybullet.loadURDF(str(path), useFixedBase=True, flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
                                  physicsClientId=client)

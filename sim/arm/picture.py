@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Sequence
-from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -16,6 +14,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_array import temporary_folder
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
 from sim.bullet import output_dropped, pybullet
@@ -106,8 +105,8 @@ def picture(robot: Robot, q: Array, **view: Any) -> Picture:
 
 def _load(robot: Robot, client: int) -> int:
     """The arm with its primitive shapes: Bullet would open whatever file a mesh names."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "arm.urdf"
+    with temporary_folder() as folder:
+        path = folder / "arm.urdf"
         path.write_text(without_meshes(robot.urdf.read_text(encoding="utf-8")), encoding="utf-8")
         return int(pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client))
 

@@ -6,7 +6,6 @@ undistorted picture; the lens is put in by sampling it where the distorted pixel
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.file_array import temporary_folder
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sim.bullet import output_dropped, pybullet
@@ -62,10 +62,10 @@ class BulletCamera(RenderedCamera):
         self._offsets = displacements(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
         self._tool = -1
-        with output_dropped(), tempfile.TemporaryDirectory(prefix="ideal_robot_scenery_") as folder:
-            self._load_surface(self.texture, Path(folder))
+        with output_dropped(), temporary_folder() as folder:
+            self._load_surface(self.texture, folder)
             if tool:
-                self._tool = self._body(Path(folder), "tool", tool_mesh(), pin.SE3.Identity(), TOOL_COLOUR)
+                self._tool = self._body(folder, "tool", tool_mesh(), pin.SE3.Identity(), TOOL_COLOUR)
 
     def close(self) -> None:
         """Frees the renderer."""
@@ -149,7 +149,7 @@ class BulletCamera(RenderedCamera):
                 lines += [f"f {a}/{a}/1 {b}/{b}/1 {c}/{c}/1", f"f {a}/{a}/1 {c}/{c}/1 {d}/{d}/1"]
         body = self._body(folder, "surface", lines, self.surface.plane, [1.0, 1.0, 1.0, 1.0])
         image = folder / "surface.png"
-        cv2.imwrite(str(image), texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+        image.write_bytes(cv2.imencode(".png", texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
         identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)
         pybullet.changeVisualShape(body, -1, textureUniqueId=identifier, physicsClientId=self._client)
 
