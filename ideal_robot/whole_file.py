@@ -22,6 +22,8 @@ _ABANDONED = 86_400.0
 """What a killed run left of a file is removed by the next one when it is older than this [s]."""
 
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors of the system where there is no room."""
 _REMEDIES = {errno.ENOSPC: "make room", errno.EDQUOT: "make room", errno.EFBIG: "raise the limit on the size of files",
              errno.EROFS: "give another place, or make it writable", errno.EACCES: "give another place, or make it "
              "writable", errno.EPERM: "give another place, or make it writable",

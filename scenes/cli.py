@@ -19,6 +19,7 @@ import typer  # noqa: E402
 from typer.core import TyperCommand  # noqa: E402
 
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
+from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
 from scenes.terminal import shown  # noqa: E402
 
 VERBS = {
@@ -114,6 +115,9 @@ def ended_by(error: BaseException) -> int:
         text = str(error)
     elif isinstance(error, MemoryError):
         text = "not enough memory for this; use shorter recordings or fewer at once"
+    elif isinstance(error, OSError) and error.errno in FULL and error.filename is None:
+        text = str(OutputError.of("temporary files (TMPDIR), or compiled code (beside the program, or NUMBA_CACHE_DIR)",
+                                  error))
     elif _debugging():
         raise error
     elif isinstance(error, OSError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import json
 import resource
 import sys
@@ -21,7 +22,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError
-from scenes.cli import main
+from scenes.cli import ended_by, main
 from scenes.models import shipped_model
 from scenes.outputs import check_outputs, whole_folder
 from scenes.path.last_good import last_good
@@ -72,10 +73,6 @@ def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, tmp_path: Path, 
     (tmp_path / "a.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     (tmp_path / "p.csv").write_bytes(mutate_table._csv(originals.joint_path()))
     (tmp_path / "s.toml").write_bytes(originals.PATH)
-    for name in ("o/report.html", "j.json", "c.csv"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text("previous")
-    before = sorted(tmp_path.rglob("*"))
     words = {"detect": ["a.png", "--out", "o"], "sweep": ["s.toml", "--seeds", "1-6", "--csv", "c.csv"],
              "rsi": ["p.csv", "--robot", "kr6", "--record", "c.csv"],
              "precorrect": ["p.csv", "--model", str(shipped_model("kr6")), "-o", "c.csv", "--out", "o"]}[verb]
@@ -84,6 +81,14 @@ def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, tmp_path: Path, 
     monkeypatch.setattr("scenes.rsi.setup.rsi_server", _served)
     # The verb's answer to SIGTERM is not to become that of the tests.
     monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
+    # Once with room: what is compiled is kept then.
+    with pytest.raises(SystemExit):
+        main()
+    for name in ("o/report.html", "j.json", "c.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("previous")
+    before = sorted(tmp_path.rglob("*"))
+    capsys.readouterr()
     with files_of_at_most(5000), pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 1
@@ -180,3 +185,11 @@ def test_a_full_folder_for_temporary_files_is_named_with_what_helps() -> None:
             load_links(Robot.load("kr6").pinocchio, client)
     finally:
         pybullet.disconnect(client)
+
+
+def test_a_full_disk_that_nobody_foresaw_is_told_with_what_helps(capsys: pytest.CaptureFixture[str]) -> None:
+    """E.g. where numba keeps compiled code; the system's error has no name then."""
+    assert ended_by(OSError(errno.ENOSPC, "No space left on device")) == 1
+    said = capsys.readouterr().err
+    assert "NUMBA_CACHE_DIR" in said
+    assert "make room" in said
