@@ -1,6 +1,7 @@
-"""Draws the picture of docs/camera.md: what the camera sees along the line of the workshop.
+"""Draws the pictures of docs/camera.md: what the camera sees along the line of the workshop.
 
-``python docs/draw_workshop_fields.py`` writes ``docs/pictures/workshop_fields.png``.
+``python docs/draw_workshop_fields.py`` writes ``workshop_fields.png`` and, with tools of 150 and 250 mm between flange
+and TCP, ``workshop_arm.png`` in ``docs/pictures``.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from planning.path.kinematics import InverseKinematics
 from scenes import load_scene
@@ -16,21 +18,33 @@ from scenes.line.cell import camera_of, set_up
 from sim.arm.arm import SimulatedArm
 from sim.camera.lamp import ArmShape
 
-PICTURE = Path(__file__).parent / "pictures" / "workshop_fields.png"
+PICTURES = Path(__file__).parent / "pictures"
 
 
 def main() -> None:
-    """Draws six pictures along the line."""
-    cell = set_up(load_scene("line"))
+    """Draws six pictures along the line, and three with each tool."""
+    for name, rows in (("workshop_fields", (along(0.0, 0.1, 0.46), along(0.0, 0.64, 1.0))),
+                       ("workshop_arm", (along(150.0, 0.1, 0.82), along(250.0, 0.1, 0.82)))):
+        cv2.imwrite(str(PICTURES / f"{name}.png"), np.vstack(rows), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+def along(tool_mm: float, first: float, last: float) -> NDArray[np.uint8]:
+    """Three pictures beside each other.
+
+    Args:
+        tool_mm: length of the tool [mm].
+        first: arc length of the first one [m].
+        last: that of the last one [m].
+    """
+    cell = set_up(load_scene("line").changed(tool_mm=tool_mm))
     shape, kinematics = ArmShape(cell.robot), InverseKinematics(cell.robot)
     frames, q, noise = [], cell.robot.home, np.random.default_rng(0)
     with camera_of(cell) as camera, SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
-        for s in np.linspace(0.1, 1.0, 6):
+        for s in np.linspace(first, last, 3):
             q = kinematics.search(cell.reference.pose(s), q)
             arm.reset(q)
-            frames.append(camera.frame(arm.truth.tcp, noise, (shape.at(arm.q_a), shape.radii)))
-    rows = np.vstack([np.hstack(frames[:3]), np.hstack(frames[3:])])
-    cv2.imwrite(str(PICTURE), rows, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+            frames.append(camera.frame(arm.truth.tcp, noise, (shape.at(arm.q_a), shape.radii), arm.q_a))
+    return np.hstack(frames)
 
 
 if __name__ == "__main__":

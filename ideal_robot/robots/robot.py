@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
@@ -28,6 +28,8 @@ from ideal_robot.robots.urdf import model_of
 from ideal_robot.summary import Summarised, listed
 
 SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
+TOOL_TIP = "ideal_robot_tool_tip"
+"""Name of the frame at the end of a tool that a scene puts on."""
 
 
 def _frozen(values: Any) -> Array:
@@ -161,6 +163,25 @@ class Robot(Summarised):
             "rotor_inertia": self.rotor_inertia, "drive_gain": self.drive_gain, "home": self.home,
             "cycle_time_s": {"interpolation": self.t_ipo, "position": self.t_position, "velocity": self.t_velocity}})
         return values
+
+    @property
+    def tool_length(self) -> float:
+        """Of the tool that ``with_tool`` put on [m]."""
+        frame = self.pinocchio.frames[self.tool_id]
+        if frame.name != TOOL_TIP:
+            return 0.0
+        flange = self.pinocchio.frames[frame.parentFrame]
+        return float(np.linalg.norm(frame.placement.translation - flange.placement.translation))
+
+    def with_tool(self, length: float) -> Robot:
+        """The same arm with a straight tool, its TCP ``length`` [m] beyond the tool frame along the approach axis z."""
+        if length == 0.0:
+            return self
+        frame = self.pinocchio.frames[self.tool_id]
+        tip = frame.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, length]))
+        model = self.pinocchio.copy()
+        model.addFrame(pin.Frame(TOOL_TIP, frame.parentJoint, self.tool_id, tip, pin.FrameType.OP_FRAME))
+        return replace(self, pinocchio=model, tool_frame=TOOL_TIP)
 
     def fk(self) -> Callable[[Array], pin.SE3]:
         """Returns a function from joint angles ``(n,)`` to the TCP pose in the base frame (copied)."""

@@ -98,7 +98,7 @@ def _kept(result: FollowResult, folder: Path) -> FollowResult:
 
 def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path | None) -> Job:
     """What is followed, set up as far as it goes without devices."""
-    robot = Robot.load(scene.robot)
+    robot = scene.arm if isinstance(scene, LineScene) else Robot.load(scene.robot)
     if devices.cycle is not None:
         robot = at_cycle(robot, devices.cycle)
     model = model_at(scene.model, robot)

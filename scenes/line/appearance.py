@@ -45,7 +45,7 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
         except OutOfReachError:
             continue
         arm.reset(q)
-        pictures.append(camera.frame(arm.truth.tcp, rng))
+        pictures.append(camera.frame(arm.truth.tcp, rng, q=arm.q_a))
     if not pictures:
         raise SensingError("the arm reaches no place above the line")
     seen = line_appearance(pictures, believed)

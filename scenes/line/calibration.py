@@ -86,7 +86,8 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
         for t, prediction in zip(taken, predictions, strict=True):
             windows = search_windows(believed, prediction, detection)
             late.append((camera.windows(t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), windows,
-                                        shadow_of(shape, arm, t - ahead)), prediction))
+                                        shadow_of(shape, arm, t - ahead),
+                                        arm.q_at(t - ahead) if camera.shows_arm else None), prediction))
         # The pose of a time stamp is known once the controller has told of it.
         while late and late[0][0].t_stamp - ahead < k * T:
             fields += 1

@@ -10,7 +10,6 @@ import numpy as np
 
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import Robot
 from scenes.camera_table import believed_camera, true_camera
 from scenes.camera_world import camera_settings
 from scenes.drawn_line import Geometry, geometry
@@ -68,7 +67,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     """
     world = World.from_table(scene.robot, scene.arm_world)
     # A controller's cycle times are no secret: they stand in its manual.
-    robot = replace(Robot.load(scene.robot), t_ipo=world.t_ipo, t_position=world.t_position,
+    robot = replace(scene.arm, t_ipo=world.t_ipo, t_position=world.t_position,
                     t_velocity=world.t_velocity)
     place, noise, camera_noise, calibration, _, wear, _, bend = streams(scene)
     where = geometry(scene, place)
@@ -116,7 +115,7 @@ def camera_of(cell: Cell) -> RenderedCamera:
     if scene.camera.renderer == "sampled":
         return RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp)
     return BulletCamera(cell.true_camera, cell.line, settings, cell.camera_noise, tool=True, lamp=lamp,
-                        relief=cell.relief, strips=STRIPS)
+                        arm=cell.robot if scene.tool_mm else None, relief=cell.relief, strips=STRIPS)
 
 
 def lamp_over(scene: LineScene, where: Geometry, rng: np.random.Generator) -> Lamp | None:

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.robot import Robot
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
 from scenes.line.replay import line_replay, surface_corners, with_ghost
@@ -180,8 +179,10 @@ def _cell(result: LineResult) -> Figure:
     axes = figure.subplots()
     middle = len(result.recording.t) // 2
     q = result.recording.joints("q", slice(middle, middle + 1))[0]
-    axes.imshow(picture(Robot.load(result.scene.robot), q, lines=(result.geometry.drawn,),
-                        surface=surface_corners(result)))
+    robot = result.scene.arm
+    tip = robot.fk()(q)
+    tool = [np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])]
+    axes.imshow(picture(robot, q, lines=(result.geometry.drawn, *tool), surface=surface_corners(result)))
     axes.set_axis_off()
     figure.tight_layout()
     return figure
@@ -198,7 +199,7 @@ def _from_above(result: LineResult) -> Figure:
     if all(name in result.recording.columns for name in "xyz"):
         tcp = np.column_stack([result.recording.columns[name][::every] for name in "xyz"])
     else:
-        pose = Robot.load(result.scene.robot).fk()
+        pose = result.scene.arm.fk()
         tcp = np.array([pose(row).translation for row in result.recording.joints("q", slice(None, None, 5 * every))])
     axes.plot(*(1e3 * _in_plane(tcp, plane)).T, color=ACCENT, lw=1.3, label="tool centre point")
     axes.set(xlabel="x in the surface [mm]", ylabel="y [mm]", aspect="equal")

@@ -81,7 +81,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         t, tcp = arm.tcp_path()
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
-        shown = [(arm.tcp_at(t), seen) for t, seen in log.shown] if pictures else []
+        shown = [(arm.tcp_at(t), arm.q_at(t), seen) for t, seen in log.shown] if pictures else []
         recording = line_recording(arm, scene, method.key, log, cell.camera)
     whole, error, followed_from = _control_error(cell, t, tcp, log.first_used)
     return LineResult(
@@ -90,7 +90,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
-        shown=tuple(replace(seen, image=shared.camera.frame(pose)) for pose, seen in shown),
+        shown=tuple(replace(seen, image=shared.camera.frame(pose, q=q)) for pose, q, seen in shown),
         world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.warning,
         s_reference=np.array(log.s), believed=np.array(log.believed),
         sensors={sensor.name: (log.sensor_values[sensor.name], log.sensor_used[sensor.name]) for sensor in sensors})

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.line.result import FieldShown, LineResult
 from scenes.report.replay import Replay
@@ -29,7 +28,7 @@ def line_replay(result: LineResult) -> Replay | None:
     recording = result.recording
     if len(recording.t) < 2:
         return None
-    robot = Robot.load(result.scene.robot)
+    robot = result.scene.arm
     rows = slice(None, None, step(len(recording.t)))
     t, q = recording.t[rows], recording.joints("qa", rows)
     pose = robot.fk()

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Literal
 
 import pydantic
 
+from ideal_robot.robots.robot import Robot
 from scenes.camera_table import Calibration, CameraTable
 from scenes.drawn_line import Displacement, Feature, Line, Reference, Surface
 from scenes.scene import Scene, Table
@@ -58,6 +59,11 @@ class BentDisplacement(Displacement):
 class LineScene(Scene):
     """An arm with a camera follows a drawn line."""
 
+    @property
+    def arm(self) -> Robot:
+        """The robot with the scene's tool on."""
+        return Robot.load(self.robot).with_tool(1e-3 * self.tool_mm)
+
     workshop: ClassVar[dict[str, dict[str, Any]]] = {
         "world": ARM,
         "displacement": {"height_mm": 3.0, "tilt_deg": 1.0},
@@ -68,6 +74,8 @@ class LineScene(Scene):
     }
     kind: Literal["line"]
     speed: float = pydantic.Field(default=0.7, gt=0, le=10)
+    tool_mm: float = pydantic.Field(default=0.0, ge=0, le=1000)
+    """How far the TCP is beyond the flange (the URDF's tool frame), along the approach axis."""
     method: str = "ideal"
     surface: Surface
     line: Line

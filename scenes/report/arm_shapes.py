@@ -40,6 +40,11 @@ def polygons(robot: Robot) -> tuple[list[dict[str, Any]], list[int]]:
         placed = [[rounded(item.placement.act(np.asarray(corner)), 4) for corner in face] for face in faces]
         shapes.append({"link": int(item.parentJoint), "faces": placed,
                        "colour": [round(255 * float(c)) for c in item.meshColor[:3]]})
+    if robot.tool_length > 0.0:
+        flange = model.frames[model.frames[robot.tool_id].parentFrame]
+        rod = [[rounded(flange.placement.act(np.asarray(corner)), 4) for corner in face]
+               for face in _rod(np.array([0.0, 0.0, robot.tool_length]), 0.006)]
+        shapes.append({"link": int(flange.parentJoint), "faces": rod, "colour": [51, 51, 51]})
     if not shapes:
         for joint in range(1, model.njoints):
             end = model.jointPlacements[joint].translation

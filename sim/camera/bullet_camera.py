@@ -1,4 +1,4 @@
-"""The camera as PyBullet's TinyRenderer renders it: the drawn texture, flat or on a relief, and the tool before it.
+"""The camera as PyBullet's TinyRenderer renders it: the drawn texture, flat or on a relief, and before it tool and arm.
 
 Shifting the principal point in the projection matrix moves a window to any place of the image. TinyRenderer draws an
 undistorted picture; the lens is put in by sampling it where the distorted pixels' rays hit it.
@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.file_array import temporary_folder
+from ideal_robot.robots.robot import Robot
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sim.bullet import output_dropped, pybullet
+from sim.camera.arm_bodies import ArmBodies
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.camera.lamp import Lamp
 from sim.camera.lens_sampling import add_samples, displacements, sample_rays
@@ -49,23 +51,29 @@ class BulletCamera(RenderedCamera):
         settings, rng, lamp: as ``RenderedCamera``.
         relief: heights over the same plane; None for the plane itself.
         tool: whether the tool's tip and a hose beside it are in the picture.
+        arm: whose links are in the picture, with its tool; None for an arm that stays out of it.
         strips: length of the relief's flat pieces along the plane's x and y [m]; for a surface that is bent along x
             alone the usual ones.
+
+    Attributes:
+        arm: links in the picture; None where there are none.
     """
 
     def __init__(self, model: CameraModel, surface: DrawnLine, settings: CameraSettings, rng: np.random.Generator, *,
-                 relief: HeightSurface | None = None, tool: bool = False, lamp: Lamp | None = None,
-                 strips: tuple[float, float] | None = None) -> None:
+                 relief: HeightSurface | None = None, tool: bool = False, arm: Robot | None = None,
+                 lamp: Lamp | None = None, strips: tuple[float, float] | None = None) -> None:
         super().__init__(model, surface, settings, rng, lamp=lamp)
         self._strips = strips
         self._relief = relief
         self._offsets = displacements(settings.sub_exposures)
         self._client = pybullet.connect(pybullet.DIRECT)
         self._tool = -1
+        self.arm = None if arm is None else ArmBodies(arm, self._client, model)
         with output_dropped(), temporary_folder() as folder:
             self._load_surface(self.texture, folder)
             if tool:
-                self._tool = self._body(folder, "tool", tool_mesh(), pin.SE3.Identity(), TOOL_COLOUR)
+                length = 0.0 if arm is None else arm.tool_length
+                self._tool = self._body(folder, "tool", tool_mesh(length), pin.SE3.Identity(), TOOL_COLOUR)
 
     def close(self) -> None:
         """Frees the renderer."""
@@ -73,8 +81,21 @@ class BulletCamera(RenderedCamera):
             pybullet.disconnect(physicsClientId=self._client)
             self._client = -1
 
-    def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> Array:
-        return np.concatenate([np.empty(0), *(self._render(window, poses, n).ravel() for window in windows)])
+    @property
+    def shows_arm(self) -> bool:
+        """See ``RenderedCamera.shows_arm``."""
+        return self.arm is not None
+
+    def _stand(self, q: Array, pose: pin.SE3, windows: Sequence[Window]) -> None:
+        if self.arm is not None:
+            self.arm.stand(q, pose, windows)
+
+    def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array | float]:
+        seen = [self._render(window, poses, n) for window in windows]
+        gray = np.concatenate([np.empty(0), *(one.ravel() for one, _ in seen)])
+        if self.arm is None or not self.arm.in_view:
+            return gray, 1.0
+        return gray, np.concatenate([np.empty(0), *(bare.ravel() for _, bare in seen)])
 
     def _view(self, pose: pin.SE3) -> list[float]:
         """OpenGL view matrix, column-major: base frame → camera with y up and z backwards."""
@@ -84,11 +105,14 @@ class BulletCamera(RenderedCamera):
         V[1:3] *= -1.0
         return V.T.ravel().tolist()
 
-    def _render(self, window: Window, poses: Sequence[pin.SE3], n: int) -> Array:
-        """Mean gray values ``(height, width)`` of a window over the poses, ``n`` × ``n`` samples per pixel and pose."""
+    def _render(self, window: Window, poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array]:
+        """Mean gray values ``(height, width)`` of a window over the poses, ``n`` × ``n`` samples per pixel and pose.
+
+        Beside them the share of each pixel in which the surface is seen, where the arm may be before it.
+        """
         K, k = self.model.K, self.model.distortion
         if window.width == 0 or window.height == 0:
-            return np.zeros((window.height, window.width))
+            return np.zeros((window.height, window.width)), np.zeros((window.height, window.width))
         x, y = sample_rays(window.u, window.v, window.height, window.width, n, K, k)
         scale = n * K[0, 0]
         offsets = self._offsets if len(poses) > 1 else np.zeros((1, 2))
@@ -97,15 +121,20 @@ class BulletCamera(RenderedCamera):
         column0, row0 = pad_u - scale * x.min(), pad_v - scale * y.min()
         width = int(scale * x.max() + column0 + pad_u) + 2
         height = int(scale * y.max() + row0 + pad_v) + 2
-        total = np.zeros((window.height, window.width))
+        total, bare = np.zeros((window.height, window.width)), np.zeros((window.height, window.width))
         for pose, (du, dv) in zip(poses, offsets, strict=True):
             self._carry_tool(pose)
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
-            image = self._picture(self._view(pose), width, height, scale, column0 + du, row0 + dv)
+            image, surface = self._picture(self._view(pose), width, height, scale, column0 + du, row0 + dv)
             add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(poses))
-        return total
+            if surface is not None:
+                add_samples(bare, surface, x, y, scale, column0 + du, row0 + dv, 1.0 / len(poses))
+        return total, bare
 
-    def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float) -> NDArray[np.uint8]:
+    def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float
+                 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
+        """Rendered picture ``(height, width, 4)``; if the arm may be there, which pixels are surface ``(…, 1)``."""
+        arm = self.arm is not None and self.arm.in_view
         cx, cy = cx + PIXEL_SHIFT_U, cy + PIXEL_SHIFT_V
         projection = [
             2 * f / width, 0.0, 0.0, 0.0,
@@ -116,9 +145,12 @@ class BulletCamera(RenderedCamera):
         picture: Any = pybullet.getCameraImage(
             width, height, view, projection, lightDirection=[0, 0, 1], lightColor=[1, 1, 1], lightAmbientCoeff=1.0,
             lightDiffuseCoeff=0.0, lightSpecularCoeff=0.0, shadow=0, renderer=pybullet.ER_TINY_RENDERER,
-            flags=pybullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client,
+            flags=0 if arm else pybullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client,
         )  # fmt: skip
-        return picture[2]
+        if not arm:
+            return picture[2], None
+        bodies = np.asarray(picture[4])
+        return picture[2], ((bodies == self._ground) | (bodies < 0)).astype(np.uint8)[:, :, None]
 
     def _carry_tool(self, pose: pin.SE3) -> None:
         if self._tool >= 0:
@@ -147,7 +179,7 @@ class BulletCamera(RenderedCamera):
                 a = j * (columns + 1) + i + 1
                 b, c, d = a + 1, a + columns + 2, a + columns + 1
                 lines += [f"f {a}/{a}/1 {b}/{b}/1 {c}/{c}/1", f"f {a}/{a}/1 {c}/{c}/1 {d}/{d}/1"]
-        body = self._body(folder, "surface", lines, self.surface.plane, [1.0, 1.0, 1.0, 1.0])
+        body = self._ground = self._body(folder, "surface", lines, self.surface.plane, [1.0, 1.0, 1.0, 1.0])
         image = folder / "surface.png"
         image.write_bytes(cv2.imencode(".png", texture.image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
         identifier = pybullet.loadTexture(str(image), physicsClientId=self._client)

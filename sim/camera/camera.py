@@ -88,6 +88,11 @@ class RenderedCamera:
         """Frees what the camera holds for its pictures."""
         self._whole_rays.clear()
 
+    @property
+    def shows_arm(self) -> bool:
+        """Whether the arm's links are in the picture."""
+        return False
+
     def due(self, t0: float, t1: float) -> list[float]:
         """Mid-exposure times [s] of the fields whose exposure *ends* in ``[t0, t1)``, without the lost ones.
 
@@ -120,7 +125,7 @@ class RenderedCamera:
         return bool(self._stream(-1 - k).random() < self.settings.doubled)
 
     def windows(self, t_exposure: float, pose_at: PoseAt, windows: Sequence[Window],
-                shape: Sequence[Array] = ()) -> Field:
+                shape: Sequence[Array] = (), q: Array | None = None) -> Field:
         """One field, cut to windows.
 
         Args:
@@ -128,6 +133,7 @@ class RenderedCamera:
             pose_at: true TCP pose at a time; called within half the exposure (and readout) time around ``t_exposure``.
             windows: rectangles inside the image; empty ones give empty patches.
             shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
+            q: arm angles ``(n,)`` [rad] at ``t_exposure``, for an arm that is in the picture (``shows_arm``).
 
         Raises:
             InputError: a window reaches outside the image.
@@ -144,34 +150,49 @@ class RenderedCamera:
         rng.standard_normal()
         t_stamp = self.stamp(t_exposure)
         n, gray = s.sub_exposures, np.empty(0)
+        if q is not None:
+            self._stand(q, pose_at(t_exposure), windows)
         for part, delay in self._in_time(windows):
             poses = [pose_at(t_exposure + delay + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
-            gray = np.concatenate([gray, self._lit(self._sampled(part, poses, s.supersampling), part, poses[n // 2],
-                                                   shape)])
+            seen, bare = self._sampled(part, poses, s.supersampling)
+            gray = np.concatenate([gray, self._lit(seen, bare, part, poses[n // 2], shape)])
         if self.lamp is not None:
             middle = pose_at(t_exposure + ((n // 2 + 0.5) / n - 0.5) * s.exposure)
             gray = gray * self._exposure(t_exposure, middle, shape)
-        seen = self._noisy(gray, rng)
+        noisy = self._noisy(gray, rng)
         ends = np.cumsum([window.width * window.height for window in windows])
-        patches = tuple(seen[end - window.width * window.height : end].reshape(window.height, window.width)
+        patches = tuple(noisy[end - window.width * window.height : end].reshape(window.height, window.width)
                         for window, end in zip(windows, ends, strict=True))
         return Field(t_stamp, t_exposure + latency, tuple(windows), patches)
 
-    def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None, shape: Sequence[Array] = ()) -> Gray:
+    def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None, shape: Sequence[Array] = (),
+              q: Array | None = None) -> Gray:
         """The whole image ``(height, width)`` from one TCP pose, well exposed, for reports.
 
         Args:
             pose: of the TCP in the base frame.
             noise_rng: of the gray noise; None for none.
             shape: as for ``windows``.
+            q: as for ``windows``.
         """
         whole = Window(0, 0, self.model.width, self.model.height)
         # A fine image shows its line smooth enough with one sample a pixel, and takes long anyway.
         samples = 2 if whole.width * whole.height <= FINE else 1
-        gray = self._sampled([whole], [pose], samples)
+        if q is not None:
+            self._stand(q, pose, [whole])
+        gray, bare = self._sampled([whole], [pose], samples)
         if self.lamp is not None:
-            gray = self._lit(gray, [whole], pose, shape) / self._brightness(self.lamp, pose, shape)
+            gray = self._lit(gray, bare, [whole], pose, shape) / self._brightness(self.lamp, pose, shape)
         return self._noisy(gray, noise_rng).reshape(whole.height, whole.width)
+
+    def _stand(self, q: Array, pose: pin.SE3, windows: Sequence[Window]) -> None:
+        """Puts the arm where it stands; here it stays out of the picture.
+
+        Args:
+            q: its angles ``(n,)`` [rad].
+            pose: of the TCP.
+            windows: what is looked at.
+        """
 
     def _in_time(self, windows: Sequence[Window]) -> list[tuple[Sequence[Window], float]]:
         """The windows in pieces that are exposed together, and by how much later than the field's middle [s]."""
@@ -198,17 +219,26 @@ class RenderedCamera:
             gray = gray + self.settings.noise * rng.standard_normal(gray.shape)
         return np.clip(np.rint(gray, out=gray), 0, 255, out=gray).astype(np.uint8)
 
-    def _lit(self, gray: Array, windows: Sequence[Window], pose: pin.SE3, shape: Sequence[Array]) -> Array:
-        """Gray values where the lamp lights each pixel's place on the surface, with the lamp's mirror image."""
+    def _lit(self, gray: Array, bare: Array | float, windows: Sequence[Window], pose: pin.SE3, shape: Sequence[Array]
+             ) -> Array:
+        """Gray values where the lamp lights each pixel's place on the surface, with the lamp's mirror image.
+
+        Args:
+            gray: pixels of the windows ``(N,)``.
+            bare: share of each of them that is surface; neither shadow nor mirror image falls on the rest.
+            windows: they belong to.
+            pose: of the TCP.
+            shape: as for ``windows``.
+        """
         lamp = self.lamp
         if lamp is None or not len(gray):
             return gray
         rays = np.concatenate([self._rays(w, 1).reshape(-1, 2) for w in windows if w.width * w.height])
         points = self._on_plane(np.column_stack([rays, np.ones(len(rays))]), pose)
         up, eye = self.surface.plane.rotation[:, 2], (pose * self.model.T_tool_camera).translation
-        hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape))
+        hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape)) * bare
         lit = light(lamp, points, up, self._lit_at, hidden)
-        return np.asarray(gray * lit + mirrored(lamp, points, up, eye, hidden))
+        return np.asarray(gray * lit + mirrored(lamp, points, up, eye, hidden) * bare)
 
     def _exposure(self, t: float, pose: pin.SE3, shape: Sequence[Array]) -> float:
         """Factor of the automatic exposure, which follows what it sees with a lag."""
@@ -240,8 +270,8 @@ class RenderedCamera:
         depth = ((self.surface.plane.translation - T.translation) @ up) / (directions @ up)
         return np.asarray(T.translation + depth[:, None] * directions)
 
-    def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> Array:
-        """Mean gray values of all pixels of the windows, one after the other, over the TCP poses.
+    def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array | float]:
+        """Mean gray values of all pixels of the windows, one after the other, over the TCP poses; shares of surface.
 
         Args:
             windows: rectangles inside the image.
@@ -252,11 +282,11 @@ class RenderedCamera:
         maps = np.array([texel_map(base * pose * self.model.T_tool_camera, self.texture) for pose in poses])
         table = np.array(windows, dtype=np.int64).reshape(-1, 4)
         if self.model.width * self.model.height <= FINE:
-            return sample_plane(self.texture.image, maps, self._rays_of_image(n), 0, 0, table)
+            return sample_plane(self.texture.image, maps, self._rays_of_image(n), 0, 0, table), 1.0
         # The rays of a fine image would fill the memory.
         return np.concatenate([np.empty(0), *(
             sample_plane(self.texture.image, maps, self._rays(window, n), window.u, window.v, row[None])
-            for window, row in zip(windows, table, strict=True))])
+            for window, row in zip(windows, table, strict=True))]), 1.0
 
     def _rays_of_image(self, n: int) -> Array:
         if n not in self._whole_rays:

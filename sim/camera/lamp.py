@@ -13,8 +13,9 @@ import pinocchio as pin
 from numba import njit
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import TOOL_TIP, Robot
 from ideal_robot.robots.urdf import without_meshes
+from sim.camera.tool_mesh import TOOL_RADIUS
 
 SHINE = 240.0
 """How sharp the surface mirrors: exponent of the cosine between its normal and the middle of eye and lamp."""
@@ -42,6 +43,8 @@ class Lamp:
 class ArmShape:
     """The arm's links as capsules, for its shadow: boxes and cylinders of its URDF, or rods between the joints.
 
+    A tool that a scene put on is one more.
+
     Args:
         robot: the arm.
     """
@@ -51,7 +54,7 @@ class ArmShape:
         text = without_meshes(robot.urdf.read_text(encoding="utf-8"))
         found: list[tuple[int, Array, Array, float]] = []
         for item in pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects:
-            half = _half_sizes(item.geometry)
+            half = half_sizes(item.geometry)
             if half is None or item.parentJoint == 0:
                 continue
             axis = int(np.argmax(half))
@@ -63,6 +66,10 @@ class ArmShape:
             placed = self._model.jointPlacements
             found = [(int(self._model.parents[joint]), np.zeros(3), placed[joint].translation, 0.05)
                      for joint in range(2, self._model.njoints)]
+        tool = self._model.frames[robot.tool_id]
+        if tool.name == TOOL_TIP:
+            flange = self._model.frames[tool.parentFrame].placement
+            found.append((int(tool.parentJoint), flange.translation, tool.placement.translation, TOOL_RADIUS))
         self._parents = [parent for parent, *_ in found]
         self._ends = np.array([[a, b] for _, a, b, _ in found])
         self.radii = np.array([radius for *_, radius in found])
@@ -74,7 +81,8 @@ class ArmShape:
                          for parent, ends in zip(self._parents, self._ends, strict=True)])
 
 
-def _half_sizes(shape: object) -> Array | None:
+def half_sizes(shape: object) -> Array | None:
+    """Half of the sides of the box ``(3,)`` [m] about a box or a cylinder; None for other shapes."""
     if hasattr(shape, "halfSide"):
         return np.array(shape.halfSide, dtype=float)
     if hasattr(shape, "halfLength") and hasattr(shape, "radius"):

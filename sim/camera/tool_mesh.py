@@ -9,17 +9,24 @@ from ideal_robot.arrays import Array
 TOOL_COLOUR = [0.2, 0.2, 0.2, 1.0]
 """Dark, as rubber and burnished steel are."""
 SIDES = 12
-TIP = ((0.0, 0.001), (0.012, 0.004), (0.05, 0.006), (0.14, 0.006))
+TOOL_RADIUS = 0.006
+"""Of the tool's shaft [m]."""
+TIP = ((0.0, 0.001), (0.012, 0.004), (0.05, TOOL_RADIUS), (0.14, TOOL_RADIUS))
 """Distance behind the TCP along the approach axis and radius there [m]."""
 HOSE = np.array([[-0.012, 0.014, -0.02], [-0.004, 0.05, -0.05], [0.004, 0.085, -0.09], [0.0, 0.1, -0.14]])
 """Middle of the hose in the tool frame [m]: it leaves the tip sideways and goes up out of the picture."""
 HOSE_RADIUS = 0.007
 
 
-def tool_mesh() -> list[str]:
-    """Lines of an .obj file in the tool frame, z along the approach axis."""
-    tip = np.array([[0.0, 0.0, -behind] for behind, _ in TIP])
-    tubes = [(tip, np.array([radius for _, radius in TIP])), (HOSE, np.full(len(HOSE), HOSE_RADIUS))]
+def tool_mesh(length: float = 0.0) -> list[str]:
+    """Lines of an .obj file in the tool frame, z along the approach axis.
+
+    Args:
+        length: of the tool from the flange to the TCP [m]; what is seen of it is never shorter than the usual shaft.
+    """
+    shaft = (*TIP, (length, TOOL_RADIUS)) if length > TIP[-1][0] else TIP
+    tip = np.array([[0.0, 0.0, -behind] for behind, _ in shaft])
+    tubes = [(tip, np.array([radius for _, radius in shaft])), (HOSE, np.full(len(HOSE), HOSE_RADIUS))]
     vertices: list[str] = []
     normals: list[str] = []
     faces: list[str] = []

@@ -86,7 +86,8 @@ class CarriedCamera:
     def carry(self, t0: float, t1: float) -> None:
         """Exposes what was asked for."""
         for t, windows in self._wanted:
-            seen = self._camera.windows(t, self._tool_at, windows, shadow_of(self._shape, self._arm, t))
+            seen = self._camera.windows(t, self._tool_at, windows, shadow_of(self._shape, self._arm, t),
+                                        self._arm.q_at(t) if self._camera.shows_arm else None)
             again = replace(seen, t_arrival=seen.t_arrival + AGAIN)
             self._late.send([seen, again] if self._camera.comes_twice(t) else [seen])
         self._wanted = []

@@ -53,6 +53,17 @@ def test_the_whole_workshop_is_followed_with_calibration_by_moving() -> None:
     assert result.control_error.p95 < 3.5e-4
 
 
+@pytest.mark.slow
+def test_with_the_arm_in_the_picture_the_line_is_followed_and_a_run_repeats_bit_for_bit() -> None:
+    scene = load_scene("line").changed(tool_mm=150.0)
+    first, again = run(scene), run(scene)
+    assert first.failure is None
+    assert first.control_error.mean < 1.0e-4
+    assert first.recording.columns.keys() == again.recording.columns.keys()
+    for name, values in first.recording.columns.items():
+        np.testing.assert_array_equal(again.recording.columns[name], values, err_msg=name)
+
+
 def test_the_workshop_holds_where_a_scene_says_nothing() -> None:
     workshop, bench = load_scene("line"), load_scene("line").changed(world="bench")
     assert workshop.world["kinematic_error"] == pytest.approx(3e-4)

@@ -1,0 +1,116 @@
+"""The arm's links are in the camera's picture where they come into view, and only then; the shadow is theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from scenes import load_scene
+from scenes.line.cell import Cell, set_up
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.field import Window
+from sim.camera.bullet_camera import BulletCamera
+from sim.camera.camera_settings import CameraSettings
+from sim.camera.lamp import ArmShape, Lamp
+from sim.camera.surface import DrawnLine
+
+QUIET = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0, resolution=0.0005)
+PLAIN = CameraModel.default(distortion=(0.0,) * 5)
+WHOLE = [Window(0, 0, 320, 240)]
+LINES = ("line", "corner", "gap", "cluttered", "svg", "straight")
+BRACKET = (np.array([0.17, 0.0, 0.02]), np.array([0.01, 0.025, 0.08]))
+"""Middle and half sides of the plate on the KR 6-like arm's link 6, in its frame (``kr6.urdf``) [m]."""
+
+
+def over_the_line(robot: Robot) -> tuple[Array, pin.SE3, DrawnLine]:
+    """Home, the TCP there, and a line that lies under it."""
+    pose = robot.fk()(robot.home)
+    plane = pin.SE3(np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]), np.zeros(3))
+    return robot.home, pose, DrawnLine.from_plane_points(np.array([[-0.1, 0.0], [0.3, 0.0]]), pose * plane)
+
+
+def picture(camera: BulletCamera, pose: pin.SE3, q: Array | None, shape: Sequence[Array] = ()) -> Array:
+    return camera.windows(0.005, lambda t: pose, WHOLE, shape, q).patches[0].astype(float)
+
+
+def test_a_link_in_view_covers_what_its_corners_enclose() -> None:
+    robot = Robot.load("kr6").with_tool(0.2)
+    q, pose, line = over_the_line(robot)
+    with BulletCamera(PLAIN, line, QUIET, np.random.default_rng(0), arm=robot) as camera:
+        share, seen = covered_by_arm(camera, q, pose), picture(camera, pose, q)
+    with BulletCamera(PLAIN, line, QUIET, np.random.default_rng(0)) as camera:
+        bare = picture(camera, pose, q)
+    beside = cv2.dilate((share > 0.0).astype(np.uint8), np.ones((5, 5))) == 0
+    np.testing.assert_array_equal(seen[beside], bare[beside])
+    data = robot.pinocchio.createData()
+    pin.forwardKinematics(robot.pinocchio, data, q)
+    middle, half = BRACKET
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    corners = np.array([(pose.inverse() * data.oMi[6]).act(middle + sign * half) for sign in signs])
+    mask = np.zeros((240, 320), dtype=np.uint8)
+    cv2.fillConvexPoly(mask, cv2.convexHull(PLAIN.project_tool(corners).astype(np.float32)).astype(np.int32), 1)
+    assert share[cv2.erode(mask, np.ones((7, 7))) > 0].min() == 1.0
+    # Above the plate there is nothing of the arm.
+    assert not share[: np.flatnonzero(mask.any(axis=1))[0] - 2].any()
+
+
+def test_no_shadow_and_no_mirror_image_fall_on_the_arm_in_the_picture() -> None:
+    robot = Robot.load("kr6").with_tool(0.2)
+    q, pose, line = over_the_line(robot)
+    lamp = Lamp(pose.translation + np.array([0.3, 0.2, 1.5]), falloff=0.0, shadow=0.5, glare=60.0)
+    everywhere = (np.array([[[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]]) + lamp.place - np.array([0.0, 0.0, 0.7]),
+                  np.array([0.6]))
+    with BulletCamera(PLAIN, line, QUIET, np.random.default_rng(0), arm=robot, lamp=lamp) as camera:
+        lit, dark = picture(camera, pose, q), picture(camera, pose, q, everywhere)
+    share = dark / lit
+    assert share[:100].max() < 0.7
+    np.testing.assert_allclose(share[200:, 120:200], 1.0, atol=1e-9)
+
+
+def along(cell: Cell) -> Sequence[tuple[Array, pin.SE3]]:
+    """Angles and TCP every 50 mm of the reference."""
+    kinematics, pose, q = InverseKinematics(cell.robot), cell.robot.fk(), cell.robot.home
+    found: list[tuple[Array, pin.SE3]] = []
+    for s in np.arange(0.0, cell.reference.length, 0.05):
+        q = kinematics.search(cell.reference.pose(s), q)
+        found.append((q, pose(q)))
+    return found
+
+
+@pytest.mark.parametrize("name", LINES)
+def test_behind_a_tool_of_300_mm_no_link_comes_into_view_on_any_line(name: str) -> None:
+    cell = set_up(load_scene(name).changed(tool_mm=300.0))
+    line = DrawnLine.from_plane_points(np.array([[0.0, 0.0], [0.1, 0.0]]), cell.geometry.plane)
+    with BulletCamera(cell.true_camera, line, QUIET, np.random.default_rng(0), arm=cell.robot) as camera:
+        assert not any(covered_by_arm(camera, q, pose).any() for q, pose in along(cell))
+
+
+def test_without_a_tool_the_wrist_would_be_all_that_the_camera_sees() -> None:
+    """Why the arm is in the picture only with a tool: the default cell has camera and wrist in the same place."""
+    cell = set_up(load_scene("line"))
+    with BulletCamera(cell.true_camera, cell.line, QUIET, np.random.default_rng(0), arm=cell.robot) as camera:
+        assert np.mean([covered_by_arm(camera, q, pose) for q, pose in along(cell)]) > 0.7
+
+
+def covered_by_arm(camera: BulletCamera, q: Array, pose: pin.SE3) -> Array:
+    """Share of each pixel ``(240, 320)`` that links cover."""
+    camera._stand(q, pose, WHOLE)
+    return (1.0 - np.broadcast_to(camera._sampled(WHOLE, [pose], 1)[1], (240 * 320,))).reshape(240, 320)
+
+
+def test_the_shadow_of_a_tool_reaches_the_tcp() -> None:
+    bare = Robot.load("kr6")
+    robot = bare.with_tool(0.25)
+    tip, flange = robot.fk()(robot.home), bare.fk()(bare.home)
+    assert robot.tool_length == pytest.approx(0.25)
+    np.testing.assert_allclose(flange.actInv(tip.translation), [0.0, 0.0, 0.25], atol=1e-12)
+    ends = ArmShape(robot).at(robot.home)[-1]
+    np.testing.assert_allclose(ends, [flange.translation, tip.translation], atol=1e-12)
+    assert len(ArmShape(robot).radii) == len(ArmShape(bare).radii) + 1
