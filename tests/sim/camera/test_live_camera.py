@@ -57,7 +57,7 @@ def test_lamp_shadow_and_tool_are_in_the_same_places() -> None:
     live = LiveCamera(rendered.model, rendered.surface, settings, rng, lamp=lamp, tool=True)
     with BulletCamera(rendered.model, rendered.surface, settings, rng, tool=True, lamp=lamp) as full:
         whole = [Window(0, 0, full.model.width, full.model.height)]
-        lit = full._lit(full._sampled(whole, [pose], 2), whole, pose, shape).reshape(full.model.height, -1)
+        lit = full._lit(*full._sampled(whole, [pose], 2), whole, pose, shape).reshape(full.model.height, -1)
     picture = live.picture([pose], 0.0, shape).astype(float)
     off = np.abs(np.clip(lit, 0, 255) - picture)
     # Outlines of tool and shadow are a pixel or two apart at most; everything else is alike.
