@@ -98,6 +98,8 @@ class Effect(ABC):
             vibrations that look like it are not.
         standstill: end of the bounds of its only theta, -1 or 1, at which all of it lies near standstill, where every
             drive's friction goes its own way; 0 if there is none.
+        tail_alone: whether only the end of what it does lies in samples that count, so that a size and a theta that
+            belong to one tail do not make each other certain.
         learned: whether it is a curve without a physical cause.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
@@ -124,6 +126,7 @@ class Effect(ABC):
     of_angle_alone: ClassVar[bool] = False
     at_all_frequencies: ClassVar[bool] = False
     standstill: ClassVar[int] = 0
+    tail_alone: ClassVar[bool] = False
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""

@@ -23,6 +23,8 @@ from trials.strangers.plant import Plant, Run
 
 _CYCLE = 0.002
 """Interpolation cycle that the arm is driven with [s]."""
+_SETTLING = 2.0
+"""Time for which an arm with a spring is held where its motion begins before that is recorded [s]."""
 _BY_WORLD = (drive.COULOMB, drive.SURPLUS, drive.LOAD, drive.VISCOUS, drive.DEGRESSIVE, drive.RIPPLE)
 """Rows that the world has keys for."""
 _BY_TORQUE = (drive.DRY_THERMAL, drive.DRIVING, drive.PLACE, drive.DRAG, drive.VISCOUS_SIDE, drive.VISCOUS_THERMAL,
@@ -128,12 +130,17 @@ def simulate(plant: Plant, motion: Motion) -> Run:
     with tempfile.TemporaryDirectory(prefix="stranger-") as folder:
         robot = robot_of(plant, Path(folder))
         world = world_of(plant).replace(extra_torque=_rest(plant))
+        # The world begins with weights held, but no spring: what it pulls is taken up before anything is recorded.
+        settling = 0 if plant.spring is None else round(_SETTLING / _CYCLE)
         with SimulatedArm(robot, world, np.random.default_rng(0), motion.q[0]) as arm:
             pybullet.setGravity(*[float(g) for g in plant.model.gravity.linear], physicsClientId=arm.client)
             every = round(_CYCLE / STEP)
+            for _ in range(settling):
+                arm.cycle(motion.q[0])
             for k in range(every, len(motion.t), every):
                 arm.cycle(motion.q[k])
-            history = arm.history()
+            history = {name: values[settling * every :] for name, values in arm.history().items()}
+    history["t"] = history["t"] - history["t"][0]
     rows = len(history["t"])
     if not np.isfinite(history["q"]).all() or np.abs(history["q"] - motion.q[:rows]).max() > 2.0:
         raise RuntimeError("the plant left its path")

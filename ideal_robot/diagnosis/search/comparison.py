@@ -9,7 +9,9 @@ from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 
 _NEARLY = 0.9
-"""Share of a reduction that a likelier cause has to reach."""
+"""Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
+_NOT_TOLD = 0.8
+"""The same where the difference is no more than what scatters from block to block."""
 
 
 def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:
@@ -44,8 +46,8 @@ def rivals_of(model: PresentModel, best: Scored, others: list[Scored]) -> tuple[
         if s is best:
             continue
         ratio = s.test.total / max(best.test.total, 1e-300)
-        nearly = ratio > 0.9 and overlap(model, best.candidate, s.candidate)
-        if nearly or indistinguishable(model, best, s, 0.8):
+        nearly = ratio > _NEARLY and overlap(model, best.candidate, s.candidate)
+        if nearly or indistinguishable(model, best, s, _NOT_TOLD):
             rivals.append((s.candidate.effect.name, s.candidate.joint, ratio))
     return tuple(rivals)
 
@@ -67,16 +69,18 @@ def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: f
     return bool(float(difference.sum()) < 2.0 * error)
 
 
-def likelier(best: Scored, others: list[Scored]) -> Scored:
+def likelier(model: PresentModel, best: Scored, others: list[Scored]) -> Scored:
     """The best one, or one of the others that is taken sooner and reduces nearly as much.
 
     Args:
+        model: the present model.
         best: scored.
         others: scored against the same model.
     """
     for other in others:
         if best.candidate.effect.name in other.candidate.effect.sooner_than \
-                and other.test.total > _NEARLY * best.test.total:
+                and (other.test.total > _NEARLY * best.test.total
+                     or indistinguishable(model, best, other, _NOT_TOLD)):
             return other
     return best
 

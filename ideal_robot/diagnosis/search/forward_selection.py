@@ -127,7 +127,7 @@ class Search:
             if other.candidate.parameter_count < best.candidate.parameter_count \
                     and indistinguishable(self.model, refined[0], other, 0.95):
                 best = other
-        best = likelier(best, refined)
+        best = likelier(self.model, best, refined)
         return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share,
                       asked=self.scoring.smallest_share(best.candidate))
 
@@ -187,7 +187,7 @@ class Search:
                       and s.test.total > 0.8 * present.test.total]
             refined = sorted((self.scoring.refined(fit, s) for s in rivals), key=lambda s: -s.test.total)
             if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds_slowly(refined[0]) \
-                    and likelier(refined[0], [present]) is not present:
+                    and likelier(self.model, refined[0], [present]) is not present:
                 s = refined[0]
                 better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share,
                                 asked=self.scoring.smallest_share(s.candidate, choice))

@@ -129,9 +129,11 @@ class DomainDiagnosis:
                 # A theta that is known no better than to its own size makes nothing certain; one that only serves the
                 # computation is no number at all. Where another recording decides, that is the evidence.
                 bounds = candidate.effect.bounds(signals, candidate.joint) if candidate.effect.theta_is_physical else []
-                vague = not bounds or (self.validation is None
-                                       and bool(np.all(widened.theta_std[k] > np.abs(candidate.theta))))
-                clear = not vague or bool(abs(own[0]) > _DISTINGUISHED * wide[k][0])
+                vague = not bounds or (self.validation is None and (candidate.effect.tail_alone or bool(
+                    np.all(widened.theta_std[k] > np.abs(candidate.theta)))))
+                # Shares are of squares: what has to take away more of them has to be as much clearer.
+                least = _DISTINGUISHED * np.sqrt(candidate.effect.caution if signals.n > 1 else 1.0)
+                clear = not vague or bool(abs(own[0]) > least * wide[k][0])
             else:
                 clear = (candidate.effect.learned or bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
                          or self._shares(self._ladder()[1])[k] > _MOST)

@@ -24,6 +24,11 @@ def delayed(values: Array, delay: float, dt: float) -> Array:
     return np.asarray(ndimage.shift(values, delay / dt, order=3, mode="nearest"))
 
 
+HOLD = 5e-4
+"""What a torque is early by in every drive, at most [s]: it is held over a cycle of the loop, a millisecond or less, and
+acts half a cycle after its stamp in the mean."""
+
+
 class DeadTime(Effect):
     """The torque of one joint is recorded late by ``delta``: ``tau_j(t) = tau_model,j(t - delta)``.
 
@@ -74,8 +79,8 @@ class DeadTime(Effect):
         return [EffectParameter("delay", float(coefficients[0]), float(std[0]), "s")]
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
-        return bool(abs(coefficients[0]) < self.longest)
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second; early by more than what is held."""
+        return bool(abs(coefficients[0]) < self.longest and not -HOLD < coefficients[0] < 0.0)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Nowhere: it is in the recording alone."""

@@ -8,6 +8,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
+from ideal_robot.effects.torque.dead_time import HOLD
 
 
 class PositionDeadTime(Effect):
@@ -48,8 +49,8 @@ class PositionDeadTime(Effect):
         return np.asarray(column[:, :, None])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Milliseconds, not tenths of a second."""
-        return bool(abs(coefficients[0]) < self.longest)
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second; late by more than torques are held."""
+        return bool(abs(coefficients[0]) < self.longest and not 0.0 < coefficients[0] < HOLD)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Nowhere: it is in the recording alone."""

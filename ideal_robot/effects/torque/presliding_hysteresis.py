@@ -44,6 +44,7 @@ class PreslidingHysteresis(Effect):
         ("stribeck", _SPEED_OR_DISTANCE),
         ("backlash", "reversals at postures with and without load on the gear"),
     )
+    tail_alone = True
     source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:

@@ -24,6 +24,7 @@ class TorqueFilter(DeadTime):
     coefficient_names = ("time constant",)
     depends_on_joint = False
     caution = 1.0
+    sooner_than = ("dead_time",)
     at_all_frequencies = False
     discriminating_motion = ()
     source = "first-order expansion of a filter: its group delay at low frequency"
