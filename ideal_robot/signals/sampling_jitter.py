@@ -16,7 +16,7 @@ from scipy import interpolate
 from ideal_robot.arrays import Array
 from ideal_robot.signals.preprocess import lowpass
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.stamps import regular_stamps
+from ideal_robot.signals.stamps import regular_stamps, roughness
 
 _MOTION = 5.0
 """Frequency above which positions hold more of a jitter of the clock than of the motion [Hz]."""
@@ -63,10 +63,12 @@ def sampling_instants(t: Array, q: Array) -> tuple[Array, float]:
 def at_sampling_instants(recording: Recording) -> tuple[Recording, float]:
     """The recording stamped with the instants of sampling, and how far these are from the stamps; or as it is."""
     q = recording.joints("q")
-    if regular_stamps(recording.t, q)[1] > 0.0:
-        return recording, 0.0
     t, spread = sampling_instants(recording.t, q)
     if spread == 0.0:
+        return recording, 0.0
+    # A clock that is less rough than jittering stamps need not be the one that sampled.
+    regular, jitter = regular_stamps(recording.t, q)
+    if jitter > 0.0 and roughness(regular, q) <= roughness(t, q):
         return recording, 0.0
     return replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(t)}), spread
 

@@ -40,7 +40,7 @@ def regular_stamps(t: Array, q: Array) -> tuple[Array, float]:
     if len(t) < 2 * WINDOW or np.std(ordinary) < 1e-3 * usual:
         return t, 0.0
     regular = _behind(t, usual)
-    if np.any(np.diff(regular) <= 0.0) or _roughness(regular, q) > _CLEARLY * _roughness(t, q):
+    if np.any(np.diff(regular) <= 0.0) or roughness(regular, q) > _CLEARLY * roughness(t, q):
         return t, 0.0
     return regular, float(np.std(t - regular))
 
@@ -59,8 +59,13 @@ def _behind(t: Array, step: float) -> Array:
     return np.asarray(line + ndimage.uniform_filter1d(t - line, WINDOW, mode="nearest"))
 
 
-def _roughness(t: Array, q: Array) -> float:
-    """How far every second sample is from a smooth curve through the others, fastest joints first."""
+def roughness(t: Array, q: Array) -> float:
+    """How far every second sample is from a smooth curve through the others, fastest joints first.
+
+    Args:
+        t: times of the samples ``(N,)`` [s], increasing.
+        q: positions ``(N, n)``.
+    """
     moved = np.median(np.abs(interpolate.CubicSpline(t[::2], q[::2], axis=0)(t[1::2]) - q[1::2])[2:-2], axis=0)
     return float(np.sqrt(np.mean(moved**2)))
 
