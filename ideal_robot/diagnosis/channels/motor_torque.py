@@ -69,7 +69,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     duration = len(recording.t) / rate
     cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
     band = min(BAND * cutoff / CUTOFF, 0.5 * ROWS / (n * duration), 0.5 * rate)
-    recorded = without_spikes(preprocess(recording, cutoff=cutoff, cutoff_decimation=band))
+    recorded = preprocess(without_spikes(recording), cutoff=cutoff, cutoff_decimation=band)
     filtered = _differentiated(recorded if _measures_more(recording) else _thinned(recorded))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
@@ -214,16 +214,22 @@ def _thinned(filtered: FilteredSignals) -> FilteredSignals:
     return replace(thinned(filtered, stride), columns=columns)
 
 
-def without_spikes(filtered: FilteredSignals) -> FilteredSignals:
-    """With single samples of the torque that stand out of their neighbours put back among them."""
-    tau = filtered.tau
-    if not np.all(np.isfinite(tau)):
-        return filtered
-    middle = ndimage.median_filter(tau, size=(5, 1), mode="nearest")
-    off = tau - middle
-    scale = 1.4826 * np.median(np.abs(off - np.median(off, axis=0)), axis=0)
-    stands_out = np.abs(off) > np.maximum(6.0 * scale, 0.05 * np.std(tau, axis=0))
-    return replace(filtered, tau=np.where(stands_out, middle, tau))
+def without_spikes(recording: Recording) -> Recording:
+    """With single samples of the torque that stand out of their neighbours put back among them.
+
+    As they were recorded: brought to an even grid, a sample before a hole becomes as many as the hole is long.
+    """
+    columns = dict(recording.columns)
+    for name in (f"tau_{j + 1}" for j in range(recording.n) if f"tau_{j + 1}" in columns):
+        tau = columns[name]
+        if not np.all(np.isfinite(tau)):
+            continue
+        middle = ndimage.median_filter(tau, size=5, mode="nearest")
+        off = tau - middle
+        scale = 1.4826 * np.median(np.abs(off - np.median(off)))
+        stands_out = np.abs(off) > max(6.0 * scale, 0.05 * np.std(tau))
+        columns[name] = np.where(stands_out, middle, tau)
+    return replace(recording, columns=columns)
 
 
 def in_own_units(made: Regression) -> Regression:
