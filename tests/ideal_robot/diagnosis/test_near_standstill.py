@@ -54,3 +54,18 @@ def test_an_axis_that_creeps_has_no_friction_over_speed_of_its_own(tmp_path) -> 
     assert not used[speed < 3.0 * width[0]].any()
     found = diagnose(recording, one)
     assert not {e.fitted.name for e in found.effects} & {"stribeck", "degressive", "thermal_drift"}
+
+
+def test_a_spike_before_a_hole_is_one_sample(tmp_path) -> None:
+    """Brought to an even grid first, it was a triangle as long as the hole, which no median takes out."""
+    one, rng = arm(tmp_path), np.random.default_rng(3)
+    t = np.arange(0.0, 20.0, 0.001)
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    tau = -14.7 * np.cos(q) + 0.03 * rng.normal(size=q.shape)
+    spiked = tau.copy()
+    spiked[8000] += 60.0
+    keep = np.ones(len(t), dtype=bool)
+    keep[8001:8008] = False
+    made = [torque_regression(Recording.from_arrays(t[keep], q=q[keep], tau=values[keep]), one, Model.nominal(one))
+            for values in (tau, spiked)]
+    assert np.abs(made[1].measured - made[0].measured).max() < 0.02

@@ -89,3 +89,13 @@ def test_teeth_carry_what_is_behind_the_gear():
     np.testing.assert_allclose(driven[~drives], 0.0, atol=1e-12)
     # Models written before the effect knew of inertia before the gear.
     np.testing.assert_allclose(effect.columns(signals, 2, ()), effect.columns(signals, 2, (0.0,)))
+
+
+@pytest.mark.parametrize(("name", "prefix", "early"), [("torque_filter", "tau", -1.0), ("dead_time", "tau", -1.0),
+                                                       ("dead_time", "q", 1.0)])
+def test_torques_that_are_held_over_a_cycle_are_not_early(name, prefix, early):
+    """Half a cycle of a loop of a kilohertz is in every drive: a torque acts from its stamp on until the next."""
+    _, regression = made()
+    effect = find(name, prefix)
+    for delay, right in ((early * 2e-4, False), (early * 2e-3, True), (-early * 2e-4, True)):
+        assert effect.plausible(np.array([delay]), (), regression.signals, 1) == right

@@ -7,6 +7,7 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.sampling_jitter import sampling_instants
+from ideal_robot.signals.stamps import regular_stamps
 
 
 def _motion(t: np.ndarray, n: int) -> np.ndarray:
@@ -63,3 +64,22 @@ def test_joints_that_move_in_step_are_no_clock() -> None:
     stroke -= np.polyval(np.polyfit(t, stroke, 1), t)
     q = stroke[:, None] * np.array([0.8, -0.5, 1.0, 0.3, -0.7])
     assert sampling_instants(t, np.round(q / 1e-4) * 1e-4)[1] == 0.0
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.03])
+def test_irregular_samples_with_jittering_stamps_are_not_put_on_a_clock(lost: float) -> None:
+    """A clock made of such stamps is less rough than they are, and was taken for the one that had sampled."""
+    rng = np.random.default_rng(4)
+    robot = Robot.load("kr6")
+    # Some steps are a fifth longer, as a logger has them that waits for its controller.
+    at = np.cumsum(rng.choice([0.0100, 0.0120], size=4000, p=[0.7, 0.3]))
+    stamps = np.sort(at + np.clip(rng.normal(scale=1e-3, size=len(at)), -1.9e-3, 1.9e-3))
+    q = np.round(_motion(at, robot.n) / 1e-4) * 1e-4
+    keep = rng.random(len(at)) >= lost
+    columns = {"t": stamps, **{f"q_{j + 1}": q[:, j] for j in range(robot.n)},
+               **{f"tau_{j + 1}": np.sin(at + j) for j in range(robot.n)}}
+    (made,), _ = checked([Recording({name: v[keep] for name, v in columns.items()}, {}, "jittery")], robot)
+    error = (made.t - at[keep])[50:-50]
+    assert np.std(error) < 0.5 * np.std((stamps - at)[keep])
+    q_now, _ = regular_stamps(made.t, made.joints("q"))
+    np.testing.assert_array_equal(q_now, made.t)

@@ -52,6 +52,14 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
 
 
 @pytest.mark.slow
+def test_one_filter_of_all_torques_comes_before_delays_of_three_joints() -> None:
+    trial, found, result = diagnosed(731095)
+    assert "dead_time" not in {name for name, _ in result.named}
+    lag = next(e.fitted.parameters[0] for e in found.effects if e.fitted.name == "torque_filter")
+    assert abs(lag.value - trial.late) < 2.0 * lag.std
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [
     pytest.param(50017, id="a hose beyond an angle is a curve over that angle and no balancing spring beside it"),
     pytest.param(50006, id="vibrations of an elastic arm are no delay of one joint"),
@@ -70,6 +78,9 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
     pytest.param(736001, id="a lag that differs from none by less than two deviations is none"),
     pytest.param(730175, id="a rotor behind a soft gear is no body of ten numbers on its link"),
     pytest.param(730174, id="a coupling all of whose numbers are within two deviations of none is none"),
+    pytest.param(731064, id="the tail of bristles whose friction may as well be none is no presliding"),
+    pytest.param(731021, id="a delay of one joint beside a filter of all is none within three deviations"),
+    pytest.param(731075, id="torques that are held over a cycle are not early"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:

@@ -143,3 +143,14 @@ def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: st
     twist = (run.q - run.qa)[1000:, 1]
     assert np.percentile(np.abs(twist), 80) > 1.7e-3
     assert np.abs((run.q - run.qa)[:, 0]).max() == 0.0
+
+
+def test_a_spring_is_held_before_anything_is_recorded() -> None:
+    """Our arm begins with its weights held; a spring of many times that once threw it off by a radian."""
+    arm = an_arm()
+    spring = BalanceSpring(0, 2e4 * float(arm.need[0]), 0.0, 0.5, 0.2, 0.4)
+    plant, motion = dataclasses.replace(a_plant(arm, kind=BRISTLE), spring=spring), a_motion(arm)
+    run = ENGINES["pybullet"](plant, motion)
+    assert run.t[0] == 0.0
+    first = run.t < 0.2
+    assert np.abs(run.q - run.q_d)[first].max() < 2.0 * np.abs(run.q - run.q_d)[~first].max() + 1e-3
