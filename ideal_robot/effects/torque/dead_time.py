@@ -25,8 +25,8 @@ def delayed(values: Array, delay: float, dt: float) -> Array:
 
 
 HOLD = 5e-4
-"""What a torque is early by in every drive, at most [s]: it is held over a cycle of the loop, a millisecond or less, and
-acts half a cycle after its stamp in the mean."""
+"""What a torque is early by in every drive, at most [s]: it is held over a cycle of the loop, a millisecond or less,
+and acts half a cycle after its stamp in the mean."""
 
 
 class DeadTime(Effect):
