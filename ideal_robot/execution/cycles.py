@@ -47,7 +47,8 @@ def path_at_cycles(t: Array, q_d: Array, robot: Robot, *, rest: float, file: str
             raise InputError("holds values that are not finite", file=file, field=f"{column}_{i + 1}")
     checked_time(t, file or "path")
     require_joint_units(q_d, robot, file=file, column=column)
-    grid = np.arange(t[0], t[-1] + 1e-9, robot.t_ipo)
+    # The last cycle is the one in which the path's end is reached, wherever in it that lies.
+    grid = np.minimum(np.arange(t[0], t[-1] + robot.t_ipo - 1e-9, robot.t_ipo), t[-1])
     if len(grid) == len(t) and np.allclose(grid, t, atol=1e-6):
         samples = q_d
     else:

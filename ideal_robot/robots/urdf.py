@@ -20,6 +20,8 @@ MAX_JOINTS = 40
 """Most moving joints: identification's matrices grow with their square."""
 MAX_ELEMENTS = 20_000
 """Most XML elements."""
+SLOWEST = 1e-4
+"""Least speed limit of a joint [rad/s or m/s]."""
 _NUMBERS = ("xyz", "rpy", "mass", "lower", "upper", "effort", "velocity", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _LARGEST = 1e9
 """Largest magnitude of a number, except of limits, which may be infinite."""
@@ -34,7 +36,8 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
 
     Raises:
         InputError: broken XML, entities, numbers that are none, loops, no or too many moving joints, joints of other
-            kinds than revolute with limits and prismatic.
+            kinds than revolute with limits and prismatic, joints that follow others, xacro commands, bodies and speed
+            limits that no arm has.
     """
     _check(text, file)
     model = _built(text, file)
@@ -53,6 +56,12 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
                                   inertia.lever, [inertia.mass]])
         if not np.all(np.isfinite(numbers)):
             raise InputError("place or inertia is not finite", file=file, field=model.names[j])
+        if not inertia.mass >= 0.0 or (np.diag(inertia.inertia) < -1e-12).any():
+            raise InputError("a body of negative mass or moment of inertia", file=file, field=model.names[j],
+                             value=[inertia.mass, *np.diag(inertia.inertia).tolist()])
+        if not (model.velocityLimit[j - 1] <= 0.0 or model.velocityLimit[j - 1] >= SLOWEST):
+            raise InputError(f"a speed limit below {SLOWEST:g} rad/s or m/s; 0 stands for none", file=file,
+                             field=model.names[j], value=float(model.velocityLimit[j - 1]))
         if not model.lowerPositionLimit[j - 1] <= model.upperPositionLimit[j - 1]:
             raise InputError("the lower limit lies above the upper one", file=file, field=model.names[j])
     return model
@@ -90,12 +99,23 @@ def _check(text: str, file: str | Path | None) -> None:
                     raise InputError("more elements or deeper nested than any arm needs", file=file)
                 if count == 1 and element.tag != "robot":
                     raise InputError("not a URDF: the root element is not <robot>", file=file, value=element.tag[:40])
+                _check_element(element, file)
                 _check_numbers(element, file)
         reader.close()
     except (ET.ParseError, ValueError) as error:
         raise InputError(f"not a readable URDF ({error})", file=file) from error
     if count == 0:
         raise InputError("not a URDF: it is empty", file=file)
+
+
+def _check_element(element: ET.Element, file: str | Path | None) -> None:
+    """What Pinocchio passes over without a word, or makes an arm of that is another one."""
+    if element.tag.startswith(("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")):
+        raise InputError("holds xacro commands, which are not carried out; write the URDF by `xacro FILE`", file=file,
+                         field=element.tag.rpartition("}")[2][:40])
+    if element.tag == "mimic":
+        raise InputError("a joint that follows another one (mimic) is not supported; make it fixed, or leave mimic "
+                         "away where it is driven on its own", file=file, value=str(element.get("joint"))[:40])
 
 
 def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
@@ -110,6 +130,8 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
             raise InputError("expected numbers", file=file, field=f"{element.tag}.{key}",
                              value=written[:40]) from error
         limit = math.inf if element.tag == "limit" else _LARGEST
+        if element.tag == "axis" and not 1e-3 <= math.hypot(*numbers) <= 1e3:
+            raise InputError("an axis needs a direction, e.g. 0 0 1", file=file, field="axis.xyz", value=written[:40])
         if any(math.isnan(number) or abs(number) > limit for number in numbers):
             raise InputError("a number that no arm has", file=file, field=f"{element.tag}.{key}", value=written[:40])
 

@@ -23,6 +23,8 @@ JOINT_STATE, POSE, WRENCH = ("sensor_msgs/msg/JointState", "geometry_msgs/msg/Po
                              "geometry_msgs/msg/WrenchStamped")
 _POSE_COLUMNS = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _WRENCH_COLUMNS = ("fx", "fy", "fz", "mx", "my", "mz")
+_LAST = 2.0**31
+"""Seconds that a stamp of ROS 2 can hold."""
 _ANGLES = {"/joint_commands": "q_c", "/joint_desired": "q_d", "/arm_states": "qa"}
 
 
@@ -75,6 +77,9 @@ def _write(recording: Recording, folder: Path, *, mcap: bool) -> Path:
 
     if recording.n == 0:
         raise InputError("the recording has no joints q_1, q_2, …", file=recording.source, field="q_1")
+    if not (recording.t[0] >= 0.0 and np.all(np.diff(recording.t) >= 0.0) and recording.t[-1] < _LAST):
+        raise InputError("ROS 2 takes times that rise, from 0 to 2^31 s; give t in seconds", file=recording.source,
+                         field="t", value=[float(recording.t[0]), float(recording.t[-1])])
     store = get_typestore(Stores.ROS2_HUMBLE)
     stamps = np.round(recording.t * 1e9).astype(np.int64)
     plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3

@@ -129,6 +129,7 @@ class SimulatedArm:
         Raises:
             InputError: wrong size or not finite.
             LimitError: outside the joint limits, or more than twice the velocity limit away from the last command.
+            SimError: the world's numbers make the arm unstable.
         """
         q_c = checked_command(self.robot, q_c, self._pending, self.t_ipo)
         x = self._x
@@ -137,7 +138,10 @@ class SimulatedArm:
         self._pending = q_c.copy()
         noise = self._rng.standard_normal((self._steps_per_cycle + 1, self.robot.n))
         self._history.reserve(self._steps_per_cycle + 1)
-        self._run(noise)
+        try:
+            self._run(noise)
+        except (ZeroDivisionError, OverflowError) as error:  # numbers without end, before the posture shows it
+            raise self._unstable() from error
         return self._state(noise[-1])
 
     def _run(self, noise: Array) -> None:
@@ -180,9 +184,12 @@ class SimulatedArm:
             increment = self._p[kernel.C_INCREMENT]
             q = np.floor(q / increment + 0.5) * increment
         if not (np.abs(q) < 1.0e3).all():
-            raise SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
-                           "make it unstable (check stiffness, damping and controller gains)")
+            raise self._unstable()
         return RobotState(self.t, q, self._x[kernel.X_CURRENT] + self._p[kernel.P_NOISE] * noise)
+
+    def _unstable(self) -> SimError:
+        return SimError(f"the simulated arm has left its posture space at t = {self.t:.3f} s; the world's numbers "
+                        "make it unstable (check stiffness, damping, controller gains and payload)")
 
     @property
     def t(self) -> float:

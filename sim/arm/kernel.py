@@ -62,6 +62,8 @@ def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> floa
     """
     if v == 0.0:
         return z
+    if g <= 0.0:
+        return 0.0  # without dry friction nothing holds the bristles
     settled = g / sigma0 if v > 0.0 else -g / sigma0
     return settled + (z - settled) * math.exp(-abs(v) * sigma0 * dt / g)
 

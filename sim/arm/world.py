@@ -153,7 +153,7 @@ class World:
             object.__setattr__(self, field.name, checked_value(field.name, str(field.type), getattr(self, field.name)))
         for name in ("t_ipo", "t_position", "t_velocity", "log_cycle"):
             ratio = getattr(self, name) / STEP
-            if abs(ratio - round(ratio)) > 1e-6:
+            if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-6:
                 raise InputError(f"must be a multiple of {STEP} s", field=f"world.{name}", value=getattr(self, name))
         for long, short in (("t_ipo", "t_position"), ("t_position", "t_velocity")):
             ratio = getattr(self, long) / getattr(self, short)

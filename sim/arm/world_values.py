@@ -12,6 +12,9 @@ _POSITIVE = {"stiffness", "stribeck_velocity", "presliding", "degressive_velocit
              "encoder_increments", "t_ipo", "t_position", "t_velocity", "log_cycle", "velocity_gain", "integral_time",
              "position_gain", "lubrication_time", "ripple_order", "transmission_order"}
 _SIGNED = {"start_temperature", "ambient_temperature", "reference_temperature", "payload_com", "friction_asymmetry"}
+_CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle"}
+_LONGEST = 1.0
+"""Longest cycle [s]."""
 _FRACTION = {"inertia_tolerance": 0.9, "drive_gain_error": 0.9, "friction_asymmetry": 0.9}
 
 
@@ -51,6 +54,8 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
         raise InputError("must not be negative", field=field, value=array.tolist())
     if name in _FRACTION and (np.abs(array) > _FRACTION[name]).any():
         raise InputError(f"is a fraction, at most {_FRACTION[name]}", field=field, value=array.tolist())
+    if name in _CYCLES and (array > _LONGEST).any():
+        raise InputError(f"must be at most {_LONGEST:g} s", field=field, value=array.tolist())
     if array.ndim == 0 and name != "payload_com":
         return float(array)
     if array.ndim != 1 or kind == "float" or (name == "payload_com" and array.shape != (3,)):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz import mutate_table, mutate_text, originals
+from tests.fuzz import mutate_table, mutate_text, originals, set_key
 
 
 @dataclass(frozen=True)
@@ -135,6 +135,12 @@ def _scene(rng: np.random.Generator, folder: Path) -> Case:
                 {"s.toml": mutate_text.mutated(originals.SCENES[kind], rng)})
 
 
+def _key(rng: np.random.Generator, folder: Path) -> Case:
+    kind = ("line", "path")[rng.integers(2)]
+    return Case(f"run {kind} scene, a key", ["run", "s.toml", "--out", "o", "--json", "j.json"],
+                {"s.toml": set_key.with_key(originals.SCENES[kind], kind, rng)})
+
+
 def _view(rng: np.random.Generator, folder: Path) -> Case:
     from scenes.scene_file import library
 
@@ -176,7 +182,7 @@ MAKERS: dict[str, tuple[Maker, float]] = {
     "precorrect": (_precorrect, 2.0), "precorrect_model": (_precorrect_model, 3.0),
     "rsi": (_rsi, 1.0), "rsi_arm": (_rsi_arm, 1.0), "plan": (_plan, 1.0), "questions": (_questions, 1.0),
     "scene": (_scene, 4.0), "scenes": (_view, 1.0), "words": (_words, 2.0), "diagnose": (_diagnose, 1.0),
-    "diagnose_model": (_diagnose_model, 1.0),
+    "diagnose_model": (_diagnose_model, 1.0), "key": (_key, 2.0),
 }
 """Kinds of cases: what makes one, and how often it is drawn in comparison."""
 

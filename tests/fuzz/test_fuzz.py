@@ -19,7 +19,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.scene_file import library, load_scene
 from scenes.svg_file import first_path
-from tests.fuzz import mutate_table, mutate_text, originals
+from tests.fuzz import mutate_table, mutate_text, originals, set_key
 from tests.fuzz.cases import drawn
 from tests.fuzz.play import play, warm_up
 
@@ -81,6 +81,15 @@ def test_a_broken_scene_is_read_or_refused(seed: int, tmp_path: Path) -> None:
     files = sorted(library().glob("*.toml"))
     path = tmp_path / "s.toml"
     path.write_bytes(mutate_text.mutated(files[rng.integers(len(files))].read_bytes(), rng))
+    unless_refused(lambda: load_scene(path))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_scene_with_an_extreme_key_is_read_or_refused(seed: int, tmp_path: Path) -> None:
+    rng = np.random.default_rng(seed)
+    kind = ("line", "path")[seed % 2]
+    path = tmp_path / "s.toml"
+    path.write_bytes(set_key.with_key(originals.SCENES[kind], kind, rng))
     unless_refused(lambda: load_scene(path))
 
 

@@ -122,3 +122,10 @@ def test_joints_named_by_a_bag_are_put_in_the_robots_order(good: Recording) -> N
                                for i, j in enumerate(order)}}
     usable, _ = checked([Recording(columns, {"joints": [names[j] for j in order]})], robot())
     np.testing.assert_array_equal(usable[0].joints("q"), good.joints("q"))
+
+
+def test_an_arm_at_rest_tells_nothing(good: Recording) -> None:
+    still = changed(good, **{f"q_{i}": np.zeros(len(good.t)) for i in range(1, good.n + 1)})
+    with pytest.raises(InputError, match="no joint moves"):
+        checked([still], robot())
+    assert len(checked([still, good], robot())[0]) == 2

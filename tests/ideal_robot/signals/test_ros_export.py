@@ -42,3 +42,10 @@ def test_names_that_cannot_be_are_refused(tmp_path: Path) -> None:
         write_rosbag2(RECORDING, tmp_path / "there")
     with pytest.raises(InputError, match="no joints"):
         write_mcap(Recording.from_arrays(T, x=T), tmp_path / "run.mcap")
+
+
+@pytest.mark.parametrize("t", [-T[::-1], T[::-1], 1e300 * T, 1.7e18 + 1e7 * T])
+def test_times_that_no_stamp_holds_are_refused(t: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="give t in seconds"):
+        write_mcap(Recording.from_arrays(t, q=np.zeros((50, 2))), tmp_path / "run.mcap")
+    assert not list(tmp_path.iterdir())

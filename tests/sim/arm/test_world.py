@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import TABLE_KEYS, World
@@ -60,7 +60,7 @@ def test_an_unknown_key_is_named_with_the_allowed_ones() -> None:
 @pytest.mark.parametrize(("key", "value"), [
     ("friction", 1), ("individual", 1.5), ("individual", -1), ("stiffness", -1.0), ("stiffness", "soft"),
     ("stiffness", [1e5, [2]]), ("low_pass", [0.1]), ("low_pass", float("nan")), ("damping", float("inf")),
-    ("inertia_tolerance", 1.5), ("t_ipo", 0.0123), ("t_ipo", 0.013), ("log_cycle", 0.0), ("payload_com", [0, 1]),
+    ("inertia_tolerance", 1.5), ("t_ipo", 0.0123), ("t_ipo", 0.013), ("log_cycle", 0.0), ("log_cycle", 1e-320), ("t_ipo", 360.0), ("payload_com", [0, 1]),
     ("time_compression", -1), ("payload_mass", True), ("ideal", "yes"),
 ])
 def test_wrong_values_are_refused_by_name(key: str, value: Any) -> None:
@@ -112,3 +112,20 @@ def test_any_arm_gets_a_world_that_it_can_move_in(tmp_path: Path, effort: int, s
 def test_replace_names_what_does_not_exist() -> None:
     with pytest.raises(InputError, match="no such effect"):
         World.default("kr6").replace(hysteresis=1.0)
+
+
+def _cycles(count: int, **changes: Any) -> None:
+    robot = Robot.load("kr6")
+    with SimulatedArm(robot, World.default("kr6").replace(**changes), np.random.default_rng(0)) as arm:
+        for k in range(count):
+            arm.cycle(robot.home + 0.3 * np.sin(0.012 * k) ** 2)
+
+
+def test_gears_without_dry_friction_are_a_world_too() -> None:
+    _cycles(100, coulomb=0.0, stribeck=0.0)
+
+
+@pytest.mark.parametrize("change", [{"damping": 360.0}, {"payload_mass": 1e6}])
+def test_a_world_without_a_stable_motion_ends_in_one_line(change: dict[str, float]) -> None:
+    with pytest.raises(IdealRobotError, match=r"unstable|too much for the step|cannot be integrated"):
+        _cycles(400, **change)
