@@ -26,18 +26,21 @@ def checked(recordings: Sequence[Recording], robot: Robot) -> tuple[list[Recordi
     """Recordings ready for identification, with ``tau_i``, and named warnings.
 
     Raises:
-        InputError: columns missing, other joint count, time that does not increase, too short, no torque, degrees,
-            or no joint moves in any of them.
+        InputError: columns missing, other joint count, time that does not increase, too short, no torque, degrees.
     """
     result, warnings = [], []
     for recording in recordings:
         recording, found = _checked(recording, robot)
         result.append(recording)
         warnings += [f"{text} [{recording.source}]" for text in found]
-    if result and all((np.ptp(recording.joints("q"), axis=0) < _STILL).all() for recording in result):
-        raise InputError(f"no joint moves (none by {_STILL:g} rad or m); record a motion, e.g. that of "
-                         "plan-identification", file=result[0].source, field="q_i")
     return result, warnings
+
+
+def require_motion(recordings: Sequence[Recording]) -> None:
+    """Raises InputError where no joint moves in any of the recordings."""
+    if recordings and all((np.ptp(one.joints("q"), axis=0) < _STILL).all() for one in recordings):
+        raise InputError(f"no joint moves (none by {_STILL:g} rad or m); record a motion, e.g. that of "
+                         "plan-identification", file=recordings[0].source, field="q_i")
 
 
 def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:

@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import base_parameters
 from ideal_robot.dynamics.consistency import Consistency
 from ideal_robot.errors import InputError
-from ideal_robot.identification.checks import checked
+from ideal_robot.identification.checks import checked, require_motion
 from ideal_robot.identification.excitation_warnings import excitation_warnings
 from ideal_robot.identification.filters import chosen_filters
 from ideal_robot.identification.joint_fit import JointProblem
@@ -87,6 +87,7 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     if not recordings:
         raise InputError("no recording given", field="recordings")
     usable, warnings = checked(recordings, robot)
+    require_motion(usable)
     unseen, more = checked(validation, robot) if validation else ([], [])
     warnings += [f"{text} (validation)" for text in more]
     amperes = any(text.startswith("unknown-drive-gain") for text in warnings)
