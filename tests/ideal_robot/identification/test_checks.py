@@ -125,7 +125,7 @@ def test_joints_named_by_a_bag_are_put_in_the_robots_order(good: Recording) -> N
 
 
 def test_an_arm_at_rest_tells_nothing(good: Recording) -> None:
-    still = changed(good, **{f"q_{i}": np.zeros(len(good.t)) for i in range(1, good.n + 1)})
+    still = changed(good, **{f"q_{i}": 1e-6 * good.columns[f"q_{i}"] for i in range(1, good.n + 1)})
     with pytest.raises(InputError, match="no joint moves"):
         identify([still], robot())
     require_motion([still, good])
