@@ -30,7 +30,8 @@ not claimed. Several coefficients, or one and its theta, may each be loose and a
 where none of several differs by one and the error hardly falls, for they cancel, nor where theta may be twice itself or
 nothing as well."""
 _MOST = 0.5
-"""Share of the held-out squares from which on coefficients that are loose each are certain together."""
+"""Share of the held-out squares from which on coefficients that are loose each are certain together, and those of a
+body tell it without its mass."""
 _KEPT = 0.5
 """Of the share that was asked of an effect where it was found, what is asked of it on held-out data: against a given
 model, where what needs other parameters than the model's own to show is a change of these, and in a torque of the same
@@ -124,7 +125,9 @@ class DomainDiagnosis:
                 bent = np.maximum(wide[k] ** 2 - self.final.std[k] ** 2, 0.0)
                 large = np.abs(own) > _CLEAR * np.sqrt(wide[k] ** 2 + bent)
                 needed = list(candidate.effect.without_which_none)
-                clear = bool(np.any(large[needed] if np.any(own[needed]) else large))
+                clear = (bool(np.any(large[needed] if np.any(own[needed]) else large))
+                         or bool(np.any(large[list(candidate.effect.enough_of_most)]))
+                         and self._shares(self._ladder()[1])[k] > _MOST)
             elif len(own) == 1:
                 # A theta that is known no better than to its own size makes nothing certain; one that only serves the
                 # computation is no number at all. Where another recording decides, that is the evidence.

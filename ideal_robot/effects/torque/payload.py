@@ -25,6 +25,8 @@ class Payload(Effect):
     depends_on_joint = False
     # Moments without mass are no body but how gears, rotors or filters bend what a motion shows.
     without_which_none = (0,)
+    # Its weight at a lever turns the wrist with gravity, which none of these do; its mass the strong joints show alone.
+    enough_of_most = (1, 2, 3)
     # On the axis of the flange a body turns like the link before; tools are changed, links are not.
     sooner_than = ("link_load",)
     source = "[G] (5)"
