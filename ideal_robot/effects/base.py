@@ -82,8 +82,8 @@ class Effect(ABC):
             effect can only be seen against a model identified before.
         like_the_model: columns, from 0, of the form of the model's own parameters, so that these may cancel them.
         without_which_none: columns, from 0, of which one at least has to differ from none, where any of them shows.
-        enough_of_most: further columns, from 0, of which one that differs from none is enough where the effect takes away
-            more than half of the held-out squares.
+        enough_of_most: further columns, from 0, of which one that differs from none is enough where the effect takes
+            away more than half of the held-out squares.
         sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
         theta_is_physical: False where theta only serves the computation and has no uncertainty of its own.
         scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.

@@ -69,6 +69,24 @@ def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: f
     return bool(float(difference.sum()) < 2.0 * error)
 
 
+def adds_little(model: PresentModel, best: Scored, other: Scored, share: float, asked: float) -> bool:
+    """Whether of what another candidate leaves the best one takes away less than any effect is asked for.
+
+    Where nearly everything is explained, causes differ by little that hardly scatters: what the model class leaves
+    decides then, and a form with more parameters fits more of that.
+
+    Args:
+        model: the present model.
+        best: scored against it.
+        other: likewise.
+        share: of the best one's reduction that the other has to reach.
+        asked: share of a channel's squares that an effect has to take away.
+    """
+    if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
+        return False
+    return best.share - other.share < asked * (1.0 - other.share)
+
+
 def likelier(model: PresentModel, best: Scored, others: list[Scored]) -> Scored:
     """The best one, or one of the others that is taken sooner and reduces nearly as much.
 

@@ -13,7 +13,14 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options, Scored
-from ideal_robot.diagnosis.search.comparison import discoveries, indistinguishable, likelier, overlap, rivals_of
+from ideal_robot.diagnosis.search.comparison import (
+    adds_little,
+    discoveries,
+    indistinguishable,
+    likelier,
+    overlap,
+    rivals_of,
+)
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.pool import candidates
 from ideal_robot.diagnosis.search.present_model import PresentModel
@@ -125,7 +132,9 @@ class Search:
         # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
             if other.candidate.parameter_count < best.candidate.parameter_count \
-                    and indistinguishable(self.model, refined[0], other, 0.95):
+                    and (indistinguishable(self.model, refined[0], other, 0.95)
+                         or adds_little(self.model, refined[0], other, 0.95,
+                                        self.scoring.smallest_share(refined[0].candidate))):
                 best = other
         best = likelier(self.model, best, refined)
         return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share,

@@ -52,23 +52,10 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
         start: choices of an earlier search to begin with.
         refuted: names and joints of effects that are not tried.
     """
-    def held_without(gone: Only) -> tuple[Search, list[Choice]]:
-        search = Search(problem.with_prior(prior).held(), effects, options, rng, absorbed=True, only=only,
-                        refuted=(*refuted, *gone), progress=progress)
-        first = search.run([c for c in start if (c.candidate.effect.name, c.candidate.joint) not in gone])
-        search.settle(prior)
-        return search, first
-
-    held, first = held_without(())
-    # What the parameters take over may stand in the place of a change of them, which is then said as that.
-    gone = tuple((c.candidate.effect.name, c.candidate.joint) for c in first
-                 if not c.candidate.effect.learned and c.candidate not in [s.candidate for s in held.model.choices])
-    if gone:
-        other, others = held_without(gone)
-        joints = {joint for _, joint in gone}
-        if any(c.candidate.effect.absorbed_by_base and c.candidate.joint in joints for c in other.model.choices):
-            held, first = other, others
-    every = tuple(choice.candidate for choice in first)
+    held = Search(problem.with_prior(prior).held(), effects, options, rng, absorbed=True, only=only,
+                  refuted=refuted, progress=progress)
+    every = tuple(choice.candidate for choice in held.run(start))
+    held.settle(prior)
     settled = tuple(choice.candidate for choice in held.model.choices)
     free = Search(problem, effects, options, rng, absorbed=False, only=only, refuted=refuted,
                   progress=progress)
