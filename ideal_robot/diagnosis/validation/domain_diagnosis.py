@@ -127,7 +127,7 @@ class DomainDiagnosis:
                 needed = list(candidate.effect.without_which_none)
                 clear = (bool(np.any(large[needed] if np.any(own[needed]) else large))
                          or (bool(np.any(large[list(candidate.effect.enough_of_most)]))
-                         and self._shares(self._ladder()[1])[k] > _MOST))
+                             and self._shares(self._ladder()[1])[k] > _MOST))
             elif len(own) == 1:
                 # A theta that is known no better than to its own size makes nothing certain; one that only serves the
                 # computation is no number at all. Where another recording decides, that is the evidence.

@@ -77,7 +77,7 @@ def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
     """Its mass hides in what the strong joints leave; a rotor or a filter of the wrist has no weight."""
     robot = Robot.load("kr15")
     flange = np.asarray(robot.pinocchio.frames[robot.tool_id].placement.translation)
-    problem, _ = carrying("kr15", robot.n, 0.1, flange + [0.02, -0.04, 0.05], left=0.05)
+    problem, _ = carrying("kr15", robot.n, 0.1, flange + np.array([0.02, -0.04, 0.05]), left=0.05)
     payload = Candidate(find("payload", "tau"), 0)
     final = problem.on_all_blocks().fit([payload], uncertainty=True)
     domain = DomainDiagnosis(problem, [Choice(payload, 1e-9, asked=0.1)], final, None, True, "")

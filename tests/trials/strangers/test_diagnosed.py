@@ -81,6 +81,10 @@ def test_one_filter_of_all_torques_comes_before_delays_of_three_joints() -> None
     pytest.param(731064, id="the tail of bristles whose friction may as well be none is no presliding"),
     pytest.param(731021, id="a delay of one joint beside a filter of all is none within three deviations"),
     pytest.param(731075, id="torques that are held over a cycle are not early"),
+    pytest.param(731074, id="friction that is there only where the motor drives is one name and no curve beside it"),
+    pytest.param(731103, id="friction of the load that a wrist drives is no cable in the joint before"),
+    pytest.param(731099, id="a body of 0.16 kg that only the wrist feels is a payload"),
+    pytest.param(731065, id="dry friction that has grown is no degressive friction that the parameters take over"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
