@@ -86,12 +86,14 @@ class OpenCVProfiles:
         normal = np.asarray(prediction.normal)
         for i in np.flatnonzero(np.isfinite(pixels[:, 0])).tolist():
             points[i] = camera.on_plane(pixels[i : i + 1], normal, float(normal @ prediction.points[i]))[0]
-        count = int(used.sum())
-        reason = "" if count >= settings.min_points else (
+        # Three points agree with some straight line easily by chance: what does not fit to it counts against it.
+        count, against = int(used.sum()), int(np.sum(np.isfinite(deviation) & ~used))
+        seen = count - against >= settings.min_points
+        reason = "" if seen else (
             "no line of the expected width and contrast in any window" if not np.isfinite(deviation).any()
-            else f"only {count} of {m} points agree, {settings.min_points} are needed")
-        return LineField(field.t_stamp, points, pixels, deviation, sigma, quality, used,
-                         count >= settings.min_points, reason)
+            else f"only {count} of {m} points agree, {settings.min_points + against} are needed"
+                 + (f" with {against} against them" if against else ""))
+        return LineField(field.t_stamp, points, pixels, deviation, sigma, quality, used, seen, reason)
 
     def _sections(self, patch: Gray, i: int, field: Field, image: PredictedImage,
                   s: DetectionSettings) -> list[_Section]:

@@ -8,7 +8,9 @@ import pytest
 from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector
+from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
+from sensing.camera.opencv_detector import OpenCVProfiles
 from sensing.camera.picture_line import detect_in_picture
 from tests.sensing.camera.pictures import drawn_line
 from tests.sensing.camera.synthetic import NORMAL, make_field, stroke
@@ -51,6 +53,27 @@ def test_nothing_is_seen_where_nothing_is(detector: LineDetector) -> None:
     assert not found.seen
     assert found.reason
     assert not found.used.any()
+
+
+def test_three_points_that_agree_by_chance_are_refused_where_a_fourth_contradicts_them() -> None:
+    """Edges of shadow 2.4, 0.3 and 3.3 mm beside the line; a straight line through them passes within a tolerance."""
+    prediction = PredictedLine(np.column_stack([X, 0.0 * X, 0.0 * X]), np.tile([1.0, 0.0, 0.0], (5, 1)), NORMAL, 0.001)
+    beside = np.array([-0.0024, np.nan, 0.0003, 0.0, 0.0033])
+
+    def seen_of(places: np.ndarray) -> LineField:
+        def gray(xy: np.ndarray) -> np.ndarray:
+            place = places[np.abs(xy[:, :1] - X).argmin(axis=1)]
+            return np.where(np.abs(xy[:, 1] - place) < 0.0015, 40.0, 200.0)
+
+        field = make_field(CAMERA, search_windows(CAMERA, prediction), gray, np.random.default_rng(1), 2.0)
+        return OpenCVProfiles().detect(field, CAMERA, prediction, DetectionSettings())
+
+    contradicted = seen_of(beside)
+    assert np.isfinite(contradicted.lateral).sum() == 4
+    assert contradicted.used.sum() == 3
+    assert not contradicted.seen
+    assert "1 against" in contradicted.reason
+    assert seen_of(np.array([0.0, np.nan, 0.0003, np.nan, 0.0])).seen
 
 
 @pytest.mark.parametrize("detector", ALL, ids=lambda one: one.name)
