@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
+from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression, with_loose_weights
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
@@ -16,7 +16,7 @@ from ideal_robot.diagnosis.search.equivalents import with_equivalents
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.effects import SENSOR, TCP_POSITION, library
+from ideal_robot.effects import ARM_POSITION, SENSOR, TCP_POSITION, library
 from ideal_robot.effects.arm.backlash import ArmBacklash
 
 
@@ -28,6 +28,8 @@ def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]
         if made is None:
             continue
         made = without_known(made, found.start.effects)
+        if made.domain == ARM_POSITION:
+            made = with_loose_weights(made, [choice.candidate for choice in found.choices])
         other = None if validation is None or case.validate is None else \
             build(case.validate, case.robot, validation, case.stiffness)
         other = None if other is None else without_known(other, found.start.effects)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.noise import noise_in_band
 from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.effects import ARM_POSITION
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import resampled
@@ -64,3 +66,20 @@ def deflection(torque: Regression, stiffness: Array | None) -> Array:
     if stiffness is None:
         return np.zeros_like(torque.signals.q)
     return np.asarray(-torque.signals.load / stiffness)
+
+
+def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regression:
+    """The regression with what springs bend their gears by, where torques do not tell them from the arm's weight.
+
+    A term of the form of gravity goes to the spring or to the masses as it falls out, and whether a spring pulls on
+    the motor's or on the arm's side of its gear no torque says: what the gear carries is known but for its columns.
+
+    Args:
+        made: of the arm angles.
+        effects: of the motor torques.
+    """
+    loose = [made.decimate(one.effect.columns(made.signals, one.joint, one.theta)) for one in effects
+             if one.effect.like_the_model and one.effect.of_angle_alone and one.joint not in made.undecided]
+    if not loose:
+        return made
+    return dataclasses.replace(made, W=np.concatenate([made.W, *loose], axis=2))

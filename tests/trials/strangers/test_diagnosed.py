@@ -85,6 +85,7 @@ def test_one_filter_of_all_torques_comes_before_delays_of_three_joints() -> None
     pytest.param(731103, id="friction of the load that a wrist drives is no cable in the joint before"),
     pytest.param(731099, id="a body of 0.16 kg that only the wrist feels is a payload"),
     pytest.param(731065, id="dry friction that has grown is no degressive friction that the parameters take over"),
+    pytest.param(731135, id="what a balancing spring takes of the weight bends its gear and is no unknown curve there"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
