@@ -121,8 +121,10 @@ def calibration_poses(
     z = -np.asarray(normal, dtype=float)
     x = np.asarray(tangent, dtype=float)
     turn_0 = np.column_stack([x, np.cross(z, x), z])
+    # Lifted poses first, then low ones: the way is short. Turns that only rise are shorter still and cost accuracy, as
+    # the gears' friction then pulls all one way.
     for turn in np.radians([3.0, -39.0, -84.0, 84.0, 39.0]):
-        for along, aside, up in ((-move, 0.0, 0.0), (move, 0.0, lift), (0.0, move, 0.0), (0.0, -move, lift)):
+        for along, aside, up in ((0.0, -move, lift), (move, 0.0, lift), (-move, 0.0, 0.0), (0.0, move, 0.0)):
             R = turn_0 @ pin.rpy.rpyToMatrix(0.0, 0.0, float(turn))
             look = centre + along * turn_0[:, 0] + aside * turn_0[:, 1] - up * z
             poses.append(pin.SE3(R, look - ahead * R[:, 0]))
