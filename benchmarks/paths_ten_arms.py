@@ -26,7 +26,6 @@ from scenes.path.kind import run
 from scenes.prepared_model import prepared_model
 from sim.arm.world import World
 
-
 OFF: dict[str, dict[str, Any]] = {
     "nothing": {},
     "all friction": {"friction": False},
