@@ -34,7 +34,8 @@ def command(
     cycle: Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004; default: robot's.")] = None,
     delay: Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")] = False,
     rest: Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")] = 0.6,
-    wait: Annotated[float, typer.Option(help="How long to wait for the controller [s].", min=0.1)] = 60.0,
+    wait: Annotated[float, typer.Option(help="How long to wait for the controller [s].", min=0.1,
+                                        max=86_400.0)] = 60.0,
     bridge: Annotated[float, typer.Option(help="How long packets may be lost in a row [s].", min=0.0, max=1.0)] = 0.1,
     core: Annotated[int | None, typer.Option(help="Processor core to keep to.", min=0)] = None,
     self_test: Annotated[bool, typer.Option("--self-test", help="Tell which cycle this computer holds, and why.")
