@@ -24,6 +24,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, point_mass
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load
@@ -204,6 +205,7 @@ class AdaptedState:
 
     ideal: IdealState
     factors: FrictionFactors
+    curve: CurveState
     tau_ext: Array | None = None
 
 
@@ -222,16 +224,19 @@ class AdaptedIdeal(Feedforward):
                  known: FrictionFactors | None = None) -> None:
         self.ideal, self.known = ideal, known
         self.adaptation = FrictionAdaptation(ideal.loop) if adaptation is None else adaptation
+        self.curve = FrictionCurve(ideal.loop)
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
 
     def init(self, q0: Array, factors: FrictionFactors | None = None) -> AdaptedState:
         """At rest at ``q0``, with what is known from before, if anything."""
         factors = self.known if factors is None else factors
-        return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors)
+        return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors,
+                            self.curve.init())
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
-        return replace(state, factors=self.adaptation.update(state.factors, measured, state.tau_ext))
+        return replace(state, factors=self.adaptation.update(state.factors, measured, state.tau_ext),
+                       curve=self.curve.update(state.curve, measured.q))
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
         """See ``Feedforward.step``."""
@@ -240,9 +245,12 @@ class AdaptedIdeal(Feedforward):
         if inner.cycle == 0:
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
-        drives = self.ideal.drives._replace(**adapted(self.ideal.loop, factors.theta))
+        change = adapted(self.ideal.loop, factors.theta)
+        change["friction_torque"] = change["friction_torque"] + self.curve.torque(state.curve.x[:, 1:])
+        drives = self.ideal.drives._replace(**change)
         q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried)
-        return q_c, AdaptedState(inner, factors, None if tau_ext_d is None else np.array(tau_ext_d[0]))
+        return q_c, AdaptedState(inner, factors, self.curve.planned(state.curve, inner),
+                                 None if tau_ext_d is None else np.array(tau_ext_d[0]))
 
 
 def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:

@@ -57,6 +57,8 @@ class IdealState:
         q_c: commands of the cycles before ``(P, n)``, newest last.
         u, tau: velocity-loop error and motor torque planned so far ``(n,)``.
         preslide: friction over its dry size ``(n,)``: how far its bristles are bent.
+        q_m, v_m, turned: motor angles and velocities planned for the end of the cycle in which the last command acts,
+            and how far friction has turned since the last reversal then, -1 to 1, each ``(n,)`` [rad, rad/s, 1].
         sag: gear deflection under gravity at the start, not yet compensated ``(n,)`` [rad].
         cycle: cycles since the start.
     """
@@ -66,6 +68,9 @@ class IdealState:
     u: Array
     tau: Array
     preslide: Array
+    q_m: Array
+    v_m: Array
+    turned: Array
     sag: Array
     cycle: int
 
@@ -130,7 +135,8 @@ class IdealRobot(Feedforward):
         sag -= [unevenness(loop.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return IdealState(
             q_d=np.tile(q0, (_BEFORE, 1)), q_c=np.tile(q0, (self._inverse.n_past, 1)), u=np.zeros(loop.n),
-            tau=loop.gain * (held + loop.offset) + further, preslide=np.zeros(loop.n), sag=sag, cycle=0)
+            tau=loop.gain * (held + loop.offset) + further, preslide=np.zeros(loop.n), q_m=q0, v_m=np.zeros(loop.n),
+            turned=np.zeros(loop.n), sag=sag, cycle=0)
 
     def step(self, state: IdealState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, IdealState]:
         """See ``Feedforward.step``."""
@@ -186,12 +192,14 @@ class IdealRobot(Feedforward):
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
         signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth + friction, further, self._lag,
                                                loop.t_position, loop.steps_ipo, state.u, state.tau)
-        preslide = bent[loop.steps_ipo - 1]
+        last = loop.steps_ipo - 1
+        # Half a step on from the middle of the last one.
+        reached = q_m[last] + 0.5 * loop.t_position * v_m[last]
         q_c = np.einsum("ij,ji->i", self._inverse.wanted, signal) + np.einsum("ij,ji->i", self._inverse.past, state.q_c)
-        last = state.q_c[-1]
-        q_c = np.clip(np.clip(q_c, last - self._step_max, last + self._step_max), loop.q_min, loop.q_max)
+        before = state.q_c[-1]
+        q_c = np.clip(np.clip(q_c, before - self._step_max, before + self._step_max), loop.q_min, loop.q_max)
         return q_c, IdealState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
-                               u, tau, preslide, state.sag, state.cycle + 1)
+                               u, tau, bent[last], reached, v_m[last], turned[last], state.sag, state.cycle + 1)
 
     def _horizon(self, q_d: Array, before: Array) -> Array:
         if len(q_d) >= self.n_d_needed:
