@@ -10,6 +10,8 @@ with y the torque of 1 kg at the tool. Friction turns round with the motion and 
 and shows in all joints as its lever has it. What the identified inertias are wrong by grows with the acceleration: it
 is counted to a sample's variance, else it would be taken for a mass.
 
+What the law's shape lacks over speed is learned beside it, from the following error (``friction_curve``).
+
 Safe by construction: without measurements nothing changes; samples that are not finite, too slow or far from
 what is expected do not count; forgetting stops when the motion tells nothing; all that is learned is bounded.
 """
@@ -201,7 +203,7 @@ class FrictionAdaptation:
 
 @dataclass(frozen=True)
 class AdaptedState:
-    """State of the feedforward, of what it has learned, and the contact torque that it was last told ``(n,)`` [N m]."""
+    """State of the feedforward, what it has learned, and the contact torque that it was last told ``(n,)`` [N m]."""
 
     ideal: IdealState
     factors: FrictionFactors
@@ -218,11 +220,12 @@ class AdaptedIdeal(Feedforward):
         ideal: what is adapted.
         adaptation: how.
         known: what to start with; factors 1, believed to 15 %, and no mass if None.
+        known_curve: friction beyond the law's shape to start with; none if None.
     """
 
     def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None,
-                 known: FrictionFactors | None = None) -> None:
-        self.ideal, self.known = ideal, known
+                 known: FrictionFactors | None = None, known_curve: CurveState | None = None) -> None:
+        self.ideal, self.known, self.known_curve = ideal, known, known_curve
         self.adaptation = FrictionAdaptation(ideal.loop) if adaptation is None else adaptation
         self.curve = FrictionCurve(ideal.loop)
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
@@ -231,7 +234,7 @@ class AdaptedIdeal(Feedforward):
         """At rest at ``q0``, with what is known from before, if anything."""
         factors = self.known if factors is None else factors
         return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors,
-                            self.curve.init())
+                            self.curve.init(self.known_curve))
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
@@ -246,7 +249,7 @@ class AdaptedIdeal(Feedforward):
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
         change = adapted(self.ideal.loop, factors.theta)
-        change["friction_torque"] = change["friction_torque"] + self.curve.torque(state.curve.x[:, 1:])
+        change["friction_torque"] = change["friction_torque"] + self.curve.torque(state.curve)
         drives = self.ideal.drives._replace(**change)
         q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried)
         return q_c, AdaptedState(inner, factors, self.curve.planned(state.curve, inner),

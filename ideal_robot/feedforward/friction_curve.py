@@ -1,23 +1,24 @@
 r"""The shape of friction over speed, learned from how far the motors are from where they were planned to be.
 
-A law with a few coefficients has not the shape of a gear's friction where it moves slowly: there it falls with the
-speed before it rises. What the law lacks shows in the following error. With planned motor angles :math:`q_m` the joint
-controller [G] (16), (17) adds to the planned torque
+A law of few coefficients has not the shape of a gear's friction where it moves slowly: there friction falls with speed
+before it rises. What the law lacks shows in the following error. Where the motors are not at the planned :math:`q_m`,
+the joint controller [G] (16), (17) gives a torque beyond the planned one,
 
 .. math:: \Delta\tau = k_p \Delta u + k_i \int \Delta u\, dt, \qquad
           \Delta u = -\left(\frac{d}{dt} + k_v\right) (q - q_m),
 
-which is what the plan did not know: no measured torque is needed, and its noise does not count. Of each joint a curve
-over speed is learned, piecewise linear, by a Kalman filter whose prior is smooth over the logarithm of the speed:
+which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. For
+each joint a Kalman filter learns a curve over speed, linear between nodes and smooth over the logarithm of speed:
 
-.. math:: \Delta\tau = o + F(0)\, z \sum_k c_k\, \phi_k(|\dot q_m|)
+.. math:: \Delta\tau = F(0) \left(o + z \sum_k (c_k - c_k') \phi_k(|\dot q_m|)\right)
 
-with z the direction of sliding, between -1 and 1 after a reversal, and an offset o that wanders: weight, load.
+with F(0) the dry friction, z the direction of sliding, between -1 and 1 after a reversal, :math:`c'` the curve that the
+plan had used, and an offset o that wanders: weight, load, what was planned wrong besides.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,100 +32,130 @@ KNEE = 0.005
 """Share of the largest speed below which speeds are alike."""
 LENGTH = 1.2
 """Logarithm of speed over which the curve becomes another."""
-SHAPE = 0.15
-"""What the law lacks, as a share of dry friction: standard deviation."""
+SHAPE, DRIFT = 0.15, 0.05
+"""The curve at first, and how far it wanders in a second: standard deviations over dry friction."""
 OFFSET, WANDERS = 0.3, 0.2
-"""Offset over dry friction at first, and how far it wanders in a second: standard deviations."""
-DRIFT = 0.1
-"""How far the curve wanders in a second, as a share of ``SHAPE``²'s root."""
+"""The same of the offset."""
 NOISE = 0.2
-"""Standard deviation of a measurement over dry friction."""
+"""Standard deviation of a measurement over dry friction: neighbouring ones share what is wrong besides."""
 LARGEST = 0.5
-"""Bound of the curve."""
-SLIDES = 0.9
-"""Direction of sliding from which on a joint counts as sliding."""
+"""Bound of the curve over dry friction."""
+GATE = 4.0
+"""Measurements beyond this many standard deviations do not count."""
+SLIDES, SLOWEST = 0.9, 1e-3
+"""Direction of sliding, and share of the largest speed, from which on a joint tells its friction."""
+FAR = 0.01
+"""Following error of a joint that does not follow: stopped, guided, another command [rad]."""
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Of one cycle: motor angles and velocities at its end, direction of sliding, each ``(n,)``, curve ``(n, K)``."""
+
+    q: Array
+    v: Array
+    turned: Array
+    curve: Array
 
 
 @dataclass(frozen=True)
 class CurveState:
-    """What is known.
+    """What is known of the curves.
 
     Attributes:
-        x: offset and curve over dry friction ``(n, 1 + K)``.
-        P: covariance ``(n, 1 + K, 1 + K)``.
-        plans: of the cycles whose measurement is not there yet, planned motor angle, its speed, the direction of
-            sliding and the curve used, each ``(n, …)``; oldest first.
-        error: last following error ``(n,)`` [rad]; none before the first.
-        integral: torque of the integral part ``(n,)`` [N m].
+        x: offset and curve of each joint over dry friction ``(n, 1 + K)``.
+        covariance: of them ``(n, 1 + K, 1 + K)``.
+        plans: cycles whose measurement has not come yet, oldest first.
+        error: following error of the last cycle ``(n,)`` [rad]; None before the first.
+        integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
     """
 
     x: Array
-    P: Array
-    plans: tuple[tuple[Array, Array, Array, Array], ...] = ()
-    error: Array | None = None
-    integral: Array | None = None
+    covariance: Array
+    plans: tuple[Planned, ...]
+    error: Array | None
+    integral: Array
+
+    @property
+    def curve(self) -> Array:
+        """Friction beyond the model's, over dry friction, at the nodes ``(n, K)``."""
+        return self.x[:, 1:]
 
 
 class FrictionCurve:
+    """Kalman filter for the friction curve of every joint.
+
+    Args:
+        loop: the identified loop; its controller and its dry friction are the reference.
+    """
+
     def __init__(self, loop: LoopModel) -> None:
         self.loop = loop
-        n = loop.n
         self._v_max = np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
         self._dry = np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6)
-        x = np.log1p(SPEEDS / KNEE)
-        K = SHAPE**2 * np.exp(-0.5 * ((x[:, None] - x) / LENGTH) ** 2)
-        prior = np.zeros((1 + len(x), 1 + len(x)))
-        prior[0, 0], prior[1:, 1:] = OFFSET**2, K
-        self._prior = np.tile(prior, (n, 1, 1))
-        self._drift = loop.t_ipo * prior
-        self._drift[0, 0] = WANDERS**2 * loop.t_ipo
-        self._drift[1:, 1:] *= DRIFT
-        self._table = np.stack([_hats(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(n)])
+        place = np.log1p(SPEEDS / KNEE)
+        alike = np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2)
+        count = 1 + len(place)
+        prior, drift = np.zeros((count, count)), np.zeros((count, count))
+        prior[0, 0], prior[1:, 1:] = OFFSET**2, SHAPE**2 * alike
+        drift[0, 0], drift[1:, 1:] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
+        self._prior, self._drift = np.tile(prior, (loop.n, 1, 1)), drift
+        self._table = np.stack([_between_nodes(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(loop.n)])
 
-    def init(self) -> CurveState:
-        return CurveState(np.zeros((self.loop.n, 1 + len(SPEEDS))), self._prior)
+    def init(self, known: CurveState | None = None) -> CurveState:
+        """No curve, or the one known from another motion; of that motion's following error nothing stays."""
+        n, count = self.loop.n, 1 + len(SPEEDS)
+        x = np.zeros((n, count))
+        if known is None:
+            return CurveState(x, self._prior, (), None, np.zeros(n))
+        x[:, 1:] = known.curve
+        covariance = known.covariance.copy()
+        covariance[:, 0], covariance[:, :, 0] = self._prior[:, 0], self._prior[:, :, 0]
+        return CurveState(x, covariance, (), None, np.zeros(n))
 
-    def torque(self, curve: Array) -> Array:
-        """What the curve ``(n, K)`` adds to the friction's table ``(m, n)`` [N m]."""
-        return np.einsum("imk,ik->mi", self._table, curve) * self._dry
+    def torque(self, state: CurveState) -> Array:
+        """What the curves add to the loop's table of sliding friction ``(m, n)`` [N m]."""
+        return np.asarray(np.matmul(self._table, state.curve[:, :, None])[:, :, 0].T * self._dry)
 
     def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
-        plan = (ideal.q_m, ideal.v_m, ideal.turned, state.x[:, 1:])
-        return CurveState(state.x, state.P, (*state.plans, plan)[-self.loop.delay - 1:], state.error, state.integral)
+        """Takes note of what the ideal robot planned in a cycle with this state's curves."""
+        plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.curve)
+        return replace(state, plans=(*state.plans, plan)[-self.loop.delay - 1 :])
 
     def update(self, state: CurveState, q: Array) -> CurveState:
-        loop, T = self.loop, self.loop.t_ipo
+        """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
+        loop, q = self.loop, np.asarray(q, dtype=float)
         if len(state.plans) <= loop.delay:
             return state
-        q_m, v, turned, used = state.plans[0]
-        error = q - q_m
-        if state.error is None or state.integral is None:
-            return CurveState(state.x, state.P, state.plans, error, np.zeros(loop.n))
-        step = -(error - state.error) - loop.k_v * T * 0.5 * (error + state.error)
-        torque = loop.k_p * step / T + state.integral + 0.5 * loop.k_i * step
-        integral = state.integral + loop.k_i * step
-        h = np.zeros_like(state.x)
-        h[:, 0] = 1.0
-        h[:, 1:] = turned[:, None] * _hats(np.abs(v) / self._v_max)
-        y = torque / self._dry + np.sum(h[:, 1:] * used, axis=1)
-        P = state.P + self._drift
-        said = np.einsum("ijk,ik->ij", P, h)
+        plan, plans = state.plans[0], state.plans[1:]
+        if q.shape != plan.q.shape or not np.all(np.abs(q - plan.q) < FAR):
+            return replace(self.init(state), plans=plans)
+        error = q - plan.q
+        if state.error is None:
+            return replace(state, plans=plans, error=error)
+        step = state.error - error - 0.5 * loop.t_ipo * loop.k_v * (state.error + error)
+        torque = loop.k_p * step / loop.t_ipo + state.integral + 0.5 * loop.k_i * step
+        h = np.ones_like(state.x)
+        h[:, 1:] = plan.turned[:, None] * _between_nodes(np.abs(plan.v) / self._v_max)
+        covariance = state.covariance + self._drift
+        said = np.matmul(covariance, h[:, :, None])[:, :, 0]
         S = np.sum(h * said, axis=1) + NOISE**2
-        innovation = y - np.sum(h * state.x, axis=1)
-        counts = (np.abs(turned) > SLIDES)  & (np.abs(v)>1e-3*self._v_max)
-        gain = np.where(counts, 1.0, 0.0)[:, None] * said / S[:, None]
+        innovation = torque / self._dry - np.sum(h[:, 1:] * (state.curve - plan.curve), axis=1) - state.x[:, 0]
+        slides = (np.abs(plan.turned) > SLIDES) & (np.abs(plan.v) > SLOWEST * self._v_max)
+        counts = slides & (innovation**2 < GATE**2 * S)
+        gain = np.where(counts, 1.0 / S, 0.0)[:, None] * said
         x = state.x + gain * innovation[:, None]
         x[:, 1:] = np.clip(x[:, 1:], -LARGEST, LARGEST)
-        P = P - gain[:, :, None] * said[:, None, :]
-        return CurveState(x, P, state.plans, error, integral)
+        # Of a joint that stands nothing is learned, and nothing forgotten.
+        covariance = np.where(counts[:, None, None], covariance - gain[:, :, None] * said[:, None], state.covariance)
+        return CurveState(x, covariance, plans, error, state.integral + loop.k_i * step)
 
 
-def _hats(v: Array) -> Array:
-    """Piecewise linear functions ``(m, K)`` at speeds ``(m,)`` over the largest one."""
-    v = np.clip(np.asarray(v), SPEEDS[0], SPEEDS[-1])
-    k = np.clip(np.searchsorted(SPEEDS, v, side="right") - 1, 0, len(SPEEDS) - 2)
-    share = (v - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k])
-    hats = np.zeros((len(v), len(SPEEDS)))
-    rows = np.arange(len(v))
-    hats[rows, k], hats[rows, k + 1] = 1.0 - share, share
-    return hats
+def _between_nodes(speed: Array) -> Array:
+    """Shares of the nodes ``(m, K)`` at speeds ``(m,)`` over the largest one."""
+    speed = np.minimum(speed, SPEEDS[-1])
+    k = np.minimum(np.searchsorted(SPEEDS, speed, side="right") - 1, len(SPEEDS) - 2)
+    share = (speed - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k])
+    rows, shares = np.arange(len(speed)), np.zeros((len(speed), len(SPEEDS)))
+    shares[rows, k], shares[rows, k + 1] = 1.0 - share, share
+    return shares
