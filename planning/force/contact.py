@@ -16,6 +16,13 @@ of damping or stamps [s]."""
 NOTICED = 0.08
 """Time from a touch until the arm answers it: the sensor's, two cycles, and the arm's own [s]."""
 
+SLOPE, UNSEEN = 0.15, 0.15
+"""Slope of a surface before it was felt, and the time until it is known under a tip that has begun to move [s]."""
+BEGUN = 2.5
+"""Force that may go wrong meanwhile [N]."""
+GENTLEST = 0.5
+"""Jerk with which a travel begins at least [m/s³]."""
+
 
 class Phase(Enum):
     """Phases of a motion in contact, in their order."""
@@ -70,6 +77,17 @@ class ContactSettings:
     def approach(self) -> float:
         """Speed of the approach [m/s]: the stiffer the contact, the slower."""
         return min(self.descent, self.plunge / (self.elasticity * NOTICED))
+
+    def jerk(self, acceleration: float, jerk: float) -> float:
+        """Jerk of a travel [m/s³]: a tip at rest feels no slope, so the stiffer the contact, the gentler the start.
+
+        Args:
+            acceleration: of the travel [m/s²].
+            jerk: where the contact is soft enough for that acceleration from the start [m/s³].
+        """
+        if 0.5 * acceleration * UNSEEN**2 * SLOPE * self.elasticity <= BEGUN:
+            return jerk
+        return min(jerk, max(GENTLEST, 6.0 * BEGUN / (UNSEEN**3 * SLOPE * self.elasticity)))
 
 
 def surface_model(

@@ -7,12 +7,14 @@ import numpy as np
 from ideal_robot.arrays import Array
 from planning.line.deviation_model import matern
 
-SPACING = 0.004
+SPACING = 0.008
 """Way over which older measurements are one [m]."""
+LEARNS = 0.004
+"""Way after which the kernel is learned anew [m]."""
 RECENT = 8
 """Newest measurements, which are kept as they are: a mean would be late where the tip is slow."""
-WINDOW = 100
-"""Places that are remembered."""
+WINDOW = 70
+"""Places that are remembered: half a metre, two of the longer waves."""
 MOST = 10
 """Measurements that count of a place where the tip stands."""
 DISPLACEMENT, ROTATION = 0.02, 0.05
@@ -78,7 +80,7 @@ class SurfaceForecast:
             self._places[old - 1] += (self._places[old] - self._places[old - 1]) / self._counts[old - 1]
             self._places = np.delete(self._places, old, axis=0)
             del self._counts[old]
-        if s - self._learned_at >= SPACING and len(self._places) > BEGIN:
+        if s - self._learned_at >= LEARNS and len(self._places) > BEGIN:
             self._learned_at = s
             self._learn()
 

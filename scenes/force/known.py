@@ -28,6 +28,8 @@ POSITION_NOISE = 1e-5
 """Standard deviation of the estimated tip position from cycle to cycle [m]; with more, stiff contacts lag."""
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 """Orientation of a tool that points down."""
+JERK = 40.0
+"""Of a travel [m/s³]."""
 START_HEIGHT = 0.01
 """Of the tip above the reference when the approach begins [m]."""
 
@@ -58,7 +60,11 @@ class Known:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
         estimated = self.scene.assumed.elasticity_estimated
-        return SurfaceFollower(self.robot, self.reference, self.profile, N_D, settings, fusion=fusion,
+        profile, acceleration = self.profile, self.scene.reference.acceleration
+        jerk = settings.jerk(acceleration, JERK)
+        if fusion is None and jerk < JERK:
+            profile = SpeedProfile.plan(self.robot, self.reference, Limits(self.scene.speed, acceleration, jerk=jerk))
+        return SurfaceFollower(self.robot, self.reference, profile, N_D, settings, fusion=fusion,
                                lateral=fusion is not None, start_height=START_HEIGHT,
                                force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
 
@@ -96,7 +102,7 @@ def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[Ref
     else:
         reference = ReferencePath(points, up=out, turning=1.0)
     try:
-        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=40.0))
+        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=JERK))
     except OutOfReachError as error:
         raise InputError(f"the path is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error

@@ -1,0 +1,90 @@
+"""The friction curve: it finds a shape that the law has not, from motor angles alone, and stays bounded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
+from ideal_robot.feedforward.friction_curve import LARGEST, CurveState, FrictionCurve, Planned
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.simulation import simulate
+from tests.ideal_robot.feedforward.plant import commands, motion, plant, rms
+
+SLOW = 0.02
+"""Where the sticky arm differs most, in gross sliding [rad/s]."""
+
+
+def sticky(loop: LoopModel) -> LoopModel:
+    """The loop with a quarter more dry friction at rest, which is gone from 0.1 rad/s on."""
+    more = 1.0 + 0.25 * np.exp(-((loop.friction_velocity / 0.05) ** 2))
+    return loop.replace(friction_torque=loop.friction_torque * more, friction_dry=loop.friction_dry)
+
+
+def learned(loop: LoopModel, true: LoopModel, q_d: Array, repeat: int = 4, scale: float = 1.0) -> CurveState:
+    """What is learned while the ideal robot, which does not know, moves the true arm again and again."""
+    ideal, curves = IdealRobot(loop), FrictionCurve(loop)
+    q_d = np.concatenate([q_d] * repeat)
+    done = simulate(true, commands(ideal, q_d))
+    state, known = ideal.init(q_d[0]), curves.init()
+    ahead = np.concatenate([q_d, np.tile(q_d[-1], (ideal.n_d, 1))])
+    for k in range(len(q_d)):
+        _, state = ideal.step(state, ahead[k : k + ideal.n_d])
+        plan = Planned(state.q_m, state.v_m, state.turned, np.zeros_like(known.curve))
+        known = CurveState(known.x, known.covariance, (*known.plans, plan)[-loop.delay - 1 :], known.error,
+                           known.integral)
+        known = curves.update(known, scale * done.q_m[k + 1])
+    return known
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int) -> None:
+    """The identified law rises from rest on; two factors on it cannot fall."""
+    loop = plant(delay=delay)
+    true = sticky(loop)
+    found = FrictionCurve(loop).torque(learned(loop, true, motion(amplitude=0.05)))
+    more = (true.friction_torque - loop.friction_torque)[0]
+    ratio = np.array([np.interp(SLOW, v, ours) / np.interp(SLOW, v, theirs)
+                      for v, ours, theirs in zip(loop.friction_velocity.T, found.T, more.T, strict=True)])
+    assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
+
+
+def test_with_the_curve_the_arm_is_where_it_should_be() -> None:
+    loop, q_d = plant(), motion(amplitude=0.05)
+    true = sticky(loop)
+    known = learned(loop, true, q_d)
+    error = {name: rms(simulate(true, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
+             for name, feedforward in (("law", IdealRobot(loop)),
+                                       ("curve", AdaptedIdeal(IdealRobot(loop), known_curve=known)))}
+    assert error["curve"] < 0.6 * error["law"], error
+
+
+def test_an_arm_as_the_model_has_it_is_moved_no_worse() -> None:
+    loop, q_d = plant(), motion(amplitude=0.05)
+    known = learned(loop, loop, q_d)
+    error = {name: rms(simulate(loop, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
+             for name, feedforward in (("law", IdealRobot(loop)),
+                                       ("curve", AdaptedIdeal(IdealRobot(loop), known_curve=known)))}
+    assert error["curve"] < 1.03 * error["law"], error
+
+
+def test_of_another_motion_the_curve_stays_and_the_following_error_does_not() -> None:
+    loop = plant()
+    known = learned(loop, sticky(loop), motion(amplitude=0.05), repeat=1)
+    begun = FrictionCurve(loop).init(known)
+    np.testing.assert_array_equal(begun.curve, known.curve)
+    assert begun.plans == ()
+    assert begun.error is None
+    assert not begun.integral.any()
+    assert not begun.x[:, 0].any()
+
+
+@pytest.mark.parametrize("scale", [np.nan, 1e6, -1.0, 1.001])
+def test_motor_angles_that_cannot_be_leave_it_bounded(scale: float) -> None:
+    loop = plant()
+    known = learned(loop, loop, motion(), repeat=1, scale=scale)
+    assert np.all(np.abs(known.curve) <= LARGEST)
+    assert np.all(np.isfinite(known.covariance))
+    assert np.all(np.linalg.eigvalsh(known.covariance) > -1e-9)
