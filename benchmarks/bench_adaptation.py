@@ -20,6 +20,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
+from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
@@ -91,7 +92,7 @@ def warm_up(scene: PathScene, options: argparse.Namespace) -> None:
 def _hour(robot: Robot, world: World, loop: LoopModel, once: Array, count: int, x_d: Array, name: str
           ) -> tuple[Array, Array]:
     """E_car of each circle ``(count,)`` [m] and the temperature of joint 1 at its end [°C]."""
-    feedforward = AdaptedIdeal(IdealRobot(loop))
+    feedforward = AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop))
     truth = _true_friction(robot, world, loop)
     lead = round(0.9 / world.t_ipo)
     with SimulatedArm(robot, world, np.random.default_rng(1), once[0]) as arm:

@@ -69,7 +69,7 @@ def _adapted(setting: Setting) -> Feedforward:
         return _corrected(setting, start)
     practice = setting.plays()
     before = practice.play(start, practice.motion(setting.path()))
-    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors, before.state.curve))
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors))
 
 
 def _model_learned(setting: Setting) -> Feedforward:

@@ -10,7 +10,7 @@ with y the torque of 1 kg at the tool. Friction turns round with the motion and 
 and shows in all joints as its lever has it. What the identified inertias are wrong by grows with the acceleration: it
 is counted to a sample's variance, else it would be taken for a mass.
 
-What the law's shape lacks over speed is learned beside it, from the following error (``friction_curve``).
+What the law's shape lacks over speed can be learned beside it, from the following error (``friction_curve``).
 
 Safe by construction: without measurements nothing changes; samples that are not finite, too slow or far from
 what is expected do not count; forgetting stops when the motion tells nothing; all that is learned is bounded.
@@ -207,7 +207,7 @@ class AdaptedState:
 
     ideal: IdealState
     factors: FrictionFactors
-    curve: CurveState
+    curve: CurveState | None
     tau_ext: Array | None = None
 
 
@@ -220,26 +220,30 @@ class AdaptedIdeal(Feedforward):
         ideal: what is adapted.
         adaptation: how.
         known: what to start with; factors 1, believed to 15 %, and no mass if None.
-        known_curve: friction beyond the law's shape to start with; none if None.
+        curve: learns what the law's shape lacks over speed; nothing does if None. For paths known well beforehand: one that
+            is planned anew all the time leaves following errors that are not friction's.
+        known_curve: what that starts with; nothing if None.
     """
 
     def __init__(self, ideal: IdealRobot, adaptation: FrictionAdaptation | None = None,
-                 known: FrictionFactors | None = None, known_curve: CurveState | None = None) -> None:
-        self.ideal, self.known, self.known_curve = ideal, known, known_curve
+                 known: FrictionFactors | None = None, curve: FrictionCurve | None = None,
+                 known_curve: CurveState | None = None) -> None:
+        self.ideal, self.known, self.curve, self.known_curve = ideal, known, curve, known_curve
         self.adaptation = FrictionAdaptation(ideal.loop) if adaptation is None else adaptation
-        self.curve = FrictionCurve(ideal.loop)
         self.n_d, self.t_ipo = ideal.n_d, ideal.t_ipo
 
     def init(self, q0: Array, factors: FrictionFactors | None = None) -> AdaptedState:
         """At rest at ``q0``, with what is known from before, if anything."""
         factors = self.known if factors is None else factors
         return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors,
-                            self.curve.init(self.known_curve))
+                            None if self.curve is None else self.curve.init(self.known_curve))
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
-        return replace(state, factors=self.adaptation.update(state.factors, measured, state.tau_ext),
-                       curve=self.curve.update(state.curve, measured.q))
+        curve = state.curve
+        if self.curve is not None and curve is not None:
+            curve = self.curve.update(curve, measured.q)
+        return replace(state, factors=self.adaptation.update(state.factors, measured, state.tau_ext), curve=curve)
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
         """See ``Feedforward.step``."""
@@ -249,10 +253,14 @@ class AdaptedIdeal(Feedforward):
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
         change = adapted(self.ideal.loop, factors.theta)
-        change["friction_torque"] = change["friction_torque"] + self.curve.torque(state.curve)
+        curve = state.curve
+        if self.curve is not None and curve is not None:
+            change["friction_torque"] = change["friction_torque"] + self.curve.torque(curve)
         drives = self.ideal.drives._replace(**change)
         q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried)
-        return q_c, AdaptedState(inner, factors, self.curve.planned(state.curve, inner),
+        if self.curve is not None and curve is not None:
+            curve = self.curve.planned(curve, inner)
+        return q_c, AdaptedState(inner, factors, curve,
                                  None if tau_ext_d is None else np.array(tau_ext_d[0]))
 
 

@@ -57,7 +57,8 @@ def test_with_the_curve_the_arm_is_where_it_should_be() -> None:
     known = learned(loop, true, q_d)
     error = {name: rms(simulate(true, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
              for name, feedforward in (("law", IdealRobot(loop)),
-                                       ("curve", AdaptedIdeal(IdealRobot(loop), known_curve=known)))}
+                                       ("curve", AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop),
+                                                                 known_curve=known)))}
     assert error["curve"] < 0.6 * error["law"], error
 
 
@@ -66,7 +67,8 @@ def test_an_arm_as_the_model_has_it_is_moved_no_worse() -> None:
     known = learned(loop, loop, q_d)
     error = {name: rms(simulate(loop, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
              for name, feedforward in (("law", IdealRobot(loop)),
-                                       ("curve", AdaptedIdeal(IdealRobot(loop), known_curve=known)))}
+                                       ("curve", AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop),
+                                                                 known_curve=known)))}
     assert error["curve"] < 1.03 * error["law"], error
 
 
