@@ -60,7 +60,8 @@ class FittedEffect:
 
     def contribution(self, signals: Signals) -> Array:
         """What the effect adds to its channels ``(N, c)`` [N m for motor torque, rad or m for positions]."""
-        columns = self.effect.columns(signals, self.joint, self.theta)
+        # A file of an earlier version may have fewer coefficients; what it does not say is none.
+        columns = self.effect.columns(signals, self.joint, self.theta)[..., : len(self.coefficients)]
         return np.asarray(columns @ np.asarray(self.coefficients, dtype=float))
 
     def to_dict(self) -> dict[str, Any]:

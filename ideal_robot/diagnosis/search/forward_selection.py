@@ -95,7 +95,8 @@ class Search:
     def settle(self, prior: Array) -> None:
         """Takes a looser prior ``(P, P)`` and drops effects that the model's own parameters can now take over.
 
-        Changes of parameters stay where they stand out of what was known of the parameters.
+        Changes of parameters stay where they stand out of what was known of the parameters; so do other effects in
+        whose place parameters would have to leave that as far as measurements were left.
         """
         self.model.with_prior(prior)
         for choice in sorted(self.model.choices, key=lambda c: c.share):
@@ -103,7 +104,9 @@ class Search:
                 if self.model.fit(choice).p_value(choice.candidate.key) > self.options.false_discovery:
                     self.model.drop(choice)
                 continue
-            self._drop_if_small(choice)
+            if self.model.fit(choice).share_with_prior(choice.candidate.key) < self.scoring.smallest_share(
+                    choice.candidate, choice):
+                self._drop_if_small(choice)
 
     def _next(self) -> Choice | None:
         fit = self.model.fit()

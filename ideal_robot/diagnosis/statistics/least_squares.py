@@ -105,6 +105,7 @@ class Fit:
         if prior is not None:
             q = len(prior)
             precision[:q, :q] = prior if prior.ndim == 2 else np.diag(prior)
+        self._precision = precision
         self._inverse: list[Array] = []
         self._beta: list[Array] = []
         self._training: list[Array] = []
@@ -185,6 +186,15 @@ class Fit:
         """Of one more group that the prior may absorb, by the likelihood ratio in sample."""
         gain, coefficients = self.gain(key)
         return float(stats.chi2.sf(gain / self.inflation, len(coefficients)))
+
+    def share_with_prior(self, key: str) -> float:
+        """Share that one more group takes away, in sample, of the squares of the residual and of the prior together.
+
+        What is known of parameters is a measurement like others: a fit that moves them far leaves squares there.
+        """
+        left = float((self.squares()[self.fold >= 0] * self.weights).sum())
+        left += float(self.beta @ self._precision @ self.beta)
+        return self.gain(key)[0] / max(left, 1e-300)
 
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
