@@ -223,8 +223,9 @@ def carried(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
 
 def doubt_of_load(effect: FittedEffect) -> float:
     """Share by which what an effect puts on the gears may be wrong, by its own standard deviation."""
-    # Of a body its mass stands for all of it: the moments have other units.
-    count = 1 if effect.effect.loop_change(effect.coefficients, effect.theta).body else len(effect.coefficients)
+    # Of a body its mass stands for all of it, and of gravity its two components: moments have other units.
+    change = effect.effect.loop_change(effect.coefficients, effect.theta)
+    count = 1 if change.body else 2 if change.gravity is not None else len(effect.coefficients)
     size = float(np.linalg.norm(effect.coefficients[:count]))
     return _SIGMAS * float(np.linalg.norm(effect.std[:count])) / max(size, 1e-300)
 

@@ -138,7 +138,8 @@ class DomainDiagnosis:
                 least = _DISTINGUISHED * np.sqrt(candidate.effect.caution if signals.n > 1 else 1.0)
                 clear = not vague or bool(abs(own[0]) > least * wide[k][0])
             else:
-                clear = (candidate.effect.learned or bool(np.any(np.abs(own) > _DISTINGUISHED * wide[k]))
+                large, needed = np.abs(own) > _DISTINGUISHED * wide[k], list(candidate.effect.without_which_none)
+                clear = (candidate.effect.learned or bool(np.any(large[needed] if needed else large))
                          or self._shares(self._ladder()[1])[k] > _MOST)
             near = at_standstill(candidate, signals)
             if allowed and clear and not near:

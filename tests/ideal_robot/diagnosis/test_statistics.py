@@ -128,6 +128,27 @@ def test_a_group_that_the_prior_allows_is_not_significant_and_one_beyond_it_is()
     assert p_value(1.0) < 1e-6
 
 
+def test_parameters_that_leave_what_was_known_of_them_leave_squares_as_well():
+    rng = np.random.default_rng(5)
+    x = rng.normal(size=800)
+    blocks = time_blocks(len(x), 0.01, held_out=False)
+
+    def shares(known: float) -> tuple[float, float]:
+        data = BlockProducts((x + rng.normal(size=len(x)))[:, None], x[:, None, None], np.ones((len(x), 1), bool),
+                             blocks)
+        design = Design(data)
+        design.add("c", data.masked(x[:, None, None]))
+        fit = Fit(design, ["W"], np.ones(1), np.array([1.0 / known**2]))
+        return fit.share_with_prior("c"), fit.gain("c")[0] / float(fit.squares().sum())
+
+    # Moved by thirty of its deviations: what was known is wrong by as much as the noise that is left.
+    in_all, beside = shares(1.0 / 30.0)
+    assert in_all > 0.25
+    loose, _ = shares(1.0)
+    assert loose < 0.01
+    assert in_all < beside
+
+
 def test_what_a_model_class_leaves_averages_out_over_stretches_not_over_samples():
     rng = np.random.default_rng(6)
     count, misses, plain = 1600, [], []

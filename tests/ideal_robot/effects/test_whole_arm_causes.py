@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression
+from ideal_robot.effects.fitted import FittedEffect
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -36,7 +37,7 @@ def test_they_are_what_the_changed_arm_does():
     tilted = robot.pinocchio.copy()
     tilted.gravity.linear = tilted.gravity.linear + np.array([0.2, -0.1, 0.0])
     columns = find("base_tilt", "tau").columns(signals, 0, ())
-    np.testing.assert_allclose(columns @ [0.2, -0.1], torques(tilted, signals) - before, atol=1e-6)
+    np.testing.assert_allclose(columns @ [0.2, -0.1, 0.0, 0.0], torques(tilted, signals) - before, atol=1e-6)
 
     angle = 1e-4
     signals_ahead = signals.q.copy()
@@ -51,6 +52,27 @@ def test_they_are_what_the_changed_arm_does():
     loaded.inertias[3] = loaded.inertias[3] + body
     columns = find("link_load", "tau").columns(signals, 3, ())
     np.testing.assert_allclose(columns @ body.toDynamicParameters(), torques(loaded, signals) - before, atol=1e-6)
+
+
+def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has_wrong():
+    robot, regression = made()
+    signals, tilt = regression.signals, find("base_tilt", "tau")
+    true = robot.pinocchio.copy()
+    true.inertias[1] = true.inertias[1] + pin.Inertia(6.0, np.array([0.08, -0.05, 0.0]), np.zeros((3, 3)))
+    upright = torques(true, signals)
+    true.gravity.linear = true.gravity.linear + np.array([0.2, -0.1, 0.0])
+    leaning = torques(true, signals) - upright
+    columns = tilt.columns(signals, 0, ())
+    found = np.linalg.lstsq(columns.reshape(-1, 4), leaning.ravel(), rcond=None)[0]
+    np.testing.assert_allclose(columns @ found, leaning, atol=1e-6)
+    np.testing.assert_allclose(found[:2], [0.2, -0.1], atol=1e-6)
+    assert tilt.plausible(found, (), signals, 0)
+    # As large as all of the arm's own they are no error of a URDF, nor do they turn anything where nothing leans.
+    assert not tilt.plausible(found * [1.0, 1.0, 1000.0, 1000.0], (), signals, 0)
+    assert not tilt.plausible(found * [0.0, 0.0, 1.0, 1.0], (), signals, 0)
+    # The file of an earlier version has two coefficients.
+    before = FittedEffect("base_tilt", 0, "tau", (0.2, -0.1)).contribution(signals)
+    np.testing.assert_allclose(before, columns[:, :, :2] @ [0.2, -0.1])
 
 
 def test_one_filter_delays_every_joint():

@@ -76,6 +76,8 @@ def test_one_filter_of_all_torques_comes_before_delays_of_three_joints() -> None
     pytest.param(735033, id="encoder steps that a wrist's controller hands on are nothing that is missing"),
     pytest.param(735037, id="a delay of one joint that hardly shows where nobody looked is none"),
     pytest.param(736001, id="a lag that differs from none by less than two deviations is none"),
+    pytest.param(732127, id="moments that an upright base does not show are no offset of the first axis"),
+    pytest.param(732120, id="a leaning base stays where parameters would leave what was known of them for it"),
     pytest.param(730175, id="a rotor behind a soft gear is no body of ten numbers on its link"),
     pytest.param(730174, id="a coupling all of whose numbers are within two deviations of none is none"),
     pytest.param(731064, id="the tail of bristles whose friction may as well be none is no presliding"),
