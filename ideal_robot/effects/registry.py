@@ -42,6 +42,7 @@ _TABLE = {
     "dead_time/q": "torque.position_dead_time:PositionDeadTime",
     "joint_elasticity/tau": "torque.joint_elasticity:JointElasticity",
     "backlash/tau": "torque.backlash:Backlash",
+    "backlash/tau_flight": "torque.backlash_in_flight:BacklashInFlight",
     "dead_time/qa": "arm.dead_time:ArmDeadTime",
     "dead_time/qa_all": "arm.common_dead_time:CommonArmDeadTime",
     "joint_elasticity/qa": "arm.joint_elasticity:ArmElasticity",

@@ -1,0 +1,136 @@
+"""Play in the gear as the motor torque shows it where the motion resolves the crossing of the gap."""
+
+from __future__ import annotations
+
+import itertools
+
+import numba
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.signals import Signals
+from ideal_robot.effects.torque.joint_elasticity import JointElasticity
+
+_SECONDS = (0.03, 0.05, 0.07, 0.09, 0.12, 0.16)
+"""How long a gap takes to be crossed that is looked for [s]: shorter than that the band does not see, longer ones are
+gaps beyond what a gear in use has."""
+_SHIFTS = (0.0, -0.15, 0.15)
+"""By how much the load may change sign elsewhere than the model has it, as a share of its spread."""
+_LEAST_INERTIA = 0.05
+"""Share of its mean below which the inertia behind the gear does not fall."""
+
+
+@numba.njit(cache=True)
+def crossed(acceleration: Array, dt: float, half_gap: float) -> Array:
+    """Twist in a gap: at a flank while the load presses there, in free flight between, at rest where it hits the other.
+
+    Args:
+        acceleration: of the motor relative to the unloaded arm, ``tau_load/M`` ``(N,)`` [rad/s²].
+        dt: between samples [s].
+        half_gap: half the play [rad].
+
+    Returns:
+        Motor less arm angle ``(N,)`` [rad], within plus and minus half a gap.
+    """
+    twist = np.empty(len(acceleration))
+    at, speed = (half_gap if acceleration[0] > 0.0 else -half_gap), 0.0
+    for k in range(len(acceleration)):
+        speed += acceleration[k] * dt
+        at += speed * dt
+        if at >= half_gap:
+            at, speed = half_gap, min(speed, 0.0)
+        elif at <= -half_gap:
+            at, speed = -half_gap, max(speed, 0.0)
+        twist[k] = at
+    return twist
+
+
+class BacklashInFlight(JointElasticity):
+    """Seen in the motor torque: between the flanks the motor carries no load, and gets all of it at once at the end.
+
+        M d²x/dt² = tau_load  while |x| < b,   q_a = q - x,
+
+    ``M`` the inertia behind the gear and ``b`` half the gap: the load is missing from where it changes sign until the
+    gap is crossed, and its impulse comes back in the impact. A crossing takes ``(12 b M/(d tau_load/dt))^(1/3)``, a
+    tenth of a second for milliradians; ``Backlash`` is the limit in which that is no time at all. Where a joint turns
+    little, weight and a constant torque of the motor are one to a fit, so the load changes sign elsewhere than the
+    model has it: theta holds that as well. The coefficient is one where the inertia is right.
+    """
+
+    name = "backlash"
+    prefix = "tau_flight"
+    theta_names = ("half gap", "load besides")
+    theta_units = ("rad", "N m")
+    coefficient_names = ("share",)
+    coefficient_units = ("1",)
+    source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002: free motion between the flanks"
+
+    _slow = 5.0
+    """The motor's own jumps at the impacts are not taken for load."""
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """There has to be an inertia behind the gear, and a load that changes sign for one of the starts."""
+        if signals.rigid is None or len(signals.t) < 3 or float(np.mean(_inertia(signals, joint))) <= 0.0:
+            return False
+        return bool(self.starts(signals, joint))
+
+    def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
+        """Gaps by the time they take to cross, loads besides around none and around all of the constant torque."""
+        load = self._crossing_load(signals, joint)
+        size = float(np.std(load)) + 1e-12
+        shifts = [share * size for share in _SHIFTS]
+        if abs(_constant(signals, joint)) > 0.1 * size:
+            shifts.append(-_constant(signals, joint))
+        rate = float(np.std(signals.rate(load)))
+        inertia = float(np.mean(_inertia(signals, joint)))
+        gaps = [seconds**3 * rate / (12.0 * inertia) for seconds in _SECONDS]
+        low, high = self.bounds(signals, joint)[0]
+        return [(gap, shift) for gap, shift in itertools.product(gaps, shifts)
+                if low < gap < high and 0.02 < float(np.mean(load + shift > 0.0)) < 0.98]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """A gap, not a range of motion; a load besides no larger than what there is."""
+        most = 3.0 * float(np.std(signals.load[:, joint - 1])) + 2.0 * abs(_constant(signals, joint)) + 1e-12
+        return [(1e-5, 0.02), (-most, most)]
+
+    def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+        """See ``JointElasticity.bend``."""
+        load = self._crossing_load(signals, joint) + theta[1]
+        return np.asarray(crossed(load / _inertia(signals, joint), signals.dt, theta[0]))
+
+    def _crossing_load(self, signals: Signals, joint: int) -> Array:
+        """Slow load with all of the constant torque ``(N,)`` [N m]: a fit knows their sum better than each."""
+        return self.slow_load(signals, joint) + _constant(signals, joint)
+
+    def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. The inertia that is set free is that behind the gear, as well as it is known."""
+        return bool(0.4 < coefficients[0] < 2.5)
+
+    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
+                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+        """See ``Effect.parameters``. Half the gap, as far as the inertia behind the gear is right."""
+        share, sigma = float(coefficients[0]), theta_std[0] if theta_std else 0.0
+        return [EffectParameter("half gap", share * theta[0],
+                                float(np.hypot(share * sigma, theta[0] * float(std[0]))), "rad")]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+        """Nothing: it is no function of the load alone."""
+        return LoopChange(nowhere="how long the gap takes to be crossed hangs on the motion")
+
+
+def _constant(signals: Signals, joint: int) -> float:
+    """Constant torque that the model has beside load and friction [N m]; accelerations have no mean."""
+    j = joint - 1
+    return float(np.mean(signals.torque[:, j] - signals.friction[:, j] - signals.load[:, j]))
+
+
+def _inertia(signals: Signals, joint: int) -> Array:
+    """Inertia behind the gear ``(N,)`` [kg m²], the other joints held; kept away from zero."""
+    if signals.rigid is None:
+        return np.ones(len(signals.t))
+    still, one = np.zeros_like(signals.q), np.zeros_like(signals.q)
+    one[:, joint - 1] = 1.0
+    inertia = (signals.rigid(signals.q, still, one) - signals.rigid(signals.q, still, still))[:, joint - 1]
+    return np.asarray(np.maximum(inertia, _LEAST_INERTIA * np.mean(inertia)))
