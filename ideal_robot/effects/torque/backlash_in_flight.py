@@ -86,9 +86,9 @@ class BacklashInFlight(JointElasticity):
         rate = float(np.std(signals.rate(load)))
         inertia = float(np.mean(_inertia(signals, joint)))
         gaps = [seconds**3 * rate / (12.0 * inertia) for seconds in _SECONDS]
-        low, high = self.bounds(signals, joint)[0]
+        gaps = sorted(set(np.clip(gaps, *self.bounds(signals, joint)[0]).tolist()))
         return [(gap, shift) for gap, shift in itertools.product(gaps, shifts)
-                if low < gap < high and 0.02 < float(np.mean(load + shift > 0.0)) < 0.98]
+                if 0.02 < float(np.mean(load + shift > 0.0)) < 0.98]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """A gap, not a range of motion; a load besides no larger than what there is."""
