@@ -74,7 +74,7 @@ class BacklashInFlight(JointElasticity):
         """There has to be an inertia behind the gear, and a load that changes sign for one of the starts."""
         if signals.rigid is None or len(signals.t) < 3 or float(np.mean(_inertia(signals, joint))) <= 0.0:
             return False
-        return bool(self.starts(signals, joint))
+        return any(_turns(self._crossing_load(signals, joint) + shift) for _, shift in self.starts(signals, joint))
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """Gaps by the time they take to cross, loads besides around none and around all of the constant torque."""
@@ -84,11 +84,12 @@ class BacklashInFlight(JointElasticity):
         if abs(_constant(signals, joint)) > 0.1 * size:
             shifts.append(-_constant(signals, joint))
         rate = float(np.std(signals.rate(load)))
-        inertia = float(np.mean(_inertia(signals, joint)))
+        inertia = abs(float(np.mean(_inertia(signals, joint)))) + 1e-12
         gaps = [seconds**3 * rate / (12.0 * inertia) for seconds in _SECONDS]
         gaps = sorted(set(np.clip(gaps, *self.bounds(signals, joint)[0]).tolist()))
-        return [(gap, shift) for gap, shift in itertools.product(gaps, shifts)
-                if 0.02 < float(np.mean(load + shift > 0.0)) < 0.98]
+        # Where none makes the load change sign, as of a joint that rests, they are starts of another motion.
+        turning = [shift for shift in shifts if _turns(load + shift)] or shifts
+        return list(itertools.product(gaps, turning))
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """A gap, not a range of motion; a load besides no larger than what there is."""
@@ -118,6 +119,10 @@ class BacklashInFlight(JointElasticity):
     def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
         """Nothing: it is no function of the load alone."""
         return LoopChange(nowhere="how long the gap takes to be crossed hangs on the motion")
+
+
+def _turns(load: Array) -> bool:
+    return 0.02 < float(np.mean(load > 0.0)) < 0.98
 
 
 def _constant(signals: Signals, joint: int) -> float:

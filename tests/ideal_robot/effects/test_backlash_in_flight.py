@@ -68,6 +68,13 @@ def test_a_start_lies_near_the_gap():
     assert min(abs(np.log(gap / HALF_GAP)) for gap in gaps) < np.log(2.0)
 
 
+def test_a_joint_at_rest_is_not_asked_but_has_starts_for_another_motion():
+    effect = next(e for e in library() if e.key == "backlash/tau_flight")
+    still = signals_of(np.linspace(0.0, 1.0, 200), np.full((200, 1), 0.3))
+    assert not effect.usable(still, 1)
+    assert effect.starts(still, 1)
+
+
 def test_a_gap_takes_its_time_to_be_crossed():
     """Under a load that rises evenly the way in the gap is cubic in time."""
     dt, rate, half_gap = 1e-4, 50.0, 2e-3
