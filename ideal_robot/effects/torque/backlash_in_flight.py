@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter
+from ideal_robot.effects.base import EffectParameter
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.effects.torque.joint_elasticity import JointElasticity

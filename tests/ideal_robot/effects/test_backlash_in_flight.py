@@ -14,7 +14,7 @@ INERTIA, WEIGHT, CONSTANT, HALF_GAP, CUTOFF = 0.12, 3.0, 0.3, 2e-3, 20.0
 
 
 def driven(half_gap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A pendulum behind stops of 40 Hz that hardly let it bounce, its motor on a given path: times, motor angles, torque through the gear."""
+    """Times, motor angles and torque through the gear of a pendulum behind stops, its motor on a given path."""
     dt, count = 1e-4, 120_000
     t = dt * np.arange(count)
     q = 0.25 * np.sin(2.1 * t) + 0.12 * np.sin(5.3 * t + 1.0)
