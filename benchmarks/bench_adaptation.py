@@ -4,28 +4,29 @@
     python benchmarks/bench_adaptation.py --individuals 1-3      # each arm with the model of its own motions
 
 The arm starts cold (22 °C) and draws the circle of scene ``iso9283_3`` again and again; the model was identified at
-35 °C. The oracle reads the true friction at the true gear temperatures from the simulator, which no model may, and uses
-the identified rest. Thermal time runs ``compression`` times faster than the arm.
+35 °C. Adapted is what the method `adapted` plays in scenes of kind path: it learns from one motion about the path
+before the circles, then from the circles. The oracle reads the true friction at the true gear temperatures from the
+simulator, which no model may, and uses the identified rest. Thermal time runs ``compression`` times faster than the
+arm.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
-from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
-from ideal_robot.feedforward.friction_curve import FrictionCurve
+from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.commands.common import whole_numbers
+from scenes.methods import ADAPTED
 from scenes.models import model_for
 from scenes.options import chosen
 from scenes.path.cell import PathCell
@@ -71,8 +72,10 @@ def warm_up(scene: PathScene, options: argparse.Namespace) -> None:
     count = max(2, round(60.0 * options.minutes / options.compression / (len(once) * world.t_ipo)))
     x_d = np.array([robot.fk()(q).translation for q in once])[: len(circle)]
     results = {}
-    for name in ("fixed", "adapted", "oracle"):
-        results[name], temperature = _hour(robot, world, loop, once, count, x_d, name)
+    ideal = IdealRobot(loop)
+    for name, feedforward in (("fixed", ideal), ("adapted", place.feedforward(ADAPTED)), ("oracle", ideal)):
+        results[name], temperature = _hour(robot, world, loop, feedforward, once, count, x_d,
+                                            oracle=name == "oracle")
     minutes = (np.arange(count) + 0.5) * len(once) * world.t_ipo * options.compression / 60.0
     print(f"{options.minutes:g} min of warm-up in {count * len(once) * world.t_ipo:.0f} s of arm time "
           f"(thermal time {options.compression:g} times faster), joint 1 from 22 to {temperature[-1]:.0f} °C\n")
@@ -89,29 +92,19 @@ def warm_up(scene: PathScene, options: argparse.Namespace) -> None:
         print(f"figure: {options.figure}")
 
 
-def _hour(robot: Robot, world: World, loop: LoopModel, once: Array, count: int, x_d: Array, name: str
-          ) -> tuple[Array, Array]:
+def _hour(robot: Robot, world: World, loop: LoopModel, feedforward: Feedforward, once: Array, count: int, x_d: Array,
+          *, oracle: bool) -> tuple[Array, Array]:
     """E_car of each circle ``(count,)`` [m] and the temperature of joint 1 at its end [°C]."""
-    feedforward = AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop))
     truth = _true_friction(robot, world, loop)
     lead = round(0.9 / world.t_ipo)
     with SimulatedArm(robot, world, np.random.default_rng(1), once[0]) as arm:
         state = feedforward.init(once[0])
         q_d = np.concatenate([np.tile(once[0], (lead, 1)), np.tile(once, (count, 1)), np.tile(once[-1], (30, 1))])
         for k in range(lead + count * len(once)):
-            if name == "oracle" and (k - lead) % len(once) == 0:
-                known = IdealRobot(loop.replace(**truth(arm.history()["temperature"][-1] if k else np.full(6, 22.0))))
-            horizon = q_d[k : k + 30]
-            if name == "oracle":
-                known_drives = known.drives if k >= lead else feedforward.ideal.drives
-                q_c, inner = feedforward.ideal.step_with(known_drives, state.ideal, horizon)
-                state = replace(state, ideal=inner)
-                arm.cycle(q_c)
-                continue
-            q_c, state = feedforward.step(state, horizon)
-            measured = arm.cycle(q_c)
-            if name == "adapted":
-                state = feedforward.observe(state, measured)
+            if oracle and k >= lead and (k - lead) % len(once) == 0:
+                feedforward = IdealRobot(loop.replace(**truth(arm.history()["temperature"][-1])))
+            q_c, state = feedforward.step(state, q_d[k : k + feedforward.n_d])
+            state = feedforward.observe(state, arm.cycle(q_c))
         log = arm.history()
         every = round(world.t_ipo / 0.002)
         q_a, temperature = log["q_a"][::every], log["temperature"][::every, 0]

@@ -20,6 +20,7 @@ import numpy as np  # noqa: E402
 from ideal_robot.arrays import Array  # noqa: E402
 from ideal_robot.feedforward.base import Feedforward  # noqa: E402
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal  # noqa: E402
+from ideal_robot.feedforward.friction_curve import FrictionCurve  # noqa: E402
 from ideal_robot.feedforward.ideal import IdealRobot  # noqa: E402
 from ideal_robot.feedforward.linear_inverse import LinearInverse  # noqa: E402
 from ideal_robot.feedforward.precorrection import Precorrection  # noqa: E402
@@ -67,6 +68,7 @@ def main() -> None:
         "precorrected": (Precorrection.complete(model, robot, delay=1), False),
         "ideal": (IdealRobot(loop, N_D), False),
         "adapted, observing": (AdaptedIdeal(IdealRobot(loop, N_D)), True),
+        "adapted on a known path, observing": (AdaptedIdeal(IdealRobot(loop, N_D), curve=FrictionCurve(loop)), True),
     }
     print(f"{cycles} cycles, six joints, n_d = {N_D}, a new horizon in every cycle; milliseconds.")
     print("Elapsed time includes what else runs on the machine, processor time does not.\n")

@@ -17,9 +17,17 @@ import numpy as np
 from scenes import load_scene
 from scenes.force.kind import run
 from scenes.force.result import ForceResult
+from scenes.force.scene import ForceScene
 
 FRICTION = (0.05, 0.4)
 DRIFT = (0.1, -0.1, 0.3, 0.0, 0.0, 0.0)
+
+
+def contact_scene(stiffness: float, seed: int) -> ForceScene:
+    """`force_wave` on a contact of this stiffness [N/mm]."""
+    friction = float(np.interp(np.log(stiffness), np.log([2.0, 50.0]), FRICTION))
+    return load_scene("force_wave").changed(seed=seed, gains=None, sensor={"drift": DRIFT},
+                                            tip={"stiffness": 1e3 * stiffness, "friction": friction})
 
 
 def row(name: str, result: ForceResult) -> str:
@@ -40,15 +48,12 @@ def main() -> None:
     options = parser.parse_args()
     print("| contact | method | RMS N | largest N | least N | E found / true N/mm | line mm | stopped |")
     print("| --- | --- | --- | --- | --- | --- | --- | --- |")
-    wave = load_scene("force_wave")
-    stiffness = [float(one) for one in options.stiffness.split(",")]
-    shares = np.interp(np.log(stiffness), np.log([2.0, 50.0]), FRICTION)
     for seed in (int(one) for one in options.seeds.split(",")):
-        for k, mu in zip(stiffness, shares.tolist(), strict=True):
-            scene = wave.changed(seed=seed, gains=None, tip={"stiffness": 1e3 * k, "friction": mu},
-                                 sensor={"drift": DRIFT})
+        for k in (float(one) for one in options.stiffness.split(",")):
+            scene = contact_scene(k, seed)
+            name = f"{k:g} N/mm, μ = {scene.tip.friction:.2f}, seed {seed}"
             for method in options.methods.split(","):
-                print(row(f"{k:g} N/mm, μ = {mu:.2f}, seed {seed}", run(scene, method=method)), flush=True)
+                print(row(name, run(scene, method=method)), flush=True)
         if options.glue:
             print(row(f"`glue`, seed {seed}", run(load_scene("glue").changed(seed=seed))), flush=True)
 

@@ -20,22 +20,25 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.robot import Robot
 from scenes import load_scene
-from scenes.path.cell import PathCell, set_up
+from scenes.path.cell import set_up
 from scenes.path.scene import PathScene
 from scenes.undeclared import undeclared_effects
 from sim.arm.friction import steady_friction
 from sim.arm.specimen import draw_specimen
+from sim.arm.world import World
 
 
-def with_true_friction(cell: PathCell, joints: list[int]) -> LoopModel:
+def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list[int]) -> LoopModel:
     """The identified loop with the true friction of some joints (from 1), in the units of the measured torque.
 
     Args:
-        cell: path, arm and model.
+        loop: identified.
+        robot: the arm.
+        world: the arm as it is.
         joints: from 1.
     """
-    loop, robot, world = cell.loop(), cell.robot, cell.world
     gain = draw_specimen(robot, world).drive_gain
     speeds = np.maximum(loop.friction_velocity, 1e-9)
     warm = float(world.per_joint("start_temperature", robot.n)[0])
@@ -62,7 +65,7 @@ def main() -> None:
     print("| friction told | E_car aligned mm | E_max aligned mm |\n| --- | --- | --- |")
     for name, joints in (("none: the model as it was", []), (f"true in joint {', '.join(map(str, changed))}", changed),
                          ("true in all joints", every)):
-        loop = with_true_friction(cell, joints) if joints else cell.loop()
+        loop = with_true_friction(cell.loop(), cell.robot, cell.world, joints) if joints else cell.loop()
         error = cell.play(IdealRobot(loop)).errors.aligned
         print(f"| {name} | {1e3 * error.E_car:.3f} | {1e3 * error.E_max:.3f} |", flush=True)
 

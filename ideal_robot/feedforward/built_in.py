@@ -7,6 +7,7 @@ import numpy as np
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
+from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback, learn_on_model
 from ideal_robot.feedforward.linear_inverse import LinearInverse
@@ -63,13 +64,15 @@ def _precorrected(setting: Setting) -> Feedforward:
 def _adapted(setting: Setting) -> Feedforward:
     ideal, robot = _ideal(setting), setting.robot
     tool = robot.pinocchio.frames[robot.tool_id].placement.translation
-    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)))
+    # The motors tell friction's shape only where the path is not planned anew while they are on their way.
+    curve = None if setting.q_d is None else FrictionCurve(ideal.loop)
+    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)), curve=curve)
     if setting.practice is None:
         # Nothing to play beforehand: it learns while it works.
         return _corrected(setting, start)
     practice = setting.plays()
-    before = practice.play(start, practice.motion(setting.path()))
-    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors))
+    known = practice.play(start, practice.motion(setting.path())).state
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, known.factors, curve, known.curve))
 
 
 def _model_learned(setting: Setting) -> Feedforward:

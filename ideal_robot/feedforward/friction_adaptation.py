@@ -220,8 +220,8 @@ class AdaptedIdeal(Feedforward):
         ideal: what is adapted.
         adaptation: how.
         known: what to start with; factors 1, believed to 15 %, and no mass if None.
-        curve: learns what the law's shape lacks over speed; nothing does if None. For paths known well beforehand:
-            one that is planned anew all the time leaves following errors that are not friction's.
+        curve: learns what the law's shape lacks over speed; nothing does if None. For paths known beforehand: one
+            that is planned anew all the time leaves following errors that are not friction's.
         known_curve: what that starts with; nothing if None.
     """
 

@@ -19,6 +19,7 @@ from scenes.force.task import ForceTask
 from scenes.force.world import true_tip
 from scenes.methods import DIRECT, following_methods, method_of
 from scenes.result import Progress, silent
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
 from sim.equipment.equipped_arm import CarriedCamera, CarriedForceSensor, EquippedArm
@@ -50,11 +51,7 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
         InputError: no such method, or a scene that cannot be played.
     """
     method = method_of(method, methods(scene.task))
-    # What calibration does not see must not make it run again.
-    alike = scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
-                                     "trouble": CameraTrouble(),
-                                     "sensor": scene.sensor.model_copy(update={"drift": ()})})
-    tool, elasticity = calibrations(alike.model_dump_json())
+    tool, elasticity = calibrated(scene)
     cell = set_up(scene)
     glue = GlueWorld(cell) if scene.task == "glue" else None
     task = ForceTask(cell, method, gains, tool, elasticity, cell.camera_streams[0])
@@ -73,6 +70,15 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     if glue is not None:
         glue.close()
     return result
+
+
+def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
+    """Tool and contact as calibration by moving finds them in this scene."""
+    # What calibration does not see must not make it run again.
+    alike = scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
+                                     "trouble": CameraTrouble(),
+                                     "sensor": scene.sensor.model_copy(update={"drift": ()})})
+    return calibrations(alike.model_dump_json())
 
 
 def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, arm: SimulatedArm,

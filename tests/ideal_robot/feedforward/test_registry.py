@@ -10,6 +10,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.method import Needs, Setting
 from ideal_robot.feedforward.passthrough import PassThrough
 from ideal_robot.feedforward.practice import Practice, Rehearsed
@@ -133,3 +134,11 @@ def test_training_as_printed_weighs_no_torques() -> None:
     assert len(more.w) > 0  # type: ignore[attr-defined]
     off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in (PassThrough(ROBOT.t_ipo), printed, more)]
     assert off[2] < off[1] < off[0]
+
+
+@pytest.mark.parametrize(("q_d", "learns"), [(path(), True), (None, False)])
+def test_frictions_shape_is_learned_where_the_path_is_known_beforehand(q_d: np.ndarray | None, learns: bool) -> None:
+    """On paths planned anew the following error is not friction's alone."""
+    law = feedforward("adapted", MODEL, ROBOT, q_d=q_d)
+    assert isinstance(law, AdaptedIdeal)
+    assert (law.curve is not None) == learns
