@@ -68,7 +68,7 @@ def main() -> None:
         "precorrected": (Precorrection.complete(model, robot, delay=1), False),
         "ideal": (IdealRobot(loop, N_D), False),
         "adapted, observing": (AdaptedIdeal(IdealRobot(loop, N_D)), True),
-        "adapted on a known path, observing": (AdaptedIdeal(IdealRobot(loop, N_D), curve=FrictionCurve(loop)), True),
+        "adapted, known path": (AdaptedIdeal(IdealRobot(loop, N_D), curve=FrictionCurve(loop)), True),
     }
     print(f"{cycles} cycles, six joints, n_d = {N_D}, a new horizon in every cycle; milliseconds.")
     print("Elapsed time includes what else runs on the machine, processor time does not.\n")
