@@ -4,8 +4,8 @@
     python benchmarks/bench_adaptation.py --individuals 1-3      # each arm with the model of its own motions
 
 The arm starts cold (22 °C) and draws the circle of scene ``iso9283_3`` again and again; the model was identified at
-35 °C. Adapted is what the method `adapted` plays in scenes of kind path: it learns from one motion about the path
-before the circles, then from the circles. The oracle reads the true friction at the true gear temperatures from the
+35 °C. Adapted is what the method `adapted` plays in scenes of kind path: it learns friction and mass from one motion
+about the path beforehand, and on the circles. The oracle reads the true friction at the true gear temperatures from the
 simulator, which no model may, and uses the identified rest. Thermal time runs ``compression`` times faster than the
 arm.
 """

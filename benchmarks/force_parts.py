@@ -16,14 +16,18 @@ on which the forecast is used: from 7.5 N/mm on.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from force_workshop import contact_scene
 from scipy.interpolate import UnivariateSpline
-from true_friction import with_true_friction
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.force_workshop import contact_scene
+from benchmarks.true_friction import with_true_friction
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot

@@ -64,15 +64,16 @@ def _precorrected(setting: Setting) -> Feedforward:
 def _adapted(setting: Setting) -> Feedforward:
     ideal, robot = _ideal(setting), setting.robot
     tool = robot.pinocchio.frames[robot.tool_id].placement.translation
-    # The motors tell friction's shape only where the path is not planned anew while they are on their way.
+    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)))
+    # The motors tell friction's shape only where the path is not planned anew while they are on their way. What they
+    # tell on another motion is not this path's: it starts with none.
     curve = None if setting.q_d is None else FrictionCurve(ideal.loop)
-    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)), curve=curve)
     if setting.practice is None:
         # Nothing to play beforehand: it learns while it works.
-        return _corrected(setting, start)
+        return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, curve=curve))
     practice = setting.plays()
-    known = practice.play(start, practice.motion(setting.path())).state
-    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, known.factors, curve, known.curve))
+    before = practice.play(start, practice.motion(setting.path()))
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors, curve))
 
 
 def _model_learned(setting: Setting) -> Feedforward:

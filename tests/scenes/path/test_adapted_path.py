@@ -24,7 +24,7 @@ def two_factors(setting: Setting) -> Feedforward:
     return AdaptedIdeal(ideal, start.adaptation, known.factors)
 
 
-@pytest.mark.parametrize(("name", "bound"), [("vertical_circle", 0.85), ("iso9283_3", 1.03)])
+@pytest.mark.parametrize(("name", "bound"), [("vertical_circle", 0.95), ("edge", 1.03)])
 def test_what_is_played_on_known_paths_learns_the_shape_of_friction(name: str, bound: float) -> None:
     scene = load_scene(name)
     shape, factors = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, two_factors))
