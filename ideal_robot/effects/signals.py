@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -86,6 +87,18 @@ class Signals:
     def dt(self) -> float:
         """Sampling interval [s]; 1 for a single sample, where nothing may depend on it."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Inertia behind each gear, the other joints held ``(N, n)`` [kg m²]; ones where no rigid body says so."""
+        result, still = np.ones((len(self.t), self.n)), np.zeros_like(self.q)
+        if self.rigid is not None:
+            weight = self.rigid(self.q, still, still)
+            for j in range(self.n):
+                one = still.copy()
+                one[:, j] = 1.0
+                result[:, j] = (self.rigid(self.q, still, one) - weight)[:, j]
+        return result
 
     def direction(self, qd: Array, joint: int) -> Array:
         """Sign of a velocity ``(N,)`` of ``joint`` (from 1), smooth where it is lost in noise."""

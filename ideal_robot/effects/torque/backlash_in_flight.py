@@ -132,10 +132,6 @@ def _constant(signals: Signals, joint: int) -> float:
 
 
 def _inertia(signals: Signals, joint: int) -> Array:
-    """Inertia behind the gear ``(N,)`` [kg m²], the other joints held; kept away from zero."""
-    if signals.rigid is None:
-        return np.ones(len(signals.t))
-    still, one = np.zeros_like(signals.q), np.zeros_like(signals.q)
-    one[:, joint - 1] = 1.0
-    inertia = (signals.rigid(signals.q, still, one) - signals.rigid(signals.q, still, still))[:, joint - 1]
+    """Inertia behind the gear ``(N,)`` [kg m²], kept away from zero."""
+    inertia = signals.inertia[:, joint - 1]
     return np.asarray(np.maximum(inertia, _LEAST_INERTIA * np.mean(inertia)))
