@@ -79,6 +79,8 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
         partials = []
         for place in places:
             if place is not None:
+                if place.exists() and not (place.is_file() or place.is_dir()):
+                    raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
                 place.parent.mkdir(parents=True, exist_ok=True)
                 moves.append((partial_name(place), place))
             partials.append(None if place is None else moves[-1][0])

@@ -53,6 +53,9 @@ def _check(path: Path, option: str, folder: bool) -> None:
     if path.exists() and path.is_dir() != folder:
         raise InputError(f"is a {'file' if folder else 'folder'}; expected the name of a "
                          f"{'folder' if folder else 'file'}", field=option, value=str(path))
+    if path.exists() and not folder and not path.is_file():
+        # A result is moved to its place when it is whole: the device itself would be gone.
+        raise InputError("is a device or a pipe; expected the name of a file", field=option, value=str(path))
     place = path if folder else path.parent
     if not folder:
         os.fsencode(path.name)

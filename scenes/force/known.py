@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +64,9 @@ class Known:
         profile, acceleration = self.profile, self.scene.reference.acceleration
         jerk = settings.jerk(acceleration, JERK)
         if fusion is None and jerk < JERK:
-            profile = SpeedProfile.plan(self.robot, self.reference, Limits(self.scene.speed, acceleration, jerk=jerk))
+            with suppress(InputError):  # a path too short to reach its speed so gently begins as it can
+                gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
+                profile = SpeedProfile.plan(self.robot, self.reference, gentle)
         return SurfaceFollower(self.robot, self.reference, profile, N_D, settings, fusion=fusion,
                                lateral=fusion is not None, start_height=START_HEIGHT,
                                force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))

@@ -197,7 +197,8 @@ def test_places_that_cannot_be_written_are_told_by_option_and_nothing_is_made(tm
     for places, option in (
         ({"json": tmp_path / "folder"}, "--json"), ({"json": tmp_path / "file" / "a.json"}, "--json"),
         ({"folders": {"--out": tmp_path / "file"}}, "--out"), ({"json": Path("/proc/none/a.json")}, "--json"),
-        ({"export_urdf": Path("/dev/full/a")}, "--export-urdf"), ({"json": tmp_path / ("x" * 300)}, "--json"),
+        ({"json": Path("/dev/null")}, "--json"), ({"export_urdf": Path("/dev/full/a")}, "--export-urdf"),
+        ({"json": tmp_path / ("x" * 300)}, "--json"),
         ({"folders": {"--out": tmp_path / ("x" * 300)}}, "--out"), ({"json": tmp_path / "a\0b"}, "--json"),
         ({"json": tmp_path / "same", "csv": tmp_path / "folder" / ".." / "same"}, "--csv"),
     ):
@@ -206,6 +207,14 @@ def test_places_that_cannot_be_written_are_told_by_option_and_nothing_is_made(tm
         assert refused.value.field == option
     check_outputs({"--out": tmp_path / "new" / "deep"}, json=tmp_path / "other" / "a.json", csv=None)
     assert _visible(tmp_path) == ["file", "folder"]
+
+
+def test_a_device_or_pipe_is_not_replaced_by_a_file(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OutputError, match="pipe"), whole_file(pipe) as partial:
+        partial.write_text("x")
+    assert pipe.is_fifo()
 
 
 def test_a_folder_that_vanishes_while_writing_is_an_error_of_one_line(tmp_path: Path) -> None:
