@@ -79,7 +79,7 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
         partials = []
         for place in places:
             if place is not None:
-                if place.exists() and not (place.is_file() or place.is_dir()):
+                if is_device(place):
                     raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
                 place.parent.mkdir(parents=True, exist_ok=True)
                 moves.append((partial_name(place), place))
@@ -111,6 +111,11 @@ def write_text(path: str | Path, text: str) -> Path:
     with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
     return Path(path)
+
+
+def is_device(place: Path) -> bool:
+    """Whether there is something that is neither file nor folder: a file that is moved there would be in its stead."""
+    return place.exists() and not (place.is_file() or place.is_dir())
 
 
 def partial_name(path: Path) -> Path:

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ideal_robot.errors import InputError
-from ideal_robot.whole_file import OutputError, partial_name, synchronise
+from ideal_robot.whole_file import OutputError, is_device, partial_name, synchronise
 
 _EXCHANGE = 2
 """``RENAME_EXCHANGE`` of renameat2(2)."""
@@ -53,8 +53,7 @@ def _check(path: Path, option: str, folder: bool) -> None:
     if path.exists() and path.is_dir() != folder:
         raise InputError(f"is a {'file' if folder else 'folder'}; expected the name of a "
                          f"{'folder' if folder else 'file'}", field=option, value=str(path))
-    if path.exists() and not folder and not path.is_file():
-        # A result is moved to its place when it is whole: the device itself would be gone.
+    if is_device(path):
         raise InputError("is a device or a pipe; expected the name of a file", field=option, value=str(path))
     place = path if folder else path.parent
     if not folder:

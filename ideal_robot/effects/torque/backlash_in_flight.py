@@ -74,7 +74,8 @@ class BacklashInFlight(JointElasticity):
         """There has to be an inertia behind the gear, and a load that changes sign for one of the starts."""
         if signals.rigid is None or len(signals.t) < 3 or float(np.mean(_inertia(signals, joint))) <= 0.0:
             return False
-        return any(_turns(self._crossing_load(signals, joint) + shift) for _, shift in self.starts(signals, joint))
+        load = self._crossing_load(signals, joint)
+        return any(_turns(load + shift) for _, shift in self.starts(signals, joint))
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """Gaps by the time they take to cross, loads besides around none and around all of the constant torque."""

@@ -19,6 +19,7 @@ from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.known_arm import harmonics, point_mass
 
 
 def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.02) -> tuple[Problem, Robot]:
@@ -32,16 +33,10 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.
         left: what of the torques of joints 1 to 3 no model knows, as a share of them; two hundredths of a wrist's.
     """
     robot, rng, t = Robot.load(name), np.random.default_rng(2), np.arange(0.0, 24.0, 0.004)
-    frequency, phase = rng.uniform(0.8, 5.0, (4, robot.n)), rng.uniform(0.0, 6.0, (4, robot.n))
-    angle = t[:, None, None] * frequency + phase
-    q = robot.home + 0.25 * np.sin(angle).sum(axis=1)
-    qd = 0.25 * (frequency * np.cos(angle)).sum(axis=1)
-    qdd = -0.25 * (frequency**2 * np.sin(angle)).sum(axis=1)
+    q, qd, qdd = harmonics(rng, t, robot.home, 0.25, (0.8, 5.0), 4)
     model = Model.nominal(robot)
-    body = mass * np.array([1.0, *at, at[1]**2 + at[2]**2, -at[0] * at[1], at[0]**2 + at[2]**2, -at[0] * at[2],
-                            -at[1] * at[2], at[0]**2 + at[1]**2])
     columns = regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * link - 10 : 10 * link]
-    tau = model.inverse_dynamics(q, qd, qdd) + columns @ body
+    tau = model.inverse_dynamics(q, qd, qdd) + columns @ point_mass(mass, at)
     # What rotors do with the inertia of a wrist is known no better than this.
     share = np.where(np.arange(robot.n) < 3, left, 0.02)
     tau = tau + share * np.std(tau, axis=0) * np.sin(7.0 * q) + 0.002 * np.std(tau, axis=0) * rng.normal(size=q.shape)

@@ -16,6 +16,7 @@ from ideal_robot.effects import library
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.known_arm import harmonics, point_mass
 
 JOINT = 2
 NEIGHBOURS = ("load_direction_friction", "load_dependent_friction", "drive_gain", "payload", "coulomb",
@@ -47,17 +48,11 @@ def added(name: str, qd: Array, load: Array, body: Array) -> Array:
 def problem_of(*names: str) -> Problem:
     """An arm whose parameters are known, with the causes of these names."""
     robot, rng, t = Robot.load("kr6"), np.random.default_rng(4), np.arange(0.0, 24.0, 0.004)
-    frequency, phase = rng.uniform(0.5, 3.0, (3, robot.n)), rng.uniform(0.0, 6.0, (3, robot.n))
-    angle = t[:, None, None] * frequency + phase
-    q = robot.home + 0.3 * np.sin(angle).sum(axis=1)
-    qd = 0.3 * (frequency * np.cos(angle)).sum(axis=1)
-    qdd = -0.3 * (frequency**2 * np.sin(angle)).sum(axis=1)
+    q, qd, qdd = harmonics(rng, t, robot.home, 0.3, (0.5, 3.0), 3)
     model = Model.nominal(robot)
     load = model.inverse_dynamics(q, qd, qdd) - robot.rotor_inertia * qdd
     at = robot.pinocchio.frames[robot.tool_id].placement.translation
-    kilogram = np.array([1.0, *at, at[1]**2 + at[2]**2, -at[0] * at[1], at[0]**2 + at[2]**2, -at[0] * at[2],
-                         -at[1] * at[2], at[0]**2 + at[1]**2])
-    body = regressor(robot.pinocchio, q, qd, qdd)[:, :, -10:] @ kilogram
+    body = regressor(robot.pinocchio, q, qd, qdd)[:, :, -10:] @ point_mass(1.0, at)
     tau = model.inverse_dynamics(q, qd, qdd) + sum(added(name, qd, load, body) for name in names)
     tau = tau + 0.005 * np.std(tau, axis=0) * rng.normal(size=q.shape)
     made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)

@@ -51,24 +51,25 @@ def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int)
     assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
 
 
-def test_with_the_curve_the_arm_is_where_it_should_be() -> None:
-    loop, q_d = plant(), motion(amplitude=0.05)
-    true = sticky(loop)
+def errors(loop: LoopModel, true: LoopModel) -> dict[str, float]:
+    """How far the true arm is from where it should be, by the model's law and with the curve that it learned [rad]."""
+    q_d = motion(amplitude=0.05)
     known = learned(loop, true, q_d)
-    error = {name: rms(simulate(true, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
-             for name, feedforward in (("law", IdealRobot(loop)),
-                                       ("curve", AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop),
-                                                                 known_curve=known)))}
+    return {name: rms(simulate(true, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
+            for name, feedforward in (("law", IdealRobot(loop)),
+                                      ("curve", AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop),
+                                                             known_curve=known)))}
+
+
+def test_with_the_curve_the_arm_is_where_it_should_be() -> None:
+    loop = plant()
+    error = errors(loop, sticky(loop))
     assert error["curve"] < 0.6 * error["law"], error
 
 
 def test_an_arm_as_the_model_has_it_is_moved_no_worse() -> None:
-    loop, q_d = plant(), motion(amplitude=0.05)
-    known = learned(loop, loop, q_d)
-    error = {name: rms(simulate(loop, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:])
-             for name, feedforward in (("law", IdealRobot(loop)),
-                                       ("curve", AdaptedIdeal(IdealRobot(loop), curve=FrictionCurve(loop),
-                                                                 known_curve=known)))}
+    loop = plant()
+    error = errors(loop, loop)
     assert error["curve"] < 1.03 * error["law"], error
 
 
