@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.effects.rigid_derivatives import RigidDerivatives
 
 RigidBody = Callable[[Array, Array, Array], Array]
 """Rigid-body torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each, without friction and rotors."""
@@ -87,6 +88,11 @@ class Signals:
     def dt(self) -> float:
         """Sampling interval [s]; 1 for a single sample, where nothing may depend on it."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else 1.0
+
+    @cached_property
+    def derivatives(self) -> RigidDerivatives | None:
+        """How the rigid body's torques change with the motion of one joint; None where no rigid body is known."""
+        return None if self.rigid is None else RigidDerivatives(self.rigid, self.q, self.qd, self.qdd)
 
     @cached_property
     def inertia(self) -> Array:

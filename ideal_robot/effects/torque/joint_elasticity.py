@@ -33,25 +33,14 @@ class JointElasticity(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
-        if signals.rigid is None or len(signals.t) < 3:
+        if signals.derivatives is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
-        j = joint - 1
         bend = self.bend(signals, joint, theta)
         if signals.cutoff is not None:
             # The bend is in the recorded position, and of that the filter let pass only the slow part.
             bend = lowpass(bend, signals.dt, signals.cutoff)
-        # A step so small that the rigid body is linear in it, so large that rounding does not matter.
-        h = 1e-4 / (float(np.std(bend)) + 1e-12)
         rate = signals.rate(bend)
-        acceleration = signals.rate(rate)
-        sides = []
-        for sign in (1.0, -1.0):
-            q, qd, qdd = signals.q.copy(), signals.qd.copy(), signals.qdd.copy()
-            q[:, j] -= sign * h * bend
-            qd[:, j] -= sign * h * rate
-            qdd[:, j] -= sign * h * acceleration
-            sides.append(signals.rigid(q, qd, qdd))
-        return np.asarray((sides[0] - sides[1])[:, :, None] / (2.0 * h))
+        return -signals.derivatives.along(joint, bend, rate, signals.rate(rate))[:, :, None]
 
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """What a unit coefficient bends the gear by.

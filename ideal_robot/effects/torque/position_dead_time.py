@@ -26,7 +26,6 @@ class PositionDeadTime(Effect):
     caution = 2.5
     at_all_frequencies = True
     longest = 0.06
-    _step = 1e-3
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """With one joint alone it is the torque's delay with the other sign."""
@@ -34,17 +33,10 @@ class PositionDeadTime(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
-        if signals.rigid is None or len(signals.t) < 3:
+        if signals.derivatives is None or len(signals.t) < 3:
             return np.zeros((len(signals.t), signals.n, 1))
-        j, h = joint - 1, self._step
-        ahead = []
-        for sign in (1.0, -1.0):
-            q, qd, qdd = signals.q.copy(), signals.qd.copy(), signals.qdd.copy()
-            q[:, j] += sign * h * signals.qd[:, j]
-            qd[:, j] += sign * h * signals.qdd[:, j]
-            qdd[:, j] += sign * h * signals.rate(signals.qdd[:, j])
-            ahead.append(signals.rigid(q, qd, qdd))
-        column = (ahead[0] - ahead[1]) / (2.0 * h)
+        j = joint - 1
+        column = signals.derivatives.along(joint, signals.qd[:, j], signals.qdd[:, j], signals.rate(signals.qdd[:, j]))
         column[:, j] += signals.rate(signals.torque[:, j] - signals.load[:, j])
         return np.asarray(column[:, :, None])
 

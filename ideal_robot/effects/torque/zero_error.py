@@ -21,7 +21,6 @@ class ZeroError(Effect):
     coefficient_units = ("rad",)
     absorbed_by_base = True
     source = "derivative of [G] (5) by one angle"
-    _step = 1e-3
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """The rigid body has to be known as a function, and the angle has to matter to it."""
@@ -31,14 +30,9 @@ class ZeroError(Effect):
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
-        if signals.rigid is None:
+        if signals.derivatives is None:
             return np.zeros((len(signals.t), signals.n, 1))
-        sides = []
-        for sign in (1.0, -1.0):
-            q = signals.q.copy()
-            q[:, joint - 1] += sign * self._step
-            sides.append(signals.rigid(q, signals.qd, signals.qdd))
-        return np.asarray((sides[0] - sides[1])[:, :, None] / (2.0 * self._step))
+        return signals.derivatives.by(joint)[0][:, :, None]
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. Degrees, not another mounting."""
