@@ -64,9 +64,11 @@ class Search:
         self.curves = LearnedCurves(self.scoring, rng)
         self.learns = only is None
         regression = problem.regression
-        self.pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
-                     if (starts[0].effect.name, starts[0].joint) not in refuted
-                     and (only is None or (starts[0].effect.name, starts[0].joint) in only)]
+        pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
+                if (starts[0].effect.name, starts[0].joint) not in refuted
+                and (only is None or (starts[0].effect.name, starts[0].joint) in only)]
+        # Joint by joint, as several effects need how torques change with its motion, which is large to keep.
+        self.pool = sorted(pool, key=lambda starts: starts[0].joint)
 
     def run(self, start: Sequence[Choice] = ()) -> list[Choice]:
         """Selects; returns the choices in the order they were taken.
