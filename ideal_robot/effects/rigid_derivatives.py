@@ -60,7 +60,7 @@ class RigidDerivatives:
     def _difference(self, j: int, k: int, step: float) -> Array:
         sides = []
         for sign in (1.0, -1.0):
-            moved = self._motion[k].copy()
-            moved[:, j] += sign * step
-            sides.append(self._rigid(*self._motion[:k], moved, *self._motion[k + 1 :]))
+            q, qd, qdd = (values.copy() if i == k else values for i, values in enumerate(self._motion))
+            (q, qd, qdd)[k][:, j] += sign * step
+            sides.append(self._rigid(q, qd, qdd))
         return np.asarray((sides[0] - sides[1]) / (2.0 * step))
