@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.effects.domain import SENSOR
 from ideal_robot.errors import InputError
 from ideal_robot.model.controller_model import ControllerModel
 
@@ -112,8 +113,11 @@ def _effects(model: Any, n: int, file: Path | str | None) -> None:
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise InputError(f"not a complete effect ({type(error).__name__}: {error})", file=file,
                              field=f"{key}.data") from error
+        if effect.learned:
+            continue
+        most = len(effect.coefficient_names)
         # Of a sensor's effect a recording may show the first coefficients only.
-        if not effect.learned and (len(fitted.theta) != len(effect.theta_names)
-                                   or not 0 < len(fitted.coefficients) <= len(effect.coefficient_names)):
-            raise InputError(f"expected up to {len(effect.coefficient_names)} coefficients and "
+        least = 1 if effect.domain == SENSOR else most
+        if len(fitted.theta) != len(effect.theta_names) or not least <= len(fitted.coefficients) <= most:
+            raise InputError(f"expected {'up to ' if least < most else ''}{most} coefficients and "
                              f"{len(effect.theta_names)} nonlinear parameters", file=file, field=key)

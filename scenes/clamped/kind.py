@@ -11,13 +11,14 @@ import numpy as np
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.robots.robot import Robot
 from scenes.clamped.page import stiffness_page
-from scenes.clamped.play import configurations, record, world_of
+from scenes.clamped.play import configurations, record
 from scenes.clamped.result import ClampedResult
 from scenes.clamped.scene import ClampedScene
 from scenes.kind import SceneKind
 from scenes.methods import method_of
 from scenes.outputs import whole_folder
 from scenes.result import Progress, silent
+from sim.contact.clamp_world import ClampWorld
 
 METHODS = ("motor", "wrench", "both")
 
@@ -37,7 +38,7 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
     """
     chosen = method_of(method or "both", METHODS).key
     robot = Robot.load(scene.robot)
-    world = world_of(robot, scene.arm_world)
+    world = ClampWorld.from_table(robot, scene.arm_world)
     rng = np.random.default_rng(scene.seed)
     progress(0.05, "choosing configurations")
     postures = configurations(scene, robot, rng)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -19,22 +18,6 @@ from sim.contact.payload_rig import hang_payloads
 
 SHARES = (0.5, 1.0, 0.5, 0.0, -0.5, -1.0, -0.5, 0.0)
 """Levels of a motor's shift as shares of the largest allowed one; each from both sides, so that friction cancels."""
-
-
-def world_of(robot: Robot, table: dict[str, Any]) -> ClampWorld:
-    """The default clamp world with the changes of a scene's ``[world]`` table.
-
-    Raises:
-        InputError: unknown key.
-    """
-    base = ClampWorld.default(robot)
-    allowed = ClampWorld.__dataclass_fields__
-    for key in table:
-        if key not in allowed:
-            raise InputError(f"unknown key; allowed here are {', '.join(allowed)}", field=f"world.{key}")
-    changes = {key: np.array(value, dtype=float) if isinstance(getattr(base, key), np.ndarray) else
-               tuple(value) if isinstance(value, list) else value for key, value in table.items()}
-    return ClampWorld(**{**base.__dict__, **changes})
 
 
 def configurations(scene: ClampedScene, robot: Robot, rng: np.random.Generator) -> Array:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 import pydantic
 
 from scenes.scene import Scene, Table
 from sim.contact.clamp import WRENCH
+
+Level = Annotated[float, pydantic.Field(gt=0.0, le=1e6)]
+Mass = Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
 
 
 class ClampTable(Table):
@@ -19,13 +22,14 @@ class ClampTable(Table):
     """How many configurations the program may choose."""
     push: Literal["tool_z", "joints"] = "joints"
     """``tool_z``: force-controlled levels along −z of the tool ([J]); ``joints``: one motor after the other."""
-    forces: tuple[float, ...] = (1000.0, 2000.0, 3000.0, 4000.0, 5000.0, 6000.0, 7000.0)
+    forces: tuple[Level, ...] = pydantic.Field(
+        default=(1000.0, 2000.0, 3000.0, 4000.0, 5000.0, 6000.0, 7000.0), min_length=1, max_length=100)
     """Force levels of ``tool_z`` [N]; held upwards, then downwards."""
     components: tuple[str, ...] = WRENCH
     """Wrench components that the sensor records."""
-    hold: float = pydantic.Field(default=2.0, gt=0.2)
+    hold: float = pydantic.Field(default=2.0, gt=0.2, le=60.0)
     """Time at a level [s]."""
-    payloads: tuple[float, ...] = ()
+    payloads: tuple[Mass, ...] = ()
     """Masses hung on the unclamped flange for comparison [kg]; none: no comparison."""
 
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from sim.arm.world import World
 
 KR500_STIFFNESS = (6.93e6, 7.81e6, 6.2e6, 1.35e6, 1.15e6, 0.62e6)
 """Truth [N m/rad]: joints 1 and 2 as [J] tables 5 and 6, the others assumed in proportion."""
+
+_RANGES = {
+    "stiffness": (1.0, np.inf), "link_stiffness": (1.0, np.inf), "environment": (1.0, np.inf), "friction": (0.0, 1.0),
+    "presliding": (1e-12, 0.1), "force_control": (0.0, 0.3), "drive_gain_std": (0.0, 0.3), "current_noise": (0.0, 1.0),
+    "encoder": (0.0, 0.1), "wrench_noise": (0.0, 1e5), "wrench_bias": (0.0, 1e5), "clock_offset": (-1e3, 1e3),
+    "clock_drift": (-0.1, 0.1), "rate_motor": (20.0, 1e4), "rate_wrench": (5.0, 1e4),
+}
+"""Least and largest value of each key of a table."""
 
 
 @dataclass(frozen=True)
@@ -78,3 +88,44 @@ class ClampWorld:
         return replace(cls.default(robot), link_stiffness=np.full(robot.n, np.inf), environment=(np.inf, np.inf),
                        friction=0.0, force_control=0.0, drive_gain_std=0.0, current_noise=0.0, encoder=0.0,
                        wrench_noise=(0.0, 0.0), wrench_bias=(0.0, 0.0), clock_offset=0.0, clock_drift=0.0, gaps=False)
+
+    @classmethod
+    def from_table(cls, robot: Robot, table: dict[str, Any]) -> ClampWorld:
+        """The default changed by a scene's ``[world]`` table; one number stands for all joints.
+
+        Raises:
+            InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
+        """
+        default = cls.default(robot)
+        known = tuple(field.name for field in fields(cls))
+        for key in table:
+            if key not in known:
+                raise InputError(f"unknown key; allowed here are {', '.join(known)}", field=f"world.{key}")
+        return replace(default, **{key: _checked(key, value, getattr(default, key)) for key, value in table.items()})
+
+
+def _checked(key: str, value: Any, default: Any) -> Any:
+    """A table's value in the type of the default's."""
+    field = f"world.{key}"
+    if isinstance(default, bool):
+        if not isinstance(value, bool):
+            raise InputError("expected true or false", field=field, value=value)
+        return value
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError("expected a number or a list of numbers", field=field) from error
+    if isinstance(value, (bool, str)):
+        raise InputError("expected a number or a list of numbers", field=field, value=value)
+    low, high = _RANGES[key]
+    if not np.all((array >= low) & (array <= high)):
+        raise InputError(f"expected {f'at least {low:g}' if np.isinf(high) else f'{low:g} to {high:g}'}", field=field,
+                         value=value)
+    count = np.size(default)
+    if isinstance(default, np.ndarray) and array.ndim == 0:
+        return np.full(count, float(array))
+    if array.shape != np.shape(default):
+        expected = f"one number or {count}, one per joint" if isinstance(default, np.ndarray) else \
+            f"{count} numbers" if count > 1 else "one number"
+        raise InputError(f"expected {expected}", field=field, value=value)
+    return array if isinstance(default, np.ndarray) else tuple(array.tolist()) if count > 1 else float(array)

@@ -130,15 +130,26 @@ def _questions(rng: np.random.Generator, folder: Path) -> Case:
 
 
 def _scene(rng: np.random.Generator, folder: Path) -> Case:
-    kind = ("line", "path")[rng.integers(2)]
+    kind = tuple(originals.SCENES)[rng.integers(len(originals.SCENES))]
     return Case(f"run {kind} scene", ["run", "s.toml", "--out", "o", "--json", "j.json"],
                 {"s.toml": mutate_text.mutated(originals.SCENES[kind], rng)})
 
 
 def _key(rng: np.random.Generator, folder: Path) -> Case:
-    kind = ("line", "path")[rng.integers(2)]
+    kind = tuple(originals.SCENES)[rng.integers(len(originals.SCENES))]
     return Case(f"run {kind} scene, a key", ["run", "s.toml", "--out", "o", "--json", "j.json"],
                 {"s.toml": set_key.with_key(originals.SCENES[kind], kind, rng)})
+
+
+def _model_value(rng: np.random.Generator, folder: Path) -> Case:
+    """A model with one value, list or table of it set to something extreme or taken away."""
+    which, raw = (("small", originals.model(folder)), ("shipped", originals.shipped_model()))[rng.integers(2)]
+    model = set_key.with_value(raw, rng)
+    if which == "small":
+        return Case("diagnose model, a value", ["diagnose", "r.csv", "--urdf", "arm.urdf", "--model", "m.json", "--out",
+                                                "o"], {**_arm(), "r.csv": _sound(folder, "motion"), "m.json": model})
+    return Case("precorrect model, a value", ["precorrect", "p.csv", "--model", "m.json", "-o", "c.csv", "--out", "o"],
+                {"p.csv": _sound(folder, "path"), "m.json": model})
 
 
 def _view(rng: np.random.Generator, folder: Path) -> Case:
@@ -182,7 +193,8 @@ MAKERS: dict[str, tuple[Maker, float]] = {
     "precorrect": (_precorrect, 2.0), "precorrect_model": (_precorrect_model, 3.0),
     "rsi": (_rsi, 1.0), "rsi_arm": (_rsi_arm, 1.0), "plan": (_plan, 1.0), "questions": (_questions, 1.0),
     "scene": (_scene, 4.0), "scenes": (_view, 1.0), "words": (_words, 2.0), "diagnose": (_diagnose, 1.0),
-    "diagnose_model": (_diagnose_model, 1.0), "key": (_key, 2.0),
+    "diagnose_model": (_diagnose_model, 1.0), "key": (_key, 3.0),
+    "model_value": (_model_value, 2.0),
 }
 """Kinds of cases: what makes one, and how often it is drawn in comparison."""
 

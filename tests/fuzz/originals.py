@@ -67,7 +67,34 @@ size_mm = 60.0
 centre = [1.0, 0.0, 0.9]
 tilt_deg = 20.0
 """
-SCENES = {"line": LINE, "path": PATH}
+FORCE = b"""kind = "force"
+title = "short wave"
+speed = 0.2
+force = 20.0
+seed = 1
+gains = [5e-5, 6e-5]
+[surface]
+origin = [0.98, -0.4, 0.35]
+heading_deg = 90.0
+slope = [0.01, 0.02]
+wave = [{amplitude_mm = 4.0, wavelength_mm = 260.0}]
+[line]
+formula = "0*x"
+length = 0.12
+[world]
+base = "bench"
+"""
+CLAMPED = b"""kind = "clamped"
+title = "one joint"
+robot = "kr500"
+seed = 1
+[clamp]
+configurations = [[1.62, -0.89, 1.84, 1.62, -1.57, 0.46]]
+push = "tool_z"
+forces = [1000.0, 3000.0, 5000.0]
+components = ["fz"]
+"""
+SCENES = {"line": LINE, "path": PATH, "force": FORCE, "clamped": CLAMPED}
 
 
 @cache

@@ -1,8 +1,10 @@
-"""Any key a kind of scene knows, given or not, set to something extreme that TOML can write."""
+"""A scene or model with one of its values set to something extreme: whether a reader asks for type, size and range."""
 
 from __future__ import annotations
 
+import json
 import re
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,10 @@ EXTREMES = ('""', "0", "-1", "1e-12", "1e-320", "1e308", "-1e308", "inf", "nan",
             f'"{"x" * 3000}"', "[]", "[1.0]", "[0.0, 0.0, 0.0]", "[1e308, 1e308, 1e308]", "[[0.0, 0.0]]",
             "[[0.0, 0.0], [0.0, 0.0]]", "{}", "{a = 1}", '"ü\\u202e"', "true", "false", "1979-05-27", '"/dev/zero"',
             '"../../etc/passwd"')
-"""What keys are set to."""
+"""What keys of scenes are set to."""
+VALUES = (None, True, "", "x" * 3000, [], {}, -1, 0, 1e-320, 1e308, -1e308, 10**400, [1], [[1, 2]], {"a": 1},
+          float("nan"), float("inf"))
+"""What values of models are set to."""
 
 
 def with_key(text: bytes, kind: str, rng: np.random.Generator) -> bytes:
@@ -37,3 +42,26 @@ def with_key(text: bytes, kind: str, rng: np.random.Generator) -> bytes:
     else:
         tables.append(f"[{key.table}]\n{line}")
     return "".join([top, *tables]).encode()
+
+
+def with_value(text: bytes, rng: np.random.Generator) -> bytes:
+    """A JSON file with one value, list or table of it set to one of ``VALUES``, or taken away.
+
+    Args:
+        text: of a JSON object.
+        rng: draws the place, a level down at a time, and the value.
+    """
+    whole = json.loads(text)
+    inside: Any = whole
+    while True:
+        keys = list(inside) if isinstance(inside, dict) else list(range(len(inside)))
+        key = keys[int(rng.integers(len(keys)))]
+        if not (isinstance(inside[key], (dict, list)) and inside[key] and rng.random() < 0.7):
+            break
+        inside = inside[key]
+    which = int(rng.integers(len(VALUES) + 1))
+    if which == len(VALUES):
+        del inside[key]
+    else:
+        inside[key] = VALUES[which]
+    return json.dumps(whole).encode()

@@ -31,6 +31,7 @@ def _set(values: Any, path: str, new: Any) -> None:
     ("consistent", "text"), ("stiffness", [0.0] * 6), ("stiffness", [1.0]), ("robot/urdf", "<robot/>"),
     ("robot/urdf", None), ("robot/name", "[/red]\x1b"), ("effects", [{}]), ("effects", 3), ("effects", [3]),
     ("effects", [{"name": "unknown", "joint": 1, "coefficients": [1.0], "data": {}}]),
+    ("effects", [{"name": "torque_ripple", "joint": 1, "channel": "tau_1", "coefficients": [1.0], "theta": [250.0]}]),
     ("effects", [{"name": "gear_elasticity", "joint": 99, "coefficients": [1.0], "channel": "qa_99"}]),
     ("provenance", 3), ("schema", "1"), ("schema", 99), ("schema", True),
 ])

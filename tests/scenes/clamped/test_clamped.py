@@ -16,9 +16,10 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
 from scenes.clamped.kind import run
-from scenes.clamped.play import configurations, record, world_of
+from scenes.clamped.play import configurations, record
 from scenes.report.page import write_json
 from sim.contact.clamp import ClampedArm
+from sim.contact.clamp_world import ClampWorld
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +45,7 @@ def test_both_methods_of_the_paper(name: str, joint: int) -> None:
 def test_six_joints_in_forty_runs(kr500: Robot) -> None:
     """Within 3 % (wrench) and within the drive-gain error + 3 % (motor); intervals cover the truth in ≥ 90 %."""
     scene = load_scene("clamped_kr500_six").changed(clamp={"hold": 0.8, "payloads": ()})
-    world = world_of(kr500, {})
+    world = ClampWorld.from_table(kr500, {})
     postures = configurations(scene, kr500, np.random.default_rng(scene.seed))
     arms = [ClampedArm(kr500, world, posture) for posture in postures]
     covered: dict[str, list[bool]] = {"motor": [], "wrench": []}
@@ -98,11 +99,32 @@ def test_run_writes_what_the_command_reads(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").stat().st_size > 20_000
 
 
+@pytest.mark.parametrize(("key", "value"), [
+    ("stiffness", False), ("stiffness", -1), ("stiffness", [1e6, 1e6]), ("stiffness", 1e-320), ("stiffness", "soft"),
+    ("presliding", 0.0), ("presliding", [1e-5, 1e-5]), ("friction", []), ("current_noise", {"a": 1}), ("gaps", 1),
+    ("wrench_noise", 3.0), ("rate_motor", 10**400), ("clock_drift", float("nan")),
+])
+def test_values_that_no_clamp_has_are_refused(kr500: Robot, key: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"world.{key}"):
+        ClampWorld.from_table(kr500, {key: value})
+
+
+def test_one_number_stands_for_all_joints(kr500: Robot) -> None:
+    world = ClampWorld.from_table(kr500, {"stiffness": 2e6, "wrench_noise": [1, 2], "gaps": False})
+    assert (world.stiffness.tolist(), world.wrench_noise, world.gaps) == ([2e6] * 6, (1.0, 2.0), False)
+
+
+@pytest.mark.parametrize("clamp", [{"forces": [0.0, 0.0]}, {"forces": []}, {"hold": 1e6}, {"payloads": [-1.0]}])
+def test_pushes_that_cannot_be_are_refused(clamp: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="clamp"):
+        load_scene("clamped_kr500_1").changed(clamp=clamp)
+
+
 def test_bad_input_is_named(kr500: Robot) -> None:
     with pytest.raises(InputError, match="motor, wrench or both"):
         analyse_stiffness([], kr500, "laser")
     with pytest.raises(InputError, match="unknown key"):
-        world_of(kr500, {"stifness": 1.0})
+        ClampWorld.from_table(kr500, {"stifness": 1.0})
     scene = load_scene("clamped_kr500_1").changed(clamp={"configurations": [[0.0, 1.0]]})
     with pytest.raises(InputError, match="6 joint angles"):
         configurations(scene, kr500, np.random.default_rng(0))

@@ -10,9 +10,10 @@ from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
-from scenes.clamped.play import configurations, record, world_of
+from scenes.clamped.play import configurations, record
 from scenes.clamped.scene import ClampedScene
 from scenes.path.cell import set_up
+from sim.contact.clamp_world import ClampWorld
 
 
 def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
@@ -20,7 +21,7 @@ def test_arm_error_of_the_kr15_with_clamped_stiffness() -> None:
     robot = Robot.load("kr15")
     clamped = ClampedScene(name="kr15", kind="clamped", title="KR 15 clamped", robot="kr15", clamp={"hold": 0.8})
     rng = np.random.default_rng(5)
-    recordings, _ = record(clamped, robot, world_of(robot, {}), configurations(clamped, robot, rng), rng)
+    recordings, _ = record(clamped, robot, ClampWorld.from_table(robot, {}), configurations(clamped, robot, rng), rng)
     found = analyse_stiffness(recordings, robot, "wrench").by("wrench")
     stiffness = np.array([found[joint].stiffness for joint in range(1, robot.n + 1)])
     place = set_up(load_scene("iso9283_1"), delay=False)
