@@ -35,7 +35,7 @@ from ideal_robot.feedforward.method import Setting
 from planning.force.contact import Phase
 from scenes.cycle import CycleSettings, play_cycles
 from scenes.force.cell import Cell, set_up
-from scenes.force.play import BRAKING, LONGEST, REST, calibrated, methods
+from scenes.force.play import BRAKING, LONGEST, REST, calibrated, friction_shown, methods
 from scenes.force.scene import ForceScene
 from scenes.force.task import ForceTask
 from scenes.force.world import true_tip
@@ -107,7 +107,7 @@ def played(scene: ForceScene, method: Any = IDEAL, surface: KnownSurface | None 
     """
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
-    task = Watched(cell, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0])
+    task = Watched(cell, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0], friction_shown(scene))
     if surface is not None:
         task.follower._forecast = surface
     with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:

@@ -100,7 +100,7 @@ class FrictionCurve:
         prior[0, 0], prior[1:, 1:] = OFFSET**2, SHAPE**2 * alike
         drift[0, 0], drift[1:, 1:] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
         self._prior, self._drift = np.tile(prior, (loop.n, 1, 1)), drift
-        self._table = np.stack([_between_nodes(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(loop.n)])
+        self._table = np.stack([between_nodes(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(loop.n)])
 
     def init(self, known: CurveState | None = None) -> CurveState:
         """No curve, or the one known from another motion; of that motion's following error nothing stays."""
@@ -136,7 +136,7 @@ class FrictionCurve:
         step = state.error - error - 0.5 * loop.t_ipo * loop.k_v * (state.error + error)
         torque = loop.k_p * step / loop.t_ipo + state.integral + 0.5 * loop.k_i * step
         h = np.ones_like(state.x)
-        h[:, 1:] = plan.turned[:, None] * _between_nodes(np.abs(plan.v) / self._v_max)
+        h[:, 1:] = plan.turned[:, None] * between_nodes(np.abs(plan.v) / self._v_max)
         covariance = state.covariance + self._drift
         said = np.matmul(covariance, h[:, :, None])[:, :, 0]
         S = np.sum(h * said, axis=1) + NOISE**2
@@ -151,7 +151,7 @@ class FrictionCurve:
         return CurveState(x, covariance, plans, error, state.integral + loop.k_i * step)
 
 
-def _between_nodes(speed: Array) -> Array:
+def between_nodes(speed: Array) -> Array:
     """Shares of the nodes ``(m, K)`` at speeds ``(m,)`` over the largest one."""
     speed = np.minimum(speed, SPEEDS[-1])
     k = np.minimum(np.searchsorted(SPEEDS, speed, side="right") - 1, len(SPEEDS) - 2)

@@ -9,6 +9,7 @@ from typing import Protocol
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.practice import Practice
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
@@ -43,6 +44,7 @@ class Setting:
         q_c: commands ``(N, n)`` [rad] that learning starts from; the path itself if None.
         practice: plays on the arm, where there is one to play on.
         progress: called with the share of the making that is done.
+        friction: as a motion like the job's has shown it, in place of the model's; the model's if None.
     """
 
     robot: Robot
@@ -53,6 +55,7 @@ class Setting:
     q_c: Array | None = None
     practice: Practice | None = None
     progress: Progress = silent
+    friction: FrictionAtWork | None = None
 
     def horizon(self, preferred: int) -> int:
         """Length of the horizon: the one that will be given, else the method's preferred one."""
@@ -74,7 +77,8 @@ class Setting:
         Raises:
             InputError: no model, one of another arm, or one without a controller.
         """
-        return loop_model(self.identified(), self.robot, delay=self.delay)
+        loop = loop_model(self.identified(), self.robot, delay=self.delay)
+        return loop if self.friction is None else self.friction.in_loop(loop)
 
     def path(self) -> Array:
         """The path ``(N, n)`` [rad].

@@ -18,9 +18,9 @@ NOTICED = 0.08
 
 SLOPE, UNSEEN = 0.15, 0.15
 """Slope of a surface before it was felt, and the time until it is known under a tip that has begun to move [s]."""
-BEGUN = 2.5
+BEGUN = 1.0
 """Force that may go wrong meanwhile [N]."""
-GENTLEST = 0.5
+GENTLEST = 0.2
 """Jerk with which a travel begins at least [m/s³]."""
 
 

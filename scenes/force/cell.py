@@ -1,4 +1,4 @@
-"""What a force scene needs before anything moves: arm, surface, reference, and the two calibrations by moving."""
+"""What a force scene needs before anything moves: arm, surface, reference, and the calibrations by moving."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
+from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.robot import Robot
+from planning.force.dry_run import dry_run
 from planning.path.kinematics import InverseKinematics
+from planning.planning_error import OutOfReachError
 from scenes.camera_table import believed_camera
 from scenes.drawn_line import Geometry, geometry
 from scenes.force.known import START_HEIGHT, Known, force_reference
@@ -129,3 +133,24 @@ def calibrations(key: str) -> tuple[ToolLoad, ContactElasticity]:
     cell = set_up(scene)
     tool = calibrate_tool(cell)
     return tool, calibrate_elasticity(cell, tool)
+
+
+@lru_cache(maxsize=64)
+def friction_above(key: str) -> FrictionAtWork | None:
+    """Friction on a dry run above the path, once for all methods; ``key`` is the scene as JSON.
+
+    None where the path is not known beforehand, or cannot be reached above the surface.
+    """
+    scene = ForceScene.model_validate_json(key)
+    if scene.task == "contour":
+        return None
+    cell = set_up(scene)
+    try:
+        q_d = dry_run(cell.robot, cell.reference, cell.profile.top_speed, cell.q_start())
+    except OutOfReachError:
+        return None
+    with SimulatedArm(cell.robot, cell.world, cell.noise, q_d[0]) as arm:
+        for q in q_d:
+            arm.cycle(q)
+        recording = arm.recording()
+    return friction_at_work(recording, loop_model(cell.model, cell.robot, delay=cell.delay))

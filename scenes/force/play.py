@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from planning.force.contact import Phase
 from scenes.camera_world import knock_of
 from scenes.cycle import CycleSettings, play_cycles
-from scenes.force.cell import Cell, calibrations, set_up
+from scenes.force.cell import Cell, calibrations, friction_above, set_up
 from scenes.force.glue_world import GlueWorld
 from scenes.force.recording import force_recording
 from scenes.force.result import ForceResult, force_figures
@@ -54,7 +55,8 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
     glue = GlueWorld(cell) if scene.task == "glue" else None
-    task = ForceTask(cell, method, gains, tool, elasticity, cell.camera_streams[0])
+    task = ForceTask(cell, method, gains, tool, elasticity, cell.camera_streams[0],
+                     friction_shown(scene) if method.knows_model else None)
     with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
@@ -74,11 +76,19 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
 
 def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
     """Tool and contact as calibration by moving finds them in this scene."""
-    # What calibration does not see must not make it run again.
-    alike = scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
-                                     "trouble": CameraTrouble(),
-                                     "sensor": scene.sensor.model_copy(update={"drift": ()})})
-    return calibrations(alike.model_dump_json())
+    return calibrations(_before(scene).model_dump_json())
+
+
+def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
+    """Friction as a dry run above the path shows it; None where no path is known beforehand."""
+    return friction_above(_before(scene).model_dump_json())
+
+
+def _before(scene: ForceScene) -> ForceScene:
+    """The scene without what calibration does not see, which must not make it run again."""
+    return scene.model_copy(update={"method": "ideal", "gains": None, "assumed": Assumed(), "emergency": Emergency(),
+                                    "trouble": CameraTrouble(),
+                                    "sensor": scene.sensor.model_copy(update={"drift": ()})})
 
 
 def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, arm: SimulatedArm,

@@ -10,6 +10,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects.sensor_change import SensorChange
 from ideal_robot.elasticity.observer import ArmObserver
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
+from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.interface import RobotState
 from planning.follower import ForceFollower
@@ -42,12 +43,14 @@ class ForceTask:
         tool: bias and weight, from calibration.
         elasticity: of tip and surface, from calibration.
         rng: draws what a camera in trouble shows.
+        friction: as the dry run has shown it; the model's if None.
     """
 
     n_d = N_D
 
     def __init__(self, cell: Known, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
-                 elasticity: ContactElasticity, rng: np.random.Generator) -> None:
+                 elasticity: ContactElasticity, rng: np.random.Generator,
+                 friction: FrictionAtWork | None = None) -> None:
         known = SensorChange.of(cell.model.effects if method.knows_model else ())
         tool = replace(tool, bias=tool.bias + known.wrench)
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
@@ -66,7 +69,7 @@ class ForceTask:
         self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
         self._filter, self._tare = WrenchFilter(WINDOW), Tare()
         model = cell.model if method.knows_model else None
-        self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay))
+        self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay, friction=friction))
         # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
         self._geometry = CorrectedArm(cell.robot, () if model is None else model.effects)
         self._kinematics = InverseKinematics(cell.robot)

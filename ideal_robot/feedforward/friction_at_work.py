@@ -1,0 +1,129 @@
+r"""Friction at the speeds of a job, from the torques of a motion like it in free space.
+
+Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints at
+hundredths of a radian per second, where friction falls with speed before it rises, and turns them round. What the loop's
+friction lacks there is a curve over speed for each joint, linear between nodes and smooth over the logarithm of speed,
+
+.. math:: \tau - \tau_{rigid} - \tau_{offset} - z F(|\dot q|) = F(0) \left(o + z \sum_k c_k \phi_k(|\dot q|)\right)
+
+with the loop's friction F, an offset o for weight that was identified wrong, and z the direction of sliding by Dahl's
+model (``ideal_robot.friction.presliding``), whose angle is the one that explains most. Where the motion tells nothing,
+the curve's prior (``friction_curve``) leaves the loop as it was. Load on the gear's teeth is that of the job, so that
+what it adds to friction is in the curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import inverse_dynamics
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.friction_curve import KNEE, LARGEST, LENGTH, SHAPE, SPEEDS, between_nodes
+from ideal_robot.friction.presliding import sliding_direction
+from ideal_robot.loop.further_torque import further_torque
+from ideal_robot.loop.loop_model import LoopModel, friction_of_load, ripple_torque
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
+from ideal_robot.signals.recording import Recording
+
+CUTOFF = 20.0
+"""Of the low-pass on positions; torques up to half of it count [Hz]."""
+OFFSET = 0.1
+"""Standard deviation of the offset over dry friction."""
+NOISE = 0.1
+"""Standard deviation of a torque over dry friction: neighbouring ones share what is wrong besides."""
+BENDS = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.45, 1.7, 2.0)
+"""Angles over which friction turns that are tried, over the loop's."""
+BELIEVED = 0.4
+"""Standard deviation of the logarithm of that before anything was measured."""
+
+
+@dataclass(frozen=True)
+class FrictionAtWork:
+    """Friction beyond the identified loop's.
+
+    Attributes:
+        curve: at the nodes ``friction_curve.SPEEDS``, shares of the largest speed ``(n, K)`` [N m].
+        bend: factor on the angle over which friction turns after a reversal ``(n,)`` [1].
+    """
+
+    curve: Array
+    bend: Array
+
+    def in_loop(self, loop: LoopModel) -> LoopModel:
+        """The loop that it was found for, with it."""
+        shares = loop.friction_velocity / _largest(loop)
+        more = np.column_stack([between_nodes(share) @ curve for share, curve in zip(shares.T, self.curve, strict=True)])
+        return loop.replace(friction_torque=np.maximum(loop.friction_torque + more, 0.0),
+                            friction_bend=self.bend * loop.friction_bend)
+
+
+def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
+    """Friction of every joint along a motion in free space that goes both ways at the speeds of the job.
+
+    Args:
+        recording: ``t`` [s], ``q_i`` [rad], ``tau_i`` [N m].
+        loop: the identified loop.
+
+    Raises:
+        InputError: another arm's recording, one without torques, or one too short.
+    """
+    if recording.n != loop.n:
+        raise InputError(f"the recording has {recording.n} joints, the loop has {loop.n}", file=recording.source,
+                         field="q_i")
+    s = preprocess(recording, cutoff=CUTOFF)
+    if not np.isfinite(s.tau).all():
+        raise InputError("friction is found from torques; they are missing", file=recording.source, field="tau_i")
+    rigid = inverse_dynamics(loop.chain, s.q, s.qd, s.qdd)
+    left = _left(loop, s, rigid)
+    found = [_of_joint(loop, s, rigid[:, j], left[:, j], j) for j in range(loop.n)]
+    return FrictionAtWork(np.array([curve for curve, _ in found]), np.array([bend for _, bend in found]))
+
+
+def _largest(loop: LoopModel) -> Array:
+    return np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
+
+
+def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
+    """What is left of the torque for friction ``(M, n)`` [N m], decimated."""
+    ripple = np.array([[ripple_torque(loop.ripple, j, q) for j, q in enumerate(row)] for row in s.q])
+    further = further_torque(loop, s.t - s.t[0], s.q, s.qd, s.qdd, rigid, np.sign(s.qd))
+    known = loop.gain * (rigid + loop.rotor_inertia * s.qdd + loop.offset) + further + ripple
+    return s.decimate(s.tau - known) / loop.gain
+
+
+def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: int) -> tuple[Array, float]:
+    """Curve ``(K,)`` [N m] and factor on the angle over which friction turns.
+
+    Args:
+        loop: the identified loop.
+        s: the motion.
+        load: torque that the gear transmits ``(N,)`` [N m].
+        left: torque left for friction, decimated ``(M,)`` [N m].
+        j: joint, from 0.
+    """
+    q, v = s.q[:, [j]], s.qd[:, j]
+    dry = max(float(loop.friction_torque[:, 0, j].mean()), 1e-6)
+    sides = [np.interp(np.abs(v), loop.friction_velocity[:, j], side) for side in loop.friction_torque[:, :, j]]
+    by_load = [friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
+               for a, b in zip(load, v, strict=True)]
+    friction = np.where(v > 0, *sides) + by_load
+    nodes = dry * between_nodes(np.abs(v) / _largest(loop)[j])
+    place = np.log1p(SPEEDS / KNEE)
+    prior = np.zeros((len(place) + 1, len(place) + 1))
+    prior[:-1, :-1] = SHAPE**2 * np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2)
+    prior[-1, -1] = OFFSET**2
+    best, curve, factor = np.inf, np.zeros(len(place)), 1.0
+    bend = float(loop.friction_bend[j])
+    for tried in BENDS if bend > 0.0 else (1.0,):
+        z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
+        H = s.decimate(np.column_stack([z[:, None] * nodes, np.full(len(v), dry)])) / (NOISE * dry)
+        y = (left - s.decimate(z * friction)) / (NOISE * dry)
+        # Minus twice the log likelihood of y ~ N(0, 1 + H prior Hᵀ), whose determinant hardly depends on z.
+        x = prior @ H.T @ np.linalg.solve(np.eye(len(y)) + H @ prior @ H.T, y)
+        cost = float(y @ (y - H @ x)) + (np.log(tried) / BELIEVED) ** 2
+        if cost < best:
+            best, curve, factor = cost, dry * np.clip(x[:-1], -LARGEST, LARGEST), tried
+    return curve, factor
