@@ -112,17 +112,18 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: 
     friction = np.where(v > 0, *sides) + by_load
     nodes = dry * between_nodes(np.abs(v) / _largest(loop)[j])
     place = np.log1p(SPEEDS / KNEE)
-    prior = np.zeros((len(place) + 1, len(place) + 1))
-    prior[:-1, :-1] = SHAPE**2 * np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2)
-    prior[-1, -1] = OFFSET**2
+    prior = np.diag(np.append(np.full(len(place), 1e-9), OFFSET**2))
+    prior[:-1, :-1] += SHAPE**2 * np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2)
+    root = np.linalg.cholesky(prior)
     best, curve, factor = np.inf, np.zeros(len(place)), 1.0
     bend = float(loop.friction_bend[j])
     for tried in BENDS if bend > 0.0 else (1.0,):
         z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
         H = s.decimate(np.column_stack([z[:, None] * nodes, np.full(len(v), dry)])) / (NOISE * dry)
         y = (left - s.decimate(z * friction)) / (NOISE * dry)
-        # Minus twice the log likelihood of y ~ N(0, 1 + H prior Hᵀ), whose determinant hardly depends on z.
-        x = prior @ H.T @ np.linalg.solve(np.eye(len(y)) + H @ prior @ H.T, y)
+        G = H @ root
+        x = root @ np.linalg.solve(np.eye(len(root)) + G.T @ G, G.T @ y)
+        # Minus twice the log likelihood of y ~ N(0, 1 + G Gᵀ), whose determinant hardly depends on z.
         cost = float(y @ (y - H @ x)) + (np.log(tried) / BELIEVED) ** 2
         if cost < best:
             best, curve, factor = cost, dry * np.clip(x[:-1], -LARGEST, LARGEST), tried

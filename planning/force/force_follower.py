@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, surface_model
+from planning.force.contact import FORCE_ERRORS, SLOPE, ContactSettings, Phase, surface_model
 from planning.force.sliding_plan import SPARE, SlidingPlan
 from planning.force.surface_forecast import SurfaceForecast
 from planning.line.fusion import DeviationFilter, Fused, Measurement
@@ -29,6 +29,12 @@ KNOWN_LATERAL = 0.001
 """Standard deviation of the lateral deviation below which the line counts as known [m]."""
 CLEAR = 4e-5
 """Height that a sample's noise is worth, below which the forecast knows waves better than the map does [m]."""
+STEP = 0.006
+"""Distance of the heights that the slope along the path is taken from [m]."""
+FRICTION = 0.3
+"""Standard deviation of the tip's coefficient of friction: along a slope that is not known yet it counts as force."""
+SLIDES = 1e-4
+"""Way over which friction turns against a tip that begins to move [m]."""
 KNOWN_AFTER = 0.03
 """Way after which the slope along the path is known from the map [m]."""
 
@@ -79,7 +85,7 @@ class SurfaceFollower:
                 field="fusion",
                 value=self.fusion.model.directions,
             )
-        self._forecast = SurfaceForecast(force_errors)
+        self._forecast = SurfaceForecast((*force_errors, FRICTION))
         self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)
         first = pin.SE3(table.rotations[0], table.frames.position[0] + start_height * table.frames.up[0])
         self._q_start = self._kinematics.solve(first, table.q[0])
@@ -174,7 +180,9 @@ class SurfaceFollower:
         wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
         fused = self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
         if fused.dof and self._forecasts:
-            self._forecast.add(float(s.mean()), float(value.mean()), float(covariance.mean()), wrong.mean(axis=0))
+            at = float(s.mean())
+            self._forecast.add(at, float(value.mean()), float(covariance.mean()),
+                               np.append(wrong.mean(axis=0), self._by_friction(at)))
         return fused
 
     def _velocity(self, t: float) -> Array:
@@ -195,14 +203,21 @@ class SurfaceFollower:
         travelled.
         """
         if self._contact_since is not None:
-            step = 0.006
-            known = min(max(s - 2 * step, 0.0) / KNOWN_AFTER, 1.0)
-            self.slope[0] = known * float(np.clip(self._slope_along(s, step), -STEEPEST, STEEPEST))
+            self.slope[0] = self._known(s) * float(np.clip(self._slope_along(s, STEP), -STEEPEST, STEEPEST))
             if force @ up > self.settings.touch:
                 across_now = float(np.clip(-(force @ across) / (force @ up), -STEEPEST, STEEPEST))
                 self.slope[1] += 0.1 * (across_now - self.slope[1])
         normal = up - self.slope[0] * along - self.slope[1] * across
         return np.asarray(normal / np.linalg.norm(normal))
+
+    def _known(self, s: float) -> float:
+        """How far the slope along the path is known at arc length ``s`` [m]: from 0 to 1."""
+        return min(max(s - 2 * STEP, 0.0) / KNOWN_AFTER, 1.0)
+
+    def _by_friction(self, s: float) -> float:
+        """Height at arc length ``s`` [m] that friction with coefficient 1 hides while the slope is not known [m]."""
+        slides = -np.expm1(-max(s, 0.0) / SLIDES)
+        return float((1.0 - self._known(s)) * slides * SLOPE * self.settings.force / self.settings.elasticity)
 
     @property
     def _forecasts(self) -> bool:

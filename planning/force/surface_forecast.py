@@ -31,6 +31,8 @@ LARGEST_WAVE = 1e-4
 """Bound of a wave's variance [m²]."""
 BETTER = 0.1
 """Gain of log likelihood from which on a change of the kernel is taken."""
+ALIKE = 3.0
+"""Standard deviations of the noise by which the sensor's errors may differ between measurements of one place."""
 BEGIN = 8
 """Places from which on waves are learned."""
 
@@ -75,7 +77,7 @@ class SurfaceForecast:
         self._counts = [*self._counts[-WINDOW:], 1]
         self._weights = None
         old = len(self._places) - RECENT - 1
-        if old > 0 and self._places[old, 0] - self._places[old - 1, 0] < 0.5 * SPACING:
+        if old > 0 and self._alike(old):
             self._counts[old - 1] = min(self._counts[old - 1] + 1, MOST)
             self._places[old - 1] += (self._places[old] - self._places[old - 1]) / self._counts[old - 1]
             self._places = np.delete(self._places, old, axis=0)
@@ -83,6 +85,12 @@ class SurfaceForecast:
         if s - self._learned_at >= LEARNS and len(self._places) > BEGIN:
             self._learned_at = s
             self._learn()
+
+    def _alike(self, old: int) -> bool:
+        """Whether a place is near the one before and the sensor's errors count there as much, but for the noise."""
+        apart = np.abs(self._places[old] - self._places[old - 1])
+        return bool(apart[0] < 0.5 * SPACING
+                    and np.all(self._errors * apart[3:] ** 2 < ALIKE**2 * self._places[old, 2]))
 
     def height(self, s: Array) -> Array:
         """Height expected at arc lengths ``(m,)`` [m]; zero before anything was felt."""
