@@ -107,7 +107,8 @@ def played(scene: ForceScene, method: Any = IDEAL, surface: KnownSurface | None 
     """
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
-    task = Watched(cell, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0], friction_shown(scene))
+    task = Watched(cell, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0],
+                   friction_shown(scene))
     if surface is not None:
         task.follower._forecast = surface
     with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:

@@ -1,8 +1,9 @@
 r"""Friction at the speeds of a job, from the torques of a motion like it in free space.
 
-Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints at
-hundredths of a radian per second, where friction falls with speed before it rises, and turns them round. What the loop's
-friction lacks there is a curve over speed for each joint, linear between nodes and smooth over the logarithm of speed,
+Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints
+at hundredths of a radian per second, where friction falls with speed before it rises, and turns them round. What the
+loop's friction lacks there is a curve over speed for each joint, linear between nodes and smooth over the logarithm of
+speed,
 
 .. math:: \tau - \tau_{rigid} - \tau_{offset} - z F(|\dot q|) = F(0) \left(o + z \sum_k c_k \phi_k(|\dot q|)\right)
 
@@ -55,7 +56,8 @@ class FrictionAtWork:
     def in_loop(self, loop: LoopModel) -> LoopModel:
         """The loop that it was found for, with it."""
         shares = loop.friction_velocity / _largest(loop)
-        more = np.column_stack([between_nodes(share) @ curve for share, curve in zip(shares.T, self.curve, strict=True)])
+        more = np.column_stack([between_nodes(share) @ curve
+                                for share, curve in zip(shares.T, self.curve, strict=True)])
         return loop.replace(friction_torque=np.maximum(loop.friction_torque + more, 0.0),
                             friction_bend=self.bend * loop.friction_bend)
 

@@ -25,8 +25,8 @@ SHARE = 0.6
 def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array) -> Array:
     """Joint angles ``(N, n)`` [rad] at the cycles: along the path and back, from rest to rest, without touching.
 
-    s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Friction and weight can
-    be told apart as each place is passed in both directions.
+    s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Each place is passed in
+    both directions, which tells friction from weight.
 
     Args:
         robot: cycle time and limits.

@@ -139,10 +139,11 @@ def calibrations(key: str) -> tuple[ToolLoad, ContactElasticity]:
 def friction_above(key: str) -> FrictionAtWork | None:
     """Friction on a dry run above the path, once for all methods; ``key`` is the scene as JSON.
 
-    None where the path is not known beforehand, or cannot be reached above the surface.
+    None where the path is not known beforehand or cannot be reached above the surface, and where a camera looks at a
+    line as well: there the dry run made the force no better.
     """
     scene = ForceScene.model_validate_json(key)
-    if scene.task == "contour":
+    if scene.task != "surface":
         return None
     cell = set_up(scene)
     try:

@@ -80,7 +80,7 @@ def calibrated(scene: ForceScene) -> tuple[ToolLoad, ContactElasticity]:
 
 
 def friction_shown(scene: ForceScene) -> FrictionAtWork | None:
-    """Friction as a dry run above the path shows it; None where no path is known beforehand."""
+    """Friction as a dry run above the path shows it; None where there is none."""
     return friction_above(_before(scene).model_dump_json())
 
 

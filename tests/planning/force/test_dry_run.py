@@ -34,7 +34,8 @@ def test_it_goes_along_the_path_and_back_without_coming_near_the_surface() -> No
     assert np.ptp(where[:, 1]) > 0.55
     # Slow at both ends, at the speed of the job in between.
     along = np.abs(np.diff(where[:, 1])) / ROBOT.t_ipo
-    assert along[0] < 0.01 and along[-1] < 0.01
+    assert along[0] < 0.01
+    assert along[-1] < 0.01
     np.testing.assert_allclose(along.max(), 0.2, rtol=0.02)
 
 
