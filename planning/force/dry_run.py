@@ -25,8 +25,8 @@ SHARE = 0.6
 def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array) -> Array:
     """Joint angles ``(N, n)`` [rad] at the cycles: along the path and back, from rest to rest, without touching.
 
-    s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Each place is passed in
-    both directions, which tells friction from weight.
+    s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Each place is passed
+    in both directions, which tells friction from weight.
 
     Args:
         robot: cycle time and limits.
@@ -43,7 +43,8 @@ def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array
     steps = max(round(lasts / robot.t_ipo), 2)
     s = way * np.sin(np.pi * np.arange(steps + 1) / steps) ** 2
     frames = reference.frames(s)
-    height = CLEAR + sum(SLOPE * length / (2 * np.pi) * (1.0 - np.cos(2 * np.pi * s / length)) for length in WAVES)
+    waves = [SLOPE * length / (2 * np.pi) * (1.0 - np.cos(2 * np.pi * s / length)) for length in WAVES]
+    height = CLEAR + np.sum(waves, axis=0)
     places = frames.position + height[:, None] * frames.up
     q = kinematics.path([pin.SE3(R, p) for R, p in zip(reference.rotation(s), places, strict=True)], q_start)
     fastest = float(np.max(np.abs(np.diff(q, axis=0)) / (SHARE * robot.v_max * robot.t_ipo)))
