@@ -80,7 +80,6 @@ class Effect(ABC):
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
             effect can only be seen against a model identified before.
-        like_the_model: columns, from 0, of the form of the model's own parameters, so that these may cancel them.
         without_which_none: columns, from 0, of which one at least has to differ from none, where any of them shows.
         enough_of_most: further columns, from 0, of which one that differs from none is enough where the effect takes
             away more than half of the held-out squares.
@@ -93,7 +92,7 @@ class Effect(ABC):
         caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
             alone.
         flexible: whether its form bends to nearly any curve over the joint's angle, so that a learned curve has to be
-            only as good to replace it.
+            only as good, and needed beside it, to replace it.
         of_angle_alone: whether it is a function of its joint's angle alone, so that a learned curve over that angle
             which is needed beside it says that its form is wrong.
         at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
@@ -116,7 +115,6 @@ class Effect(ABC):
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
     coefficient_units: ClassVar[tuple[str, ...]] = ("N m",)
     absorbed_by_base: ClassVar[bool] = False
-    like_the_model: ClassVar[tuple[int, ...]] = ()
     without_which_none: ClassVar[tuple[int, ...]] = ()
     enough_of_most: ClassVar[tuple[int, ...]] = ()
     sooner_than: ClassVar[tuple[str, ...]] = ()
@@ -218,6 +216,17 @@ class Effect(ABC):
             Shape ``(N, c, m)``: N m (N) for motor torques, rad (m) for arm angles, m for the TCP's position, N and
             N m or m for sensors, per unit of the coefficient.
         """
+
+    def like_the_model(self, signals: Signals, joint: int) -> Array | None:
+        """Columns ``(N, c, k)`` of the form of the model's own parameters, which may cancel what of it is like them.
+
+        By default None: of no other effect a part is expected to be cancelled.
+
+        Args:
+            signals: of ``N`` samples.
+            joint: from 1; 0 for the whole arm.
+        """
+        return None
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
         """Whether the coefficients have the sign and size physics allows.

@@ -79,7 +79,8 @@ def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regres
         effects: of the motor torques.
     """
     loose = [made.decimate(one.effect.columns(made.signals, one.joint, one.theta)) for one in effects
-             if one.effect.like_the_model and one.effect.of_angle_alone and one.joint not in made.undecided]
+             if one.joint not in made.undecided and one.effect.of_angle_alone
+             and one.effect.like_the_model(made.signals, one.joint) is not None]
     if not loose:
         return made
     return dataclasses.replace(made, W=np.concatenate([made.W, *loose], axis=2))

@@ -12,6 +12,8 @@ _NEARLY = 0.9
 """Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
 _NOT_TOLD = 0.8
 """The same where the difference is no more than what scatters from block to block."""
+SIMPLER = 0.95
+"""Share of a reduction from which on a law with fewer parameters may stand for one with more."""
 
 
 def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:

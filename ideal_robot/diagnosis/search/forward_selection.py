@@ -14,6 +14,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options, Scored
 from ideal_robot.diagnosis.search.comparison import (
+    SIMPLER,
     adds_little,
     discoveries,
     indistinguishable,
@@ -84,7 +85,9 @@ class Search:
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             choice = self._next()
             if choice is None:
-                break
+                if not self._with_needed_form():
+                    break
+                continue
             self.model.take(choice)
             if choice.candidate.effect.learned:
                 self._drop_refuted(choice)
@@ -137,8 +140,8 @@ class Search:
         # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
             if other.candidate.parameter_count < best.candidate.parameter_count \
-                    and (indistinguishable(self.model, refined[0], other, 0.95)
-                         or adds_little(self.model, refined[0], other, 0.95,
+                    and (indistinguishable(self.model, refined[0], other, SIMPLER)
+                         or adds_little(self.model, refined[0], other, SIMPLER,
                                         self.scoring.smallest_share(refined[0].candidate))):
                 best = other
         best = likelier(self.model, best, refined)
@@ -169,6 +172,34 @@ class Search:
         s = self.scoring.tested(self.model.fit(choice), choice.candidate, choice.dependence)
         if s.p_value > self.options.false_discovery or s.share < self.scoring.smallest_share(choice.candidate, choice):
             self.model.drop(choice)
+
+    def _with_needed_form(self) -> bool:
+        """Exchanges two laws of a joint's angle where the one with more parameters is needed beside the other or is not.
+
+        What friction, lags and gears leave hangs on the motion; what all blocks alike leave over the angle alone beside
+        the simpler law, with everything else in the model, is that its form is another. Without that it is the law.
+
+        Returns:
+            Whether any was exchanged.
+        """
+        for position, choice in enumerate(self.model.choices):
+            if not choice.candidate.effect.of_angle_alone:
+                continue
+            fit = self.model.fit(choice)
+            present = self.scoring.tested(fit, choice.candidate)
+            pool = [starts for starts in self.pool if starts[0].effect.of_angle_alone
+                    and starts[0].joint == choice.candidate.joint and starts[0].place != choice.candidate.place]
+            for other in (self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)):
+                simple, rich = sorted((present, other), key=lambda s: s.candidate.parameter_count)
+                beside = self.scoring.tested(self.model.fit_beside(simple.candidate, choice), rich.candidate)
+                needed = rich.test.total > simple.test.total and beside.p_value < self.options.learned_discovery
+                if needed == (rich is other) and self.scoring.is_large(other) \
+                        and other.test.total > SIMPLER * present.test.total:
+                    better = Choice(other.candidate, other.p_value, rivals_of(self.model, other, [present]),
+                                    other.share, asked=self.scoring.smallest_share(other.candidate, choice))
+                    self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
+                    return True
+        return False
 
     def _retune(self, newest: Candidate) -> None:
         """Theta of each effect once more, where the newest acts on the same channels: they were found without it.

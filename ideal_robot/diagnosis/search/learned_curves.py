@@ -53,6 +53,8 @@ class LearnedCurves:
         if not scored:
             return None
         s = max(scored, key=lambda s: s.test.total)
+        if best is not None and best.candidate.effect.flexible and not self._refutes(s, best.candidate):
+            return None
         return Choice(s.candidate, s.p_value, (), s.share, s.dependence, self.scoring.smallest_share(s.candidate))
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
@@ -83,6 +85,16 @@ class LearnedCurves:
             domain = self.model.problem.regression.domain
             self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
         return self._of_signals[j, pairs]
+
+    def _refutes(self, curve: Scored, law: Candidate) -> bool:
+        """Whether beside a law a curve is needed as any is: being only as good alone it says the same in more numbers.
+
+        Args:
+            curve: tested without the law.
+            law: of the library.
+        """
+        beside = self.scoring.tested(self.model.fit_beside(law), curve.candidate, curve.dependence)
+        return beside.p_value < self.options.learned_discovery and beside.share > self.options.smallest_learned
 
     def _taken(self, candidate: Candidate) -> bool:
         return any(c.candidate.key == candidate.key for c in self.model.choices)

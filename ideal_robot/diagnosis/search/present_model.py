@@ -35,6 +35,11 @@ class PresentModel:
         """Fit with the selected effects but some."""
         return Fit(self.design, self.keys(*without), self.weights, self.problem.prior)
 
+    def fit_beside(self, candidate: Candidate, *without: Choice) -> Fit:
+        """Fit with the selected effects but some and with one more, with the weights of these."""
+        self.add_columns(candidate)
+        return Fit(self.design, [*self.keys(*without), candidate.key], self.weights, self.problem.prior)
+
     def fit_of_rivals(self, choice: Choice) -> Fit:
         """The fit against which a choice has to hold its place: without it, and without curves where it is physical.
 

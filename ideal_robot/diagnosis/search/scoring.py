@@ -82,9 +82,9 @@ class Scoring:
         own = columns.values @ s.test.coefficients
         # What the other parameters cancel almost wholly is no cause but a way of bending a curve; of columns that are
         # parameters of the model by their form nothing else is expected.
-        alike = columns.values[:, :, list(s.candidate.effect.like_the_model)].reshape(own.size, -1)
-        if alike.size:
-            own = own - (alike @ np.linalg.lstsq(alike, own.ravel(), rcond=None)[0]).reshape(own.shape)
+        form = self.model.problem.form_of_model(s.candidate)
+        if form is not None and form.channels == columns.channels:
+            own = replace(columns, values=own[:, :, None]).without(form)[:, :, 0]
         weighted = float(((own**2).sum(axis=0) * self.model.weights[channels]).sum())
         if s.test.gain < self.options.smallest_own * weighted:
             return False

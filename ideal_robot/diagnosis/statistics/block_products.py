@@ -22,16 +22,24 @@ class Columns:
         values: ``(N, k, m)``: ``m`` columns on ``k`` channels.
         channels: which channels these are, ascending, from 0.
         alike: whether the columns are pieces of one curve, in one unit.
+        own: of each column's squares the share ``(m,)`` that is not of the form of the model's own parameters; None
+            where all of it may be the columns' own.
     """
 
     values: Array
     channels: tuple[int, ...]
     alike: bool = False
+    own: Array | None = None
 
     @property
     def m(self) -> int:
         """Number of columns."""
         return int(self.values.shape[2])
+
+    def without(self, form: Columns) -> Array:
+        """What of the columns ``(N, k, m)`` those of ``form``, on the same channels, cannot make."""
+        own, theirs = (one.values.reshape(-1, one.m) for one in (self, form))
+        return np.asarray(own - theirs @ np.linalg.lstsq(theirs, own, rcond=None)[0]).reshape(self.values.shape)
 
 
 class BlockProducts:

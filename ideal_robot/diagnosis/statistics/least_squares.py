@@ -15,6 +15,10 @@ _RIDGE = 1e-9
 _SMOOTH = 3e-3
 """The same for the pieces of a curve, some of which a fold may hardly show. A body's ten columns are in units of their
 own: next to what a mass weighs, an inertia shows little and would be held at none."""
+_OWN = 1e-5
+"""Share of a column's squares that the others have to leave for it to have something of its own."""
+_ROUNDED = 0.01
+"""Least share of a column that counts for that: of less the ridge and rounding leave as much."""
 _NOTHING = 1e-20
 """Squares of a column over those of the candidate's largest below which it is rounding."""
 
@@ -199,18 +203,18 @@ class Fit:
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
         CX, Cy, CC = self._candidate(key)
-        return self._joined(0, CX, Cy, CC, self.design.groups[key].alike)[:2]
+        return self._joined(0, CX, Cy, CC, self.design.groups[key])[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
         full = (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key))
         CX, Cy, CC = self._candidate(key)
-        alike = self.design.groups[key].alike
-        gain, coefficients = self._joined(0, CX, Cy, CC, alike)[:2]
+        group = self.design.groups[key]
+        gain, coefficients = self._joined(0, CX, Cy, CC, group)[:2]
         B, c = self.G.shape[:2]
         reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
         for k in range(self.folds):
-            _, gamma, beta = self._joined(k + 1, CX, Cy, CC, alike)
+            _, gamma, beta = self._joined(k + 1, CX, Cy, CC, group)
             mine = self.fold == k
             G = self.G[mine]
             before = np.append(-self._beta[k + 1], 1.0)
@@ -238,15 +242,17 @@ class Fit:
         CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in parts)
         return CX, Cy, CC
 
-    def _joined(self, k: int, CX: Array, Cy: Array, CC: Array, alike: bool) -> tuple[float, Array, Array]:
+    def _joined(self, k: int, CX: Array, Cy: Array, CC: Array, group: Columns) -> tuple[float, Array, Array]:
         """Schur complement: gain, coefficients of the group, and the refitted other parameters."""
         training = self._training[k]
         CX, Cy, CC = (np.tensordot(training, part, 1) for part in (CX, Cy[:, :, 0], CC))
         Z = CX @ self._inverse[k]
         S = CC - Z @ CX.T
-        # A column that the others explain all but a hundred-thousandth of has nothing of its own.
-        own = (np.diag(S) > 1e-5 * np.diag(CC)) & (np.diag(CC) > _NOTHING * np.max(np.diag(CC), initial=0.0))
-        if alike and len(Cy) > 6:
+        part = 1.0 if group.own is None else np.maximum(group.own, _ROUNDED)
+        # A column that the others explain all but a hundred-thousandth of has nothing of its own. What of it is of the
+        # form of the model's own parameters does not count, down to what rounding leaves.
+        own = (np.diag(S) > _OWN * part * np.diag(CC)) & (np.diag(CC) > _NOTHING * np.max(np.diag(CC), initial=0.0))
+        if group.alike and len(Cy) > 6:
             S = S + _SMOOTH * float(np.mean(np.diag(CC))) * np.eye(len(Cy))
         m = len(Cy)
         gamma = np.zeros(m)

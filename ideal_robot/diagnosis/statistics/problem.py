@@ -21,6 +21,8 @@ _ROUNDS = 2
 """Refits after which the channels' weights of the final fit have settled."""
 _FEWEST = 64
 """Rows from which on a part of the band can be told from the rest."""
+_ROUNDING = 1e-9
+"""Share of a column's squares that is rounding."""
 _HELD = 1e4
 """Times the prior's precision with which parameters are held while their changes are effects."""
 
@@ -86,7 +88,26 @@ class Problem:
     def columns(self, candidate: Candidate) -> Columns:
         """A candidate's columns at the rows of the regression."""
         columns = candidate.effect.columns(self.regression.signals, candidate.joint, candidate.theta)
-        return replace(self.prepared(columns), alike=candidate.effect.learned)
+        made = replace(self.prepared(columns), alike=candidate.effect.learned)
+        form = self.form_of_model(candidate)
+        if form is None or form.channels != made.channels:
+            return made
+        left, whole = ((values**2).sum(axis=(0, 1)) for values in (made.without(form), made.values))
+        share = left / np.maximum(whole, 1e-300)
+        # A column that is all of that form is judged as any other.
+        return replace(made, own=np.where(share > _ROUNDING, share, 1.0))
+
+    def form_of_model(self, candidate: Candidate) -> Columns | None:
+        """Columns that the model's own parameters make and that a candidate is partly like; None where it is not."""
+        place = candidate.effect.name, candidate.joint
+        if place not in self._forms:
+            columns = candidate.effect.like_the_model(self.regression.signals, candidate.joint)
+            self._forms[place] = None if columns is None else self.prepared(columns)
+        return self._forms[place]
+
+    @cached_property
+    def _forms(self) -> dict[tuple[str, int], Columns | None]:
+        return {}
 
     def design(self, effects: Sequence[Candidate] = ()) -> Design:
         """Parameters of the model and columns of effects, with their cross-products."""

@@ -33,7 +33,6 @@ class GravitySpring(Effect):
     discriminating_motion = (
         ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
     )
-    like_the_model = (0,)
     flexible = True
     caution = 1.5
     of_angle_alone = True
@@ -62,6 +61,11 @@ class GravitySpring(Effect):
         angle = signals.q[:, joint - 1] - phi
         length = np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle))
         return signals.on_joint(joint, np.sin(angle), np.sin(angle) / length)
+
+    def like_the_model(self, signals: Signals, joint: int) -> Array:
+        """See ``Effect.like_the_model``. Gravity's two components, turned with the joint."""
+        q = signals.q[:, joint - 1]
+        return signals.on_joint(joint, np.sin(q), np.cos(q))
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
                    theta_std: tuple[float, ...]) -> list[EffectParameter]:
