@@ -80,6 +80,7 @@ class Search:
         self.model.replace(list(start))
         for one in sorted(start, key=lambda c: c.share):
             self._drop_if_small(one)
+        self._with_needed_form()
         for round_ in range(self.options.most):
             # How many rounds there will be is not known: each takes a share of what is left.
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
@@ -95,6 +96,8 @@ class Search:
                 self._prune()
                 self._exchange()
             self._retune(choice.candidate)
+            if choice.candidate.effect.of_angle_alone:
+                self._with_needed_form()
         return self.model.choices
 
     def settle(self, prior: Array) -> None:
@@ -174,7 +177,7 @@ class Search:
             self.model.drop(choice)
 
     def _with_needed_form(self) -> bool:
-        """Exchanges two laws of a joint's angle where the one with more parameters is needed beside the other or is not.
+        """Exchanges two laws of a joint's angle where the one with more parameters is needed beside the other, or not.
 
         What friction, lags and gears leave hangs on the motion; what all blocks alike leave over the angle alone beside
         the simpler law, with everything else in the model, is that its form is another. Without that it is the law.
@@ -193,7 +196,7 @@ class Search:
                 simple, rich = sorted((present, other), key=lambda s: s.candidate.parameter_count)
                 beside = self.scoring.tested(self.model.fit_beside(simple.candidate, choice), rich.candidate)
                 needed = rich.test.total > simple.test.total and beside.p_value < self.options.learned_discovery
-                if needed == (rich is other) and self.scoring.is_large(other) \
+                if needed == (rich is other) and self.scoring.is_large(other, choice) \
                         and other.test.total > SIMPLER * present.test.total:
                     better = Choice(other.candidate, other.p_value, rivals_of(self.model, other, [present]),
                                     other.share, asked=self.scoring.smallest_share(other.candidate, choice))

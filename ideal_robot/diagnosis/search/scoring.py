@@ -73,9 +73,14 @@ class Scoring:
         caution = candidate.effect.caution if self.signals.n > 1 else 1.0
         return caution * (self.options.smallest_next if occupied else self.options.smallest)
 
-    def is_large(self, s: Scored) -> bool:
-        """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
-        if s.share < self.smallest_share(s.candidate):
+    def is_large(self, s: Scored, replaced: Choice | None = None) -> bool:
+        """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel.
+
+        Args:
+            s: tested.
+            replaced: the choice in whose place it would be taken, if there is one.
+        """
+        if s.share < self.smallest_share(s.candidate, replaced):
             return False
         columns = self.model.design.groups[s.candidate.key]
         channels = list(columns.channels)
@@ -93,7 +98,7 @@ class Scoring:
         if np.max(size / self.measured_std[channels]) <= self.options.smallest_torque:
             return False
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
-        beside = self._sizes_at(s.candidate.joint)[channels]
+        beside = self._sizes_at(s.candidate.joint, replaced)[channels]
         least = self.options.smallest_beside
         if s.candidate.effect.learned and s.candidate.effect.domain == ARM_POSITION:
             least = self.options.smallest_learned_bend
@@ -117,14 +122,14 @@ class Scoring:
         squares = self.model.weights * problem.products.count[problem.blocks.selecting].sum(axis=0)
         return np.asarray(np.sqrt(np.maximum(s.test.reduction_by_channel, 0.0) / np.maximum(squares, 1e-300)))
 
-    def _sizes_at(self, joint: int) -> Array:
-        """RMS of the largest effect taken at a joint in each channel ``(c,)``."""
+    def _sizes_at(self, joint: int, without: Choice | None) -> Array:
+        """RMS of the largest effect but one that was taken at a joint in each channel ``(c,)``."""
         result = np.zeros(self.model.problem.products.c)
         at = self.model.problem.products.W.m
         fit = self.model.fit()
         for choice in self.model.choices:
             group = self.model.design.groups[choice.candidate.key]
-            if choice.candidate.joint == joint:
+            if choice.candidate.joint == joint and choice is not without:
                 channels = list(group.channels)
                 own = group.values @ fit.beta[at : at + group.m]
                 result[channels] = np.maximum(result[channels], np.sqrt(np.mean(own**2, axis=0)))

@@ -1,0 +1,71 @@
+"""A cable's spring, a balancer's and a curve without a cause: which of them a joint with gravity has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Search
+from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.effects import MOTOR_TORQUE, library
+from ideal_robot.effects.registry import find
+from ideal_robot.model.model import Model
+from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.diagnosis.test_what_is_claimed import moved
+
+BALANCER = Candidate(find("gravity_spring", "tau"), 1, (0.8, 0.4))
+CABLE = Candidate(find("cable_spring", "tau"), 1)
+
+
+def balancer(q: np.ndarray, force: float, phi: float, rho: float) -> np.ndarray:
+    """Torque of the preload of a spring between two points, and of a stiffness that is like gravity."""
+    angle = q - phi
+    return force * (np.sin(angle) / np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle)) - np.sin(angle))
+
+
+def problem_with(tmp_path: Path, torque) -> Problem:
+    columns = moved()[0].columns
+    pulled = Recording({**columns, "tau_1": columns["tau_1"] + torque(columns["q_1"])})
+    made = torque_regression(pulled, robot := arm(tmp_path), Model.nominal(robot))
+    return Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+
+
+def searched(problem: Problem, *start: Candidate) -> list[Choice]:
+    effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
+    search = Search(problem, effects, Options(), np.random.default_rng(0), absorbed=False)
+    return search.run([Choice(one, 1e-9, share=0.5) for one in start])
+
+
+@pytest.mark.parametrize("start", [(), (BALANCER,), (CABLE,)], ids=["nothing", "balancer", "cable"])
+def test_a_cable_stays_a_cable_where_the_search_begins_with_a_balancer(tmp_path, start):
+    names = [c.candidate.effect.name for c in searched(problem_with(tmp_path, lambda q: 1.5 * q), *start)]
+    assert names == ["cable_spring"]
+
+
+@pytest.mark.parametrize("start", [(), (BALANCER,), (CABLE,)], ids=["nothing", "balancer", "cable"])
+@pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
+def test_a_balancer_is_found_from_a_cable_and_no_curve_stands_for_it(tmp_path, start, phi):
+    problem = problem_with(tmp_path, lambda q: balancer(q, 20.0, phi, 0.4))
+    assert [c.candidate.effect.name for c in searched(problem, *start)] == ["gravity_spring"]
+
+
+def test_a_spring_that_gravity_takes_nearly_all_of_shows_in_all_folds(tmp_path):
+    # Of its squares all but a hundred-thousandth or so are gravity's, in some folds a little more.
+    problem = problem_with(tmp_path, lambda q: balancer(0.4 * q, 400.0, 0.8, 0.4))
+    made = problem.columns(BALANCER)
+    assert made.own is not None
+    assert made.own[0] == 1.0
+    assert made.own[1] < 0.1
+
+
+def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):
+    problem = problem_with(tmp_path, lambda q: 4.0 * np.maximum(q - 0.3, 0.0))
+    found = searched(problem)
+    assert [c.candidate.effect.learned for c in found] == [True]
