@@ -92,6 +92,10 @@ def test_a_lag_that_differs_from_none_by_less_than_two_deviations_is_none() -> N
     pytest.param(731103, id="friction of the load that a wrist drives is no cable in the joint before"),
     pytest.param(731099, id="a body of 0.16 kg that only the wrist feels is a payload"),
     pytest.param(731065, id="dry friction that has grown is no degressive friction that the parameters take over"),
+    pytest.param(737013, id="a curve as good as a balancing spring does not stand for it"),
+    pytest.param(737070, id="a balancing spring shows in all folds though gravity takes all but a hundred-thousandth"),
+    pytest.param(737144, id="a balancing spring that is needed beside a cable is no cable"),
+    pytest.param(737200, id="a curve that ties with a balancing spring does not stand for it"),
     pytest.param(731135, id="what a balancing spring takes of the weight bends its gear and is no unknown curve there"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
