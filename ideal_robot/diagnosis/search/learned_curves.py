@@ -87,14 +87,14 @@ class LearnedCurves:
         return self._of_signals[j, pairs]
 
     def _refutes(self, curve: Scored, law: Candidate) -> bool:
-        """Whether beside a law a curve is needed as any is: being only as good alone it says the same in more numbers.
+        """Whether beside a law blocks left out need a curve: else it says the same in more numbers.
 
         Args:
             curve: tested without the law.
             law: of the library.
         """
         beside = self.scoring.tested(self.model.fit_beside(law), curve.candidate, curve.dependence)
-        return beside.p_value < self.options.learned_discovery and beside.share > self.options.smallest_learned
+        return beside.p_value < self.options.false_discovery
 
     def _taken(self, candidate: Candidate) -> bool:
         return any(c.candidate.key == candidate.key for c in self.model.choices)
