@@ -5,7 +5,8 @@ Run: ``python benchmarks/stranger_trials.py --count 45 --first 40000 --json scor
 its seed; the engine goes by turns. With ``--json`` each score is a line, and trials that have one are not played again;
 ``--write`` puts the tables into docs/diagnosis.md. ``--kind none --share-scale 0.5`` plays empty recordings with all
 shares of the residual that are asked of an effect halved, and says which factor on them each two engines ask for and
-what it does in the third.
+what it does in the third. ``--kind known`` plays healthy recordings against the model that ``identify`` makes of
+another healthy recording of the same arm.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from types import SimpleNamespace
 
 from ideal_robot.diagnosis import Options, diagnose
 from ideal_robot.errors import IdealRobotError
+from ideal_robot.identification.idim import identify
 from trials.report import arm_of, write_tables
 from trials.strangers.engines import ENGINES
 from trials.strangers.score import Score, score
@@ -49,11 +51,14 @@ def play(job: Job) -> Score | None:
     options = Options().scaled(scale)
     with arm_of(trial.urdf) as robot:
         model = None
-        if trial.reference is not None:
-            # What is known before is a rigid body with friction, as an identification has it, and no effects.
-            model = diagnose(trial.reference, robot, only=()).model
         start = time.process_time()
         try:
+            if trial.kind == "known":
+                model = identify([trial.reference], robot).model
+            elif trial.reference is not None:
+                # What is known before is a rigid body with friction, as an identification has it, and no effects.
+                model = diagnose(trial.reference, robot, only=()).model
+            start = time.process_time()
             found = diagnose(trial.recording, robot, model=model, options=options)
         except (IdealRobotError, ArithmeticError, ValueError) as error:
             print(f"{seed}: {error}", flush=True)

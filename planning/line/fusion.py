@@ -14,8 +14,10 @@ from ideal_robot.errors import InputError
 from planning.line.deviation_model import DeviationModel
 from planning.line.kalman import KalmanFilter
 
-DOUBT = 1e-3
+DOUBT = 1e-2
 """Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""
+AT_ONCE = 3
+"""Instants at which a sensor may have been moved that are weighed beside each other."""
 LEAD = 6.0
 """Difference of the logarithms of likelihood at which one hypothesis is dropped for the other."""
 WEIGHED = 15
@@ -140,7 +142,7 @@ class DeviationFilter:
         self._track = self._fresh()
         self._rival: _Track | None = None
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
-        self._shaken: _Track | None = None
+        self._shaken: list[_Track] = []
         self._memory: list[_Memory] = []
         self.t = -np.inf
         """Instant up to which the state has drifted [s]."""
@@ -157,7 +159,7 @@ class DeviationFilter:
         while (step := self.model.travel(s)) is not None:
             F, Q = np.eye(self._size), np.zeros((self._size, self._size))
             F[: self.model.size, : self.model.size], Q[: self.model.size, : self.model.size] = step
-            for track in (self._track, self._rival, self._shaken):
+            for track in (self._track, self._rival, *self._shaken):
                 if track is not None:
                     track.kf.predict(F=F, Q=Q)
 
@@ -238,7 +240,7 @@ class DeviationFilter:
         moved = self._weighed(measurement, H)
         fused = self._try(self._track, measurement, H)
         if moved:
-            self._track, self._rival, self._shaken = moved, None, None
+            self._track, self._rival, self._shaken = moved, None, []
             count = len(measurement.value)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "sensor moved")
         if fused.dof or not self._confirm:
@@ -249,7 +251,7 @@ class DeviationFilter:
         if not self._try(self._rival, measurement, H).dof:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
-            self._track, self._rival, self._shaken = self._rival, None, None
+            self._track, self._rival, self._shaken = self._rival, None, []
             count = len(measurement.value)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
         return fused
@@ -257,25 +259,23 @@ class DeviationFilter:
     def _weighed(self, measurement: Measurement, H: Array) -> _Track | None:
         """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.
 
-        It begins with the first measurement that the map makes doubtful, and from then on both take all of them.
+        One begins with each measurement that the map makes doubtful, and from then on it and the map take all of them.
+        A knock that shows little at first is still there when more has come, and one that was thought of for nothing
+        before is not in its way.
         """
         sigmas = self._moved.get(measurement.sensor)
         if sigmas is None:
             return None
         nis, likelihood = self._likelihood(self._track, measurement, H)
-        if self._shaken is None:
-            if nis <= float(chdtri(len(measurement.value), DOUBT)):
-                return None
-            self._shaken = self._begun_anew(measurement.sensor, sigmas)
-        shaken = self._shaken
-        shaken.lead += self._likelihood(shaken, measurement, H)[1] - likelihood
-        shaken.weighed += 1
-        self._try(shaken, measurement, H)
-        if shaken.lead > LEAD and shaken.agreed >= self._confirm_moved:
-            return shaken
-        if shaken.lead < -LEAD or shaken.weighed >= WEIGHED:
-            self._shaken = None
-        return None
+        if nis > float(chdtri(len(measurement.value), DOUBT)) and len(self._shaken) < AT_ONCE:
+            self._shaken.append(self._begun_anew(measurement.sensor, sigmas))
+        for shaken in self._shaken:
+            shaken.lead += self._likelihood(shaken, measurement, H)[1] - likelihood
+            shaken.weighed += 1
+            self._try(shaken, measurement, H)
+        sure = [one for one in self._shaken if one.lead > LEAD and one.agreed >= self._confirm_moved]
+        self._shaken = [one for one in self._shaken if one.lead >= -LEAD and one.weighed < WEIGHED]
+        return max(sure, key=lambda one: one.lead, default=None)
 
     def _likelihood(self, track: _Track, measurement: Measurement, H: Array) -> tuple[float, float]:
         """Normalised innovation squared, and the logarithm of the likelihood, in which an outlier counts as one."""

@@ -30,8 +30,9 @@ from trials.strangers.plant import (
 )
 from trials.strangers.visible import Reading, read, sizes, twist_sizes
 
-KINDS = ("none", "inside", "new", "outside", "two", "model", "arm")
-SHARES = (0.38, 0.20, 0.09, 0.09, 0.09, 0.10, 0.05)
+KINDS = ("none", "inside", "new", "outside", "two", "model", "arm", "known")
+"""``model``: an effect against a model of the healthy arm; ``known``: nothing against such a model."""
+SHARES = (0.38, 0.20, 0.09, 0.09, 0.09, 0.10, 0.05, 0.0)
 _POOLS: dict[str, dict[str, Draw]] = {
     "inside": INSIDE, "new": NEW, "outside": OUTSIDE, "two": INSIDE, "model": AGAINST_MODEL, "arm": ARM}
 _CLOSE = 1.7
@@ -144,7 +145,7 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
     if len(drawn) != 1:
         run = ENGINES[engine](setup.plant, motion) if drawn else healthy.run
     reference = None
-    if kind == "model":
+    if kind in ("model", "known"):
         again = draw_motion(rng, arm, duration, motion.kind)
         other = dataclasses.replace(healthy.setup.logger, seed=int(rng.integers(2**31)))
         reference = record(other, plant, ENGINES[engine](plant, again))
@@ -169,7 +170,7 @@ def _with_cascade(rng: np.random.Generator, plant: Plant) -> Plant:
 
 def _effects(rng: np.random.Generator, kind: str, engine: str, setup: Setup) -> list[Drawn] | None:
     """Effects of a trial, no two of them at one joint; None where the plant cannot have the one drawn."""
-    if kind == "none":
+    if kind in ("none", "known"):
         return []
     result: list[Drawn] = []
     pool = {name: draw for name, draw in _POOLS[kind].items() if name not in NOT_IN.get(engine, frozenset())}

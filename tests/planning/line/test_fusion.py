@@ -294,6 +294,25 @@ def test_measurements_that_do_not_fit_are_refused(change: dict[str, Array], fiel
     assert refused.value.field == field
 
 
+@pytest.mark.parametrize("knocked", [0.003, 0.006])
+def test_a_sensor_that_is_moved_little_is_found_though_one_thought_of_it_before(knocked: float) -> None:
+    """With one hypothesis at a time, begun by a stray measurement before the knock, the map was up to 0.8 mm off."""
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        truth = Truth(rng)
+        fusion = DeviationFilter(path_model(), biases={"camera": (0.003,)}, moved={"camera": (0.01,)})
+        for k in range(50):
+            s = 0.014 * k
+            truth.travel(s)
+            fusion.travel(s)
+            at = s + AHEAD
+            value = truth.at(at)[:, 0] + NOISE * rng.normal(size=5) + (0.001 + knocked * (k >= 30)) * AHEAD
+            reason = fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None])).reason
+            assert k >= 30 or reason != "sensor moved"
+            here = np.array([s + 0.03])
+            assert k < 30 or abs(fusion.mean(here)[0, 0] - truth.at(here)[0, 0]) < 1e-4
+
+
 def test_a_sensor_that_is_moved_changes_its_own_error_and_not_the_map() -> None:
     rng = np.random.default_rng(11)
     truth = Truth(rng)
