@@ -86,6 +86,8 @@ class Effect(ABC):
         sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
         theta_is_physical: False where theta only serves the computation and has no uncertainty of its own.
         scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.
+        told_from: periods within the range that was driven from which on no smooth curve over the angle looks like an
+            effect that is ``scanned``; with fewer it has to be as large as a learned curve, and none may explain more.
         depends_on_joint: whether its numbers are in the units of its joint: of a sliding one in N and m.
         geometric: whether it is a change of the arm's geometry, which another joint's may reproduce where axes are
             parallel.
@@ -120,6 +122,7 @@ class Effect(ABC):
     sooner_than: ClassVar[tuple[str, ...]] = ()
     theta_is_physical: ClassVar[bool] = True
     scanned: ClassVar[bool] = False
+    told_from: ClassVar[float] = 0.0
     depends_on_joint: ClassVar[bool] = True
     geometric: ClassVar[bool] = False
     caution: ClassVar[float] = 1.0
@@ -202,6 +205,16 @@ class Effect(ABC):
             (low, high), (near, far) = bounds[0], sorted((theta[0] / 3.0, theta[0] * 3.0))
             return [(max(low, near), min(high, far))]
         return bounds
+
+    def periods(self, signals: Signals, joint: int, theta: Theta) -> float:
+        """How many times an effect that is ``scanned`` repeats in the range that was driven; infinite for others.
+
+        Args:
+            signals: of the recording.
+            joint: from 1.
+            theta: nonlinear parameters, in ``theta_units``.
+        """
+        return float("inf")
 
     @abstractmethod
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:

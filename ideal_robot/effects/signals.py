@@ -15,6 +15,10 @@ RigidBody = Callable[[Array, Array, Array], Array]
 """Rigid-body torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each, without friction and rotors."""
 
 
+_WEIGHTLESS = 1e-3
+"""Weight, over that of the arm's most loaded joint, below which gravity does not turn a joint."""
+
+
 @dataclass(frozen=True)
 class Frames:
     """Kinematics along a motion.
@@ -34,6 +38,17 @@ class Frames:
     jacobian: Array
 
 
+def constant_of_weight(offset: Array, weight: Array) -> Array:
+    """What of constant torques may be weight ``(n,)``: all where gravity turns the joint, none elsewhere.
+
+    Args:
+        offset: constant torque of the motors ``(n,)`` [N m].
+        weight: what gravity asks of the motors along a motion ``(N, n)`` [N m].
+    """
+    size = np.max(np.abs(weight), axis=0, initial=0.0)
+    return np.asarray(np.where(size > _WEIGHTLESS * np.max(size, initial=0.0), offset, 0.0))
+
+
 @dataclass(frozen=True)
 class Signals:
     """What effects may look at: everything on one uniform time grid of ``N`` samples.
@@ -48,6 +63,8 @@ class Signals:
         rigid: the rigid body as a function, for effects that change positions; None where there is none.
         weight: what gravity asks of the motors along the motion ``(N, n)``, in the unit of ``torque``; None where no
             rigid body says so.
+        constant: constant torque of the motors that may be weight ``(n,)`` [N m]: a joint that turns little does not
+            tell the two apart. None where no model says so.
         extra: further columns by name ``(N,)``, e.g. those of the sensor loop.
         frames: kinematics along the motion, or None.
         payload: regressor ``(N, n, 10)`` of a body rigidly on the last link (mass, first moments, inertias), or None.
@@ -70,6 +87,7 @@ class Signals:
     temperature: Array | None = None
     rigid: RigidBody | None = None
     weight: Array | None = None
+    constant: Array | None = None
     extra: Mapping[str, Array] = field(default_factory=dict)
     payload: Array | None = None
     bodies: Callable[[int], Array] | None = None
@@ -105,6 +123,13 @@ class Signals:
                 one[:, j] = 1.0
                 result[:, j] = (self.rigid(self.q, still, one) - weight)[:, j]
         return result
+
+    def borne(self, joint: int) -> Array:
+        """Load of the gear of ``joint`` (from 1) with the constant torque that may be weight ``(N,)`` [N m].
+
+        A fit knows their sum better than each; where the load changes sign is a matter of the sum.
+        """
+        return np.asarray(self.load[:, joint - 1] + (0.0 if self.constant is None else self.constant[joint - 1]))
 
     def direction(self, qd: Array, joint: int) -> Array:
         """Sign of a velocity ``(N,)`` of ``joint`` (from 1), smooth where it is lost in noise."""

@@ -22,6 +22,7 @@ from ideal_robot.dynamics import (
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
+from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.controller_model import ControllerModel
@@ -173,7 +174,9 @@ class Model(Summarised):
             times: Array = np.asarray(cycle * np.arange(len(q)) if t is None else t, dtype=float)
             # The regressor of the last link is what takes time: a payload alone asks for it.
             body = self._body_on(self.n, q, qd, qdd) if any(effect.joint == 0 for effect in acting) else None
+            still = np.zeros_like(q)
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
+                              constant=constant_of_weight(self.offset, self.rigid_body(q, still, still)),
                               cutoff=cutoff, sliding=self.friction.sliding(q, qd), payload=body,
                               bodies=lambda link: self._body_on(link, q, qd, qdd),
                               gravity_across=lambda at: gravity_across(chain_of(self._exact_model), at))

@@ -19,6 +19,7 @@ from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals
+from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import sensitivity
 from ideal_robot.robots.robot import Robot
@@ -132,10 +133,10 @@ def about_model(made: Regression, model: Model) -> Regression:
     load = inverse_dynamics(chain, s.q, s.qd, s.qdd)
     friction = model.friction.torque(s.qd, load, s.q, np.column_stack([direction_of(s, j) for j in range(n)]))
     torque = load + model._exact[10 * n : 11 * n] * s.qdd + model.offset + friction
-    signals = replace(s, load=load, torque=torque, friction=friction,
-                      sliding=model.friction.sliding(s.q, s.qd),
+    weight = inverse_dynamics(chain, s.q, np.zeros_like(s.q), np.zeros_like(s.q))
+    signals = replace(s, load=load, torque=torque, friction=friction, weight=weight,
+                      constant=constant_of_weight(model.offset, weight), sliding=model.friction.sliding(s.q, s.qd),
                       rigid=lambda a, b, c: inverse_dynamics(chain, a, b, c),
-                      weight=inverse_dynamics(chain, s.q, np.zeros_like(s.q), np.zeros_like(s.q)),
                       gravity_across=lambda at: gravity_across(chain, at))
     prediction = torque
     for effect in model.effects:

@@ -134,7 +134,7 @@ class Search:
             if len(refined) == _REFINED or (refined and s.test.total < 0.4 * refined[0].test.total):
                 break
             better = self.scoring.refined(fit, s)
-            if self.scoring.holds_slowly(better):
+            if self.scoring.holds(fit, better):
                 refined.append(better)
         if not refined:
             return None
@@ -234,7 +234,7 @@ class Search:
                       if s.p_value < self.options.false_discovery and self.scoring.is_large(s)
                       and s.test.total > 0.8 * present.test.total]
             refined = sorted((self.scoring.refined(fit, s) for s in rivals), key=lambda s: -s.test.total)
-            if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds_slowly(refined[0]) \
+            if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds(fit, refined[0]) \
                     and likelier(self.model, refined[0], [present]) is not present:
                 s = refined[0]
                 better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share,

@@ -12,6 +12,8 @@ from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.effects import TCP_POSITION
 from ideal_robot.effects.learned import Unknown
 
+_AS_GOOD = 0.95
+"""Share of a curve's reduction with which a wave of a few periods, three numbers for a curve's twelve, is taken."""
 _TESTED = 6
 """Curves of a channel that are tested on blocks left out, at most."""
 
@@ -38,8 +40,7 @@ class LearnedCurves:
         """
         least = 0.0
         if best is not None:
-            margin = 1.0 if best.candidate.effect.flexible else self.options.unknown_margin
-            least = margin * self.scoring.tested(fit, best.candidate).test.total
+            least = self._margin(best) * self.scoring.tested(fit, best.candidate).test.total
         problem = self.model.problem
         residual = self.model.residual(fit)
         selecting = problem.blocks.selecting[problem.blocks.of_samples()]
@@ -56,6 +57,12 @@ class LearnedCurves:
         if best is not None and best.candidate.effect.flexible and not self._refutes(s, best.candidate):
             return None
         return Choice(s.candidate, s.p_value, (), s.share, s.dependence, self.scoring.smallest_share(s.candidate))
+
+    def _margin(self, best: Choice) -> float:
+        """How many times as much a curve has to take away as the best effect of the library."""
+        if best.candidate.effect.flexible:
+            return 1.0
+        return 1.0 / _AS_GOOD if self.scoring.is_short(best.candidate) else self.options.unknown_margin
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
                     least: float) -> list[Scored]:

@@ -11,12 +11,15 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options, Scored
 from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.statistics.candidate import Candidate
-from ideal_robot.diagnosis.statistics.dependence import Dependence
+from ideal_robot.diagnosis.statistics.dependence import FINE, Dependence
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.effects import ARM_POSITION
+from ideal_robot.effects.learned import Unknown
 
 _ITERATIONS = 4
 """Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
+_PARTS = 4
+"""Parts of the range in each of which a ripple has to be there, at most; each holds a period or more."""
 _PROMISING = 4.0
 """Weighted squares that a start has to take away in sample to be tested on blocks left out."""
 
@@ -65,7 +68,7 @@ class Scoring:
     def smallest_share(self, candidate: Candidate, own: Choice | None = None) -> float:
         """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
         occupied = any(c.candidate.joint == candidate.joint for c in self.model.choices if c is not own)
-        if candidate.effect.learned:
+        if candidate.effect.learned or self.is_short(candidate):
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
         if candidate.effect.absorbed_by_base:
             return self.options.smallest_absorbed
@@ -103,6 +106,54 @@ class Scoring:
         if s.candidate.effect.learned and s.candidate.effect.domain == ARM_POSITION:
             least = self.options.smallest_learned_bend
         return bool(np.any(size > least * beside))
+
+    def is_short(self, candidate: Candidate) -> bool:
+        """Whether so little of a candidate's form was driven through that a curve looks like it.
+
+        Beside a curve over the same angle anything looks like it that a finer one resolves.
+        """
+        effect, joint = candidate.effect, candidate.joint
+        if not effect.scanned or not candidate.theta:
+            return False
+        angle = (f"q_{joint}",)
+        curved = any(isinstance(c.candidate.effect, Unknown) and c.candidate.effect.depends_on == angle
+                     and c.candidate.joint == joint for c in self.model.choices)
+        return effect.periods(self.signals, joint, candidate.theta) < (FINE / 2.0 if curved else effect.told_from)
+
+    def holds(self, fit: Fit, s: Scored) -> bool:
+        """Whether a candidate is there at all frequencies and places at which its law says it is.
+
+        Args:
+            fit: without the candidate.
+            s: the candidate, scored.
+        """
+        return self.holds_slowly(s) and self.holds_everywhere(fit, s)
+
+    def holds_everywhere(self, fit: Fit, s: Scored) -> bool:
+        """Whether what repeats over the angle is in all parts of the range, half as large as in the whole at least.
+
+        An odd shape at one place, or what a curve leaves of it, has a spectrum over the angle as well, but no torque
+        elsewhere.
+
+        Args:
+            fit: without the candidate.
+            s: the candidate, scored.
+        """
+        effect, joint = s.candidate.effect, s.candidate.joint
+        if not effect.scanned:
+            return True
+        key, group = s.candidate.key, self.model.design.groups[s.candidate.key]
+        fit = Fit(self.model.design, [*fit.keys, key], self.model.weights, self.model.problem.prior)
+        channels, blocks = list(group.channels), self.model.problem.blocks
+        selecting = blocks.selecting[blocks.of_samples()]
+        use = self.model.problem.products.use[:, channels] & selecting[:, None]
+        wave = group.values @ fit.beta[-group.m :] * use
+        left = self.model.residual(fit)[:, channels] * use
+        rows = np.flatnonzero(use.any(axis=1))
+        q = self.at_rows.q[rows, joint - 1]
+        parts = int(np.clip(effect.periods(self.signals, joint, s.candidate.theta), 1, _PARTS))
+        return all(np.sum(left[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
+                   for part in np.array_split(rows[np.argsort(q)], parts))
 
     def holds_slowly(self, s: Scored) -> bool:
         """Whether a cause that is the same at all frequencies is so: no less than half as large in half of the band.
@@ -200,11 +251,12 @@ class Scoring:
             if first.effect.scanned:
                 found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, use)
                 starts = [replace(first, theta=theta, tries=tries) for theta in found]
-            best: tuple[float, Candidate] | None = None
-            for candidate in starts:
-                gain = self.plausible_gain(fit, candidate)
-                if gain is not None and (best is None or gain > best[0]):
-                    best = gain, candidate
-            if best is not None and best[0] > _PROMISING:
-                scored.append(self.tested(fit, best[1]))
+            for alike in ([c for c in starts if self.is_short(c) is short] for short in (False, True)):
+                best: tuple[float, Candidate] | None = None
+                for candidate in alike:
+                    gain = self.plausible_gain(fit, candidate)
+                    if gain is not None and (best is None or gain > best[0]):
+                        best = gain, candidate
+                if best is not None and best[0] > _PROMISING:
+                    scored.append(self.tested(fit, best[1]))
         return scored

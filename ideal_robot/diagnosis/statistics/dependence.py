@@ -17,6 +17,8 @@ from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
 from ideal_robot.effects.learned import Unknown, signal_of, spline_basis
 
 _FLIPS = 400
+FINE = 24
+"""Intervals of a second curve of a torque over its joint's own angle, for what is narrow in the range."""
 _SLOW = (6, 14)
 """Intervals of a curve over time: so few that each is many blocks long, and a block can be told from its neighbours."""
 
@@ -77,14 +79,16 @@ def terms(signals: Signals, channel: int, pairs: bool, domain: Domain = MOTOR_TO
     names = signal_names(signals, channel)
     result = [Unknown((name,), False, (_knots(signal_of(signals, name), intervals),), domain=domain)
               for name in names for intervals in (_SLOW if name == "t" else (9,))]
+    if domain == MOTOR_TORQUE and (own := f"q_{channel + 1}") in names:
+        result.append(Unknown((own,), False, (_knots(signal_of(signals, own), FINE),)))
     directed = [name for name in names if name.startswith(("q_", "load_", "temp_")) or name == "t"]
     if domain == MOTOR_TORQUE:
         result += [Unknown((name,), True, (_knots(signal_of(signals, name), 9),)) for name in directed]
     if pairs:
         j = channel + 1
-        own = [f"{kind}_{j}" for kind in ("q", "qd")]
+        ours = [f"{kind}_{j}" for kind in ("q", "qd")]
         smooth = [name for name in names if name.startswith(("q_", "qd_"))]
-        both = {tuple(sorted((a, b))) for a in own for b in smooth if a != b and a in names}
+        both = {tuple(sorted((a, b))) for a in ours for b in smooth if a != b and a in names}
         both |= {tuple(sorted((a, b))) for a in smooth for b in smooth
                  if a != b and a.split("_")[0] == b.split("_")[0]}
         result += [Unknown(pair, False, tuple(_knots(signal_of(signals, name), 2) for name in pair), domain=domain)

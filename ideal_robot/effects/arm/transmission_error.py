@@ -15,6 +15,8 @@ class TransmissionError(TorqueRipple):
     name = "transmission_error"
     domain = ARM_POSITION
     coefficient_units = ("rad", "rad")
+    # Fewer are how bodies bend a gear over the range.
+    least_periods = 4.5
     source = "kinematic error of gears, k a multiple of the gear ratio"
 
     def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],

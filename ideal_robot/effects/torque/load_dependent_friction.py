@@ -31,7 +31,7 @@ class LoadDependentFriction(Effect):
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """The load has to vary, or the effect is Coulomb friction."""
-        load = np.abs(signals.load[:, joint - 1])
+        load = np.abs(signals.borne(joint))
         return bool(np.std(load) > 0.05 * (np.mean(load) + 1e-12))
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
@@ -58,7 +58,7 @@ class LoadDependentFriction(Effect):
         return signals.on_joint(joint, np.abs(self.carried(signals, joint, theta)) * signals.sliding_direction(joint))
 
     def carried(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
-        """What the teeth carry ``(N,)`` [N m]: the load without the inertia that sits before them.
+        """What the teeth carry ``(N,)`` [N m]: the load and what else may be weight, without the inertia before them.
 
         Args:
             signals: of ``N`` samples.
@@ -67,7 +67,7 @@ class LoadDependentFriction(Effect):
         """
         # Files of earlier versions have no theta.
         before = theta[0] if theta else 0.0
-        return np.asarray(signals.load[:, joint - 1] - before * signals.qdd[:, joint - 1])
+        return np.asarray(signals.borne(joint) - before * signals.qdd[:, joint - 1])
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:
         """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""

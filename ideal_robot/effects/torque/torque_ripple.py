@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -53,8 +55,9 @@ def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float
 class TorqueRipple(Effect):
     """``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre) from the data.
 
-    The order is found by scanning the residual over position; a ripple has more than four periods within
-    the range that was driven, else a spring, gravity or an odd shape explains it as well.
+    The order is found by scanning the residual over position. With fewer than four and a half periods within the range
+    that was driven a spring, gravity or an odd shape may explain it as well (``told_from``), with fewer than two
+    nothing shows that it repeats.
     """
 
     name = "torque_ripple"
@@ -64,6 +67,8 @@ class TorqueRipple(Effect):
     coefficient_units = ("N m", "N m")
     source = "motor cogging and gear meshing; order = periods per joint turn"
     scanned = True
+    told_from = 4.5
+    least_periods: ClassVar[float] = 2.0
 
     def starts(self, signals: Signals, joint: int) -> list[tuple[float, ...]]:
         """Orders on a grid of a third of a period over the range; the residual narrows them down."""
@@ -73,26 +78,41 @@ class TorqueRipple(Effect):
         return [(float(order),) for order in np.linspace(low, high, count)]
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
-        """From four and a half periods in the range to what the sampling still resolves at the median speed."""
+        """From a few periods in the range to what the sampling resolves in the slowest quarter of the motion.
+
+        What is too fast for the band in the rest of it is taken out of columns and residual alike.
+        """
         span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
         speed = np.abs(signals.qd[:, joint - 1])
         moving = speed[speed > 0.05 * speed.max()] if speed.max() > 0 else speed
-        typical = float(np.median(moving)) + 1e-12 if len(moving) else 1e-12
-        low = 2.0 * np.pi * 4.5 / span
+        typical = float(np.percentile(moving, 25.0)) + 1e-12 if len(moving) else 1e-12
+        low = 2.0 * np.pi * self.least_periods / span
         high = max(0.35 * 2.0 * np.pi / signals.dt / typical, 2.0 * low)
         return [(low, min(high, low + 3000.0 * 2.0 / span))]
 
     def bounds_near(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> list[tuple[float, float]]:
         """See ``Effect.bounds_near``. Within half a period over the range, where the scan's peak is."""
         width = 1.5 / float(np.ptp(signals.q[:, joint - 1]))
-        return [(theta[0] - width, theta[0] + width)]
+        return [(max(theta[0] - width, self.bounds(signals, joint)[0][0]), theta[0] + width)]
+
+    def periods(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> float:
+        """See ``Effect.periods``."""
+        return theta[0] * float(np.ptp(signals.q[:, joint - 1])) / (2.0 * np.pi)
 
     def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
                              use: np.ndarray) -> tuple[list[tuple[float, ...]], int]:
-        """See ``Effect.starts_from_residual``. Orders at the highest peaks of the residual's spectrum over position."""
+        """See ``Effect.starts_from_residual``. Orders at the highest peaks of the residual's spectrum over position.
+
+        Slow ones have their own peak: what bends over the range would else be all that is seen.
+        """
         low, high = self.bounds(signals, joint)[0]
         part, counts = self.visible_part(signals, joint, residual, use)
-        orders, tries = spectral_peaks(signals.q[:, joint - 1], part, counts, (low, high))
+        q = signals.q[:, joint - 1]
+        between = 2.0 * np.pi * self.told_from / (float(np.ptp(q)) + 1e-12)
+        orders, tries = spectral_peaks(q, part, counts, (max(low, between), high))
+        if self.least_periods < self.told_from:
+            slow, more = spectral_peaks(q, part, counts, (low, between), peaks=1)
+            orders, tries = orders + slow, tries + more
         return [(order,) for order in orders], tries
 
     def visible_part(self, signals: Signals, joint: int, residual: Array,

@@ -97,6 +97,10 @@ def test_a_lag_that_differs_from_none_by_less_than_two_deviations_is_none() -> N
     pytest.param(737144, id="a balancing spring that is needed beside a cable is no cable"),
     pytest.param(737200, id="a curve that ties with a balancing spring does not stand for it"),
     pytest.param(731135, id="what a balancing spring takes of the weight bends its gear and is no unknown curve there"),
+    pytest.param(737074, id="a ripple of three periods in the range is a ripple and no curve beside play"),
+    pytest.param(737223, id="a ripple that only the slower part of the motion resolves is found"),
+    pytest.param(737153, id="what a coarse curve leaves of a bump is no ripple"),
+    pytest.param(737268, id="friction of a load that changes sign where weight and a constant torque are one"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
