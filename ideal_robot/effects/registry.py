@@ -41,6 +41,7 @@ _TABLE = {
     "dead_time/tau": "torque.dead_time:DeadTime",
     "dead_time/q": "torque.position_dead_time:PositionDeadTime",
     "joint_elasticity/tau": "torque.joint_elasticity:JointElasticity",
+    "joint_elasticity/tau_resonance": "torque.gear_resonance:GearResonance",
     "backlash/tau": "torque.backlash:Backlash",
     "backlash/tau_flight": "torque.backlash_in_flight:BacklashInFlight",
     "dead_time/qa": "arm.dead_time:ArmDeadTime",

@@ -124,6 +124,7 @@ class Search:
 
     def _best(self, fit: Fit, scored: list[Scored]) -> Choice | None:
         """The best candidate of this round: significant among all, large enough, best after refinement."""
+        scored = [self._sharpened(fit, s) for s in scored]
         passed = [s for s in discoveries(scored, len(self.pool), self.options.false_discovery)
                   if self.scoring.is_large(s)]
         if not passed:
@@ -150,6 +151,18 @@ class Search:
         best = likelier(self.model, best, refined)
         return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share,
                       asked=self.scoring.smallest_share(best.candidate))
+
+    def _sharpened(self, fit: Fit, s: Scored) -> Scored:
+        """A candidate that is large enough, but whose start lies too far off its theta to pay the price of all starts.
+
+        What happens a few times in a recording, as the crossing of a gap, a coarse theta hits in some blocks only. Its
+        p-value stays multiplied by the number of starts.
+        """
+        alone = s.p_value / max(s.candidate.tries, 1)
+        if s.p_value <= self.options.false_discovery / max(len(self.pool), 1) or alone > self.options.false_discovery \
+                or not self.scoring.is_large(s):
+            return s
+        return self.scoring.refined(fit, s)
 
     def _prune(self) -> None:
         """Takes out what the others have made superfluous."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numba
 import numpy as np
 
@@ -84,13 +82,17 @@ class BacklashInFlight(JointElasticity):
         shifts = [share * size for share in _SHIFTS]
         if abs(_constant(signals, joint)) > 0.1 * size:
             shifts.append(-_constant(signals, joint))
-        rate = float(np.std(signals.rate(load)))
         inertia = abs(float(np.mean(_inertia(signals, joint)))) + 1e-12
-        gaps = [seconds**3 * rate / (12.0 * inertia) for seconds in _SECONDS]
-        gaps = sorted(set(np.clip(gaps, *self.bounds(signals, joint)[0]).tolist()))
         # Where none makes the load change sign, as of a joint that rests, they are starts of another motion.
         turning = [shift for shift in shifts if _turns(load + shift)] or shifts
-        return list(itertools.product(gaps, turning))
+        rates = np.abs(signals.rate(load))
+        starts: list[tuple[float, ...]] = []
+        for shift in turning:
+            at = np.flatnonzero(np.diff(np.sign(load + shift)) != 0)
+            rate = float(np.sqrt(np.mean(rates[at] ** 2))) if len(at) else float(np.std(rates))
+            gaps = [seconds**3 * rate / (12.0 * inertia) for seconds in _SECONDS]
+            starts += [(gap, shift) for gap in sorted(set(np.clip(gaps, *self.bounds(signals, joint)[0]).tolist()))]
+        return starts
 
     def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
         """A gap, not a range of motion; a load besides no larger than what there is."""

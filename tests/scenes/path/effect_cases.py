@@ -265,6 +265,14 @@ def _softer(key: str) -> Case:
     return Case(arm.WORLD.replace(stiffness=soft.tolist()), true, shown=not of_currents)
 
 
+def _swinging() -> Case:
+    """The gear of ``_softer``, said by the resonance of the arm behind it."""
+    case = _softer("joint_elasticity/tau")
+    stiffness = 1.0 / case.true.coefficients[0]
+    swings = FittedEffect("joint_elasticity", 2, "tau_resonance_2", (1.0,), (), (stiffness,))
+    return dataclasses.replace(case, true=swings)
+
+
 def _gap(prefix: str) -> Case:
     """In joint 1, whose load changes sign."""
     angle = TIMES * 0.25 * ANGLE
@@ -302,6 +310,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "gravity_spring/tau": gravity_spring, "cable_spring/tau": cable_spring, "payload/tau": payload,
     "link_load/tau": link_load, "zero_error/tau": zero_error, "base_tilt/tau": base_tilt,
     "axis_coupling/tau": axis_coupling, "joint_elasticity/tau": lambda: _softer("joint_elasticity/tau"),
+    "joint_elasticity/tau_resonance": _swinging,
     "joint_elasticity/qa": lambda: _softer("joint_elasticity/qa"),
     "joint_elasticity/tcp": lambda: _softer("joint_elasticity/tcp"),
     "backlash/tau": lambda: _gap("tau"), "backlash/qa_load": lambda: _gap("qa_load"),
