@@ -6,7 +6,8 @@ Scene `force_wave` as in ``force_workshop.py``. Root mean squares over the trave
 
 - plan: the height that was planned against the one at which the force would have been right;
 - arm: the height of the tip against the planned one;
-- tip: where the program thinks, once its forces have arrived, that the tip was, against where it was.
+- tip: where the program thinks, once its forces have arrived, that the tip was, against where it was;
+- the force's error over the travel, and where the tip moves at full speed.
 
 ``--told`` plays twice more: with the surface known beforehand (the height at which the force would have been right in
 the first play takes the forecast's place), and with the true friction of all joints told besides. That needs contacts
@@ -46,6 +47,8 @@ from sim.equipment.equipped_arm import CarriedForceSensor, EquippedArm
 
 LATER = 10
 """Cycles after which the forces of a cycle have arrived."""
+FULL = 0.95
+"""Share of the speed from which on it counts as full."""
 SMOOTH = 3e-6
 """Standard deviation of the surface that is told from the one that was found [m]."""
 
@@ -83,7 +86,7 @@ class KnownSurface:
 
 @dataclass(frozen=True)
 class Parts:
-    """Heights along the travel ``(N,)`` [m] at arc lengths ``s (N,)`` [m], and the force error's RMS [N]."""
+    """Heights along the travel ``(N,)`` [m] at arc lengths ``s (N,)`` [m], X
 
     s: Array
     right: Array
@@ -91,10 +94,12 @@ class Parts:
     tip: Array
     believed: Array
     rms: float
+    at_speed: float
 
     def line(self) -> list[str]:
         differences = (self.right - self.planned, self.planned - self.tip, self.believed - self.tip)
-        return [f"{1e6 * np.sqrt(np.mean(one**2)):.0f}" for one in differences] + [f"{self.rms:.2f}"]
+        heights = [f"{1e6 * np.sqrt(np.mean(one**2)):.0f}" for one in differences]
+        return [*heights, f"{self.rms:.2f}", f"{self.at_speed:.2f}"]
 
 
 def played(scene: ForceScene, method: Any = IDEAL, surface: KnownSurface | None = None) -> Parts:
@@ -139,7 +144,9 @@ def _parts(cell: Cell, task: Watched, scene: ForceScene, history: dict[str, Arra
     wrong = np.interp(t, history["t"], history["normal"]) - scene.force
     travel = (history["t"] >= t[0]) & (history["t"] <= t[-1])
     rms = float(np.sqrt(np.mean((history["normal"][travel] - scene.force) ** 2)))
-    return Parts(s, tip + wrong / scene.tip.stiffness, planned, tip, believed, rms)
+    fast = np.gradient(s, t) > FULL * scene.speed
+    at_speed = float(np.sqrt(np.mean(wrong[fast] ** 2)))
+    return Parts(s, tip + wrong / scene.tip.stiffness, planned, tip, believed, rms, at_speed)
 
 
 def knowing_friction(scene: ForceScene) -> Any:
@@ -163,9 +170,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--told", action="store_true", help="surface, and then friction, known beforehand besides")
     options = parser.parse_args()
-    four = ["plan µm", "arm µm", "tip µm", "RMS N"]
-    told = ["surface known: plan", "arm", "tip", "RMS N", "and friction: plan", "arm", "tip", "RMS N"]
-    columns = ["contact", *four, *(told if options.told else [])]
+    five = ["plan µm", "arm µm", "tip µm", "RMS N", "at full speed"]
+    told = ["surface known: plan", *five[1:], "and friction: plan", *five[1:]]
+    columns = ["contact", *five, *(told if options.told else [])]
     print(f"| {' | '.join(columns)} |\n{'| --- ' * len(columns)}|")
     for k in (float(one) for one in options.stiffness.split(",")):
         scene = contact_scene(k, options.seed)

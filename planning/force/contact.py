@@ -18,8 +18,10 @@ NOTICED = 0.08
 
 SLOPE, UNSEEN = 0.15, 0.15
 """Slope of a surface before it was felt, and the time until it is known under a tip that has begun to move [s]."""
+TOLERATED = 2.5
+"""Force that may go wrong meanwhile without a gentler start, which costs more than it gains on soft contacts [N]."""
 BEGUN = 1.0
-"""Force that may go wrong meanwhile [N]."""
+"""Force that may go wrong meanwhile where the start is made gentler [N]."""
 GENTLEST = 0.2
 """Jerk with which a travel begins at least [m/s³]."""
 
@@ -85,7 +87,7 @@ class ContactSettings:
             acceleration: of the travel [m/s²].
             jerk: where the contact is soft enough for that acceleration from the start [m/s³].
         """
-        if 0.5 * acceleration * UNSEEN**2 * SLOPE * self.elasticity <= BEGUN:
+        if 0.5 * acceleration * UNSEEN**2 * SLOPE * self.elasticity <= TOLERATED:
             return jerk
         return min(jerk, max(GENTLEST, 6.0 * BEGUN / (UNSEEN**3 * SLOPE * self.elasticity)))
 

@@ -15,7 +15,7 @@ def test_a_slope_that_was_not_felt_yet_costs_no_more_force_on_a_stiff_contact() 
 
 
 def test_a_soft_contact_begins_as_it_is_told() -> None:
-    assert ContactSettings(elasticity=1.9e3).jerk(0.3, 40.0) == 40.0
+    assert ContactSettings(elasticity=4e3).jerk(0.3, 40.0) == 40.0
 
 
 def test_no_contact_is_so_stiff_that_the_travel_does_not_begin() -> None:
