@@ -86,7 +86,7 @@ class KnownSurface:
 
 @dataclass(frozen=True)
 class Parts:
-    """Heights along the travel ``(N,)`` [m] at arc lengths ``s (N,)`` [m], X
+    """Heights along the travel ``(N,)`` [m] at arc lengths ``s (N,)`` [m]; RMS of the force, also at full speed [N]."""
 
     s: Array
     right: Array
