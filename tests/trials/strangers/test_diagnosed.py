@@ -101,6 +101,8 @@ def test_a_lag_that_differs_from_none_by_less_than_two_deviations_is_none() -> N
     pytest.param(737223, id="a ripple that only the slower part of the motion resolves is found"),
     pytest.param(737153, id="what a coarse curve leaves of a bump is no ripple"),
     pytest.param(737268, id="friction of a load that changes sign where weight and a constant torque are one"),
+    pytest.param(737281, id="a gap that is crossed six times is found from a start twice off"),
+    pytest.param(737081, id="an arm that swings behind a soft gear within the band"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
