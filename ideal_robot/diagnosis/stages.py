@@ -131,7 +131,7 @@ def joint_fit(case: Case, found: Findings) -> Findings:
         found = with_braking_friction(case, before)
         torque, dropped = _domain_of(case, found).settled()
         refuted = tuple(one for one in dropped if one.refuted)
-        places = {(one.effect, one.joint) for one in refuted} - set(before.refuted)
+        places = {(one.refuted, one.joint) for one in refuted} - set(before.refuted)
         if not places:
             break
         gone += refuted

@@ -20,6 +20,10 @@ from ideal_robot.robots.robot import Robot
 
 LONGEST = 3600.0
 """Longest period of a motion [s]."""
+LONGEST_APPROACH = 600.0
+"""Longest way from rest to where a motion begins [s]."""
+_AWAY = 50.0
+"""How far from home a motion is looked for [rad or m]: a limit beyond stands for none."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +118,12 @@ class MotionSpace:
     def __init__(self, robot: Robot, period: float, harmonics: int, workspace: Workspace, speed: float,
                  acceleration: float, travel: float) -> None:
         self.robot, self.period, self.workspace = robot, period, workspace
-        half = 0.5 * travel * (robot.q_max - robot.q_min)
+        q_min, q_max = np.maximum(robot.q_min, robot.home - _AWAY), np.minimum(robot.q_max, robot.home + _AWAY)
+        half = 0.5 * travel * (q_max - q_min)
         # Several turns of a wrist joint excite nothing that one does not.
         self.half = np.minimum(half, np.pi)
-        self.middle = 0.5 * (robot.q_max + robot.q_min)
-        self.reach_low = np.maximum(robot.q_min + 0.5 * (1 - travel) * (robot.q_max - robot.q_min), -1.2 * np.pi)
-        self.reach_high = np.minimum(robot.q_max - 0.5 * (1 - travel) * (robot.q_max - robot.q_min), 1.2 * np.pi)
+        self.reach_low = np.maximum(q_min + 0.5 * (1 - travel) * (q_max - q_min), -1.2 * np.pi)
+        self.reach_high = np.minimum(q_max - 0.5 * (1 - travel) * (q_max - q_min), 1.2 * np.pi)
         self.v_max = speed * np.where(np.isfinite(robot.v_max), robot.v_max, 2.0)
         self.a_max = acceleration * np.where(np.isfinite(robot.a_max), robot.a_max, 10.0)
         self.t = np.linspace(0.0, period, 120, endpoint=False)
@@ -200,10 +204,16 @@ def approach(start: Array, goal: Array, t_ipo: float, v_max: Array, a_max: Array
         t_ipo: interpolation cycle [s].
         v_max: velocity limits ``(n,)`` [rad/s].
         a_max: acceleration limits ``(n,)`` [rad/s²].
+
+    Raises:
+        InputError: it would take longer than ``LONGEST_APPROACH``.
     """
     way = np.abs(goal - start)
     # Largest velocity and acceleration of 10 s³ - 15 s⁴ + 6 s⁵ are 1.875 and 5.77.
     duration = max(np.max(1.875 * way / (0.5 * v_max)), np.max(np.sqrt(5.78 * way / (0.5 * a_max))), t_ipo)
+    if not duration <= LONGEST_APPROACH:
+        raise InputError(f"the way to where the motion begins would take {duration:.3g} s by the limits of velocity "
+                         "and acceleration; check them", field="limits")
     count = int(np.ceil(duration / t_ipo))
     s = np.arange(1, count + 1)[:, None] / count
     return np.asarray(start + (10 * s**3 - 15 * s**4 + 6 * s**5) * (goal - start))

@@ -53,7 +53,7 @@ class Search:
         rng: for null distributions.
         absorbed: whether effects are tried that the model's own parameters could take over.
         only: names and joints of the effects that may be looked for; then nothing is learned either.
-        refuted: names and joints of effects that are not tried.
+        refuted: forms (``Effect.key``) and joints of effects that are not tried.
         progress: called with the share done and a word.
     """
 
@@ -66,7 +66,7 @@ class Search:
         self.learns = only is None
         regression = problem.regression
         pool = [starts for starts in candidates(effects, regression.signals, regression.undecided, absorbed)
-                if (starts[0].effect.name, starts[0].joint) not in refuted
+                if (starts[0].effect.key, starts[0].joint) not in refuted
                 and (only is None or (starts[0].effect.name, starts[0].joint) in only)]
         # Joint by joint, as several effects need how torques change with its motion, which is large to keep.
         self.pool = sorted(pool, key=lambda starts: starts[0].joint)

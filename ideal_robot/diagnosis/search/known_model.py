@@ -50,7 +50,7 @@ def selected_against(problem: Problem, prior: Array, effects: Sequence[Effect], 
         only: names and joints of the effects that may be looked for.
         progress: called with the share done and a word.
         start: choices of an earlier search to begin with.
-        refuted: names and joints of effects that are not tried.
+        refuted: forms (``Effect.key``) and joints of effects that are not tried.
     """
     held = Search(problem.with_prior(prior).held(), effects, options, rng, absorbed=True, only=only,
                   refuted=refuted, progress=progress)

@@ -149,7 +149,7 @@ class DomainDiagnosis:
                    else "it is how friction goes through standstill, at the end of what was searched")
             said = ", ".join(p.text for p in fitted_effect(candidate, widened, k).parameters)
             gone = self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
-            return k, replace(gone, refuted=not allowed)
+            return k, replace(gone, refuted="" if allowed else candidate.effect.key)
         return None
 
     def _worthless(self) -> tuple[int, NotTransferred] | None:

@@ -118,7 +118,7 @@ class NotTransferred:
         effect, joint, channel, p_value: as in ``FoundEffect``.
         rms_without, rms_with: of its channel on the data that decide.
         why: in words, where it is not these errors.
-        refuted: whether physics does not allow what it comes out as.
+        refuted: name and place of the form that physics does not allow as it comes out; empty where that is not so.
     """
 
     effect: str
@@ -128,7 +128,7 @@ class NotTransferred:
     rms_without: float
     rms_with: float
     why: str = ""
-    refuted: bool = False
+    refuted: str = ""
 
     @property
     def reason(self) -> str:

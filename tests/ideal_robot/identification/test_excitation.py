@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,19 @@ def test_impossible_wishes_are_refused() -> None:
         design_excitation(robot(), np.random.default_rng(0), harmonics=2)
     with pytest.raises(InputError, match="workspace"):
         design_excitation(robot(), np.random.default_rng(0), workspace=Workspace(z_min=9.0), trials=3)
+
+
+def test_a_limit_that_is_none_moves_the_motion_nowhere() -> None:
+    """With the middle of such a range as the posture to begin with, the way there took years and all memory."""
+    arm = robot()
+    far = replace(arm, q_max=np.where(np.arange(arm.n) == 1, 1e9, arm.q_max))
+    found = design_excitation(far, np.random.default_rng(3), trials=2, refinements=0)
+    assert np.all(np.abs(found.centre - arm.home) < 50.0)
+
+
+def test_a_way_that_takes_hours_is_refused() -> None:
+    with pytest.raises(InputError, match="check them"):
+        approach(np.zeros(2), np.array([0.1, 1e9]), 0.012, np.ones(2), np.ones(2))
 
 
 def test_trapezoid_keeps_velocity_and_acceleration() -> None:
