@@ -18,6 +18,7 @@ import numpy as np
 from scipy import sparse
 
 from ideal_robot.arrays import Array
+from ideal_robot.captured_stderr import kept_words
 from ideal_robot.dynamics.base_parameters import BaseParameters
 from ideal_robot.errors import IdealRobotError
 
@@ -124,11 +125,23 @@ def _solve(A: Array, b: Array, scale: Array, nominal: Array, n: int, margin: flo
     settings.tol_gap_abs = settings.tol_gap_rel = 1e-13
     G = np.vstack(rows)
     solver = clarabel.DefaultSolver(P, q, sparse.csc_matrix(G * size), np.concatenate(rhs) - G @ start, cones, settings)
-    result = solver.solve()
+    try:
+        with kept_words():
+            result = solver.solve()
+    except BaseException as error:
+        # Where eigenvalues of an iterate do not converge, Clarabel ends in a panic of Rust: no Exception, and of a
+        # class that cannot be imported.
+        if type(error).__name__ != "PanicException":
+            raise
+        raise _none_found(str(error)) from None
     if str(result.status) not in ("Solved", "AlmostSolved"):
-        raise IdealRobotError(f"no physically possible inertias found near the identified ones ({result.status}); "
-                              "check the warnings about excitation")
+        raise _none_found(str(result.status))
     return np.asarray(start + size * np.array(result.x))
+
+
+def _none_found(why: str) -> IdealRobotError:
+    return IdealRobotError(f"no physically possible inertias found near the identified ones ({why}); check the "
+                           "warnings about excitation")
 
 
 def _triangle(matrix: Array) -> Array:

@@ -70,3 +70,23 @@ def test_a_covariance_that_is_none_is_said() -> None:
     covariance[0, 1] = covariance[1, 0] = 5.0
     with pytest.raises(IdealRobotError, match="no usable standard deviations"):
         consistent_parameters(base, base.of(full), covariance, full)
+
+
+class PanicException(BaseException):
+    """As PyO3 names what a panic of Rust becomes."""
+
+
+def test_a_solver_that_panics_is_a_result_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fuzzed recording had one fit with which eigenvalues of an iterate did not converge (seed 88338)."""
+    class Panics:
+        def __init__(self, *_: object) -> None:
+            pass
+
+        def solve(self) -> None:
+            raise PanicException("Eigval error: Eigen(1)")
+
+    monkeypatch.setattr("ideal_robot.dynamics.consistency.clarabel.DefaultSolver", Panics)
+    model, full = arm()
+    base = base_parameters(model)
+    with pytest.raises(IdealRobotError, match="Eigval error"):
+        consistent_parameters(base, base.of(full), 1e-6 * np.eye(base.count), full)
