@@ -15,6 +15,9 @@ from ideal_robot.arrays import Array
 from scenes.scene import Table
 from scenes.shape import STEP, Shape
 
+_HALL = 100.0
+"""How far from the base a surface may be [m]; much farther, numbers of a path have no digits left for its points."""
+
 
 class Surface(Table):
     """The plane on which the line is drawn."""
@@ -25,6 +28,13 @@ class Surface(Table):
     """Direction of the line's own x axis in the surface, from the base's x axis."""
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     """Tilt of the surface about the base's x and y axis."""
+
+    @pydantic.field_validator("origin")
+    @classmethod
+    def _in_the_hall(cls, origin: tuple[float, float, float]) -> tuple[float, float, float]:
+        if max(map(abs, origin)) > _HALL:
+            raise ValueError(f"expected a place within {_HALL:g} m of the base")
+        return origin
 
     def pose(self) -> pin.SE3:
         """Pose of the plane: x along the heading, z out of the surface."""

@@ -144,6 +144,7 @@ def test_a_line_never_seen_ends_the_run(tmp_path: Path) -> None:
     ("changes", "says"),
     [
         ({"surface": {"origin": (2.5, 0.0, 0.3)}}, "out of reach"),
+        ({"surface": {"origin": (0.98, -4e11, 0.3)}}, "within 100 m"),
         ({"speed": 6.0}, "speed"),
         ({"camera": {"latency": -0.01}}, "greater than or equal to 0"),
         ({"line": {"svg": "M 0 0 C", "points": None}}, "broken SVG path"),
