@@ -51,7 +51,6 @@ def play(job: Job) -> Score | None:
     options = Options().scaled(scale)
     with arm_of(trial.urdf) as robot:
         model = None
-        start = time.process_time()
         try:
             if trial.kind == "known":
                 model = identify([trial.reference], robot).model

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import pydantic
 
 from scenes.scene import Scene, Table
 from sim.contact.clamp import WRENCH
 
-Level = Annotated[float, pydantic.Field(gt=0.0, le=1e6)]
-Mass = Annotated[float, pydantic.Field(gt=0.0, le=1e5)]
+_LARGEST = 1e6
+"""Force or mass [N or kg]."""
 
 
 class ClampTable(Table):
@@ -22,15 +22,22 @@ class ClampTable(Table):
     """How many configurations the program may choose."""
     push: Literal["tool_z", "joints"] = "joints"
     """``tool_z``: force-controlled levels along −z of the tool ([J]); ``joints``: one motor after the other."""
-    forces: tuple[Level, ...] = pydantic.Field(
+    forces: tuple[float, ...] = pydantic.Field(
         default=(1000.0, 2000.0, 3000.0, 4000.0, 5000.0, 6000.0, 7000.0), min_length=1, max_length=100)
     """Force levels of ``tool_z`` [N]; held upwards, then downwards."""
     components: tuple[str, ...] = WRENCH
     """Wrench components that the sensor records."""
     hold: float = pydantic.Field(default=2.0, gt=0.2, le=60.0)
     """Time at a level [s]."""
-    payloads: tuple[Mass, ...] = ()
+    payloads: tuple[float, ...] = ()
     """Masses hung on the unclamped flange for comparison [kg]; none: no comparison."""
+
+    @pydantic.field_validator("forces", "payloads")
+    @classmethod
+    def _can_be(cls, values: tuple[float, ...]) -> tuple[float, ...]:
+        if not all(0.0 < value <= _LARGEST for value in values):
+            raise ValueError(f"expected numbers above 0, to {_LARGEST:g}")
+        return values
 
 
 class ClampedScene(Scene):

@@ -152,7 +152,8 @@ def leaving_out(scores: Sequence[Score], scale: float) -> str:
 
     def needed(s: Score) -> float:
         if not s.false:
-            return 0.0 if s.right else np.inf
+            # Below the factor with which it was played nothing is known.
+            return scale if s.right else np.inf
         return scale * max((np.inf if np.isnan(m) else m) for m in s.margins)
 
     lines = ["| engine left out | factor on all shares from the others | its empty ones left alone with it | "

@@ -82,7 +82,7 @@ class GearResonance(JointElasticity):
         return [(self._stiffness(signals, joint, _LOWEST), self._stiffness(signals, joint, _HIGHEST))]
 
     def bounds_near(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> list[tuple[float, float]]:
-        """From one start to the next."""
+        """See ``Effect.bounds_near``. From one start to the next."""
         (low, high), = self.bounds(signals, joint)
         return [(max(low, 0.72 * theta[0]), min(high, 1.4 * theta[0]))]
 
