@@ -15,6 +15,8 @@ RigidBody = Callable[[Array, Array, Array], Array]
 """Rigid-body torque ``(N, n)`` of ``q, qd, qdd`` ``(N, n)`` each, without friction and rotors."""
 
 
+_LEAST_INERTIA = 0.05
+"""Share of its mean below which the inertia behind a gear does not fall."""
 _WEIGHTLESS = 1e-3
 """Weight, over that of the arm's most loaded joint, below which gravity does not turn a joint."""
 
@@ -123,6 +125,11 @@ class Signals:
                 one[:, j] = 1.0
                 result[:, j] = (self.rigid(self.q, still, one) - weight)[:, j]
         return result
+
+    def inertia_behind(self, joint: int) -> Array:
+        """Inertia behind the gear of ``joint`` (from 1), kept away from zero ``(N,)`` [kg m²]."""
+        inertia = self.inertia[:, joint - 1]
+        return np.asarray(np.maximum(inertia, _LEAST_INERTIA * np.mean(inertia)))
 
     def borne(self, joint: int) -> Array:
         """Load of the gear of ``joint`` (from 1) with the constant torque that may be weight ``(N,)`` [N m].

@@ -22,7 +22,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.friction_curve import KNEE, LARGEST, LENGTH, SHAPE, SPEEDS, between_nodes
+from ideal_robot.feedforward.friction_curve import LARGEST, SHAPE, between_nodes, largest_speeds, likeness
 from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load, ripple_torque
@@ -55,7 +55,7 @@ class FrictionAtWork:
 
     def in_loop(self, loop: LoopModel) -> LoopModel:
         """The loop that it was found for, with it."""
-        shares = loop.friction_velocity / _largest(loop)
+        shares = loop.friction_velocity / largest_speeds(loop)
         more = np.column_stack([between_nodes(share) @ curve
                                 for share, curve in zip(shares.T, self.curve, strict=True)])
         return loop.replace(friction_torque=np.maximum(loop.friction_torque + more, 0.0),
@@ -84,10 +84,6 @@ def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
     return FrictionAtWork(np.array([curve for curve, _ in found]), np.array([bend for _, bend in found]))
 
 
-def _largest(loop: LoopModel) -> Array:
-    return np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
-
-
 def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
     """What is left of the torque for friction ``(M, n)`` [N m], decimated."""
     ripple = np.array([[ripple_torque(loop.ripple, j, q) for j, q in enumerate(row)] for row in s.q])
@@ -112,12 +108,12 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: 
     by_load = [friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
                for a, b in zip(load, v, strict=True)]
     friction = np.where(v > 0, *sides) + by_load
-    nodes = dry * between_nodes(np.abs(v) / _largest(loop)[j])
-    place = np.log1p(SPEEDS / KNEE)
-    prior = np.diag(np.append(np.full(len(place), 1e-9), OFFSET**2))
-    prior[:-1, :-1] += SHAPE**2 * np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2)
+    nodes = dry * between_nodes(np.abs(v) / largest_speeds(loop)[j])
+    alike = likeness()
+    prior = np.diag(np.append(np.full(len(alike), 1e-9), OFFSET**2))
+    prior[:-1, :-1] += SHAPE**2 * alike
     root = np.linalg.cholesky(prior)
-    best, curve, factor = np.inf, np.zeros(len(place)), 1.0
+    best, curve, factor = np.inf, np.zeros(len(alike)), 1.0
     bend = float(loop.friction_bend[j])
     for tried in BENDS if bend > 0.0 else (1.0,):
         z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)

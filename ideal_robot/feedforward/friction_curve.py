@@ -91,11 +91,10 @@ class FrictionCurve:
 
     def __init__(self, loop: LoopModel) -> None:
         self.loop = loop
-        self._v_max = np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
+        self._v_max = largest_speeds(loop)
         self._dry = np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6)
-        place = np.log1p(SPEEDS / KNEE)
-        alike = np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2)
-        count = 1 + len(place)
+        alike = likeness()
+        count = 1 + len(SPEEDS)
         prior, drift = np.zeros((count, count)), np.zeros((count, count))
         prior[0, 0], prior[1:, 1:] = OFFSET**2, SHAPE**2 * alike
         drift[0, 0], drift[1:, 1:] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
@@ -149,6 +148,17 @@ class FrictionCurve:
         # Of a joint that stands nothing is learned, and nothing forgotten.
         covariance = np.where(counts[:, None, None], covariance - gain[:, :, None] * said[:, None], state.covariance)
         return CurveState(x, covariance, plans, error, state.integral + loop.k_i * step)
+
+
+def largest_speeds(loop: LoopModel) -> Array:
+    """Speeds that the nodes are shares of ``(n,)`` [rad/s]."""
+    return np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
+
+
+def likeness() -> Array:
+    """Correlation of a curve's values at the nodes ``(K, K)``: it is smooth over the logarithm of speed."""
+    place = np.log1p(SPEEDS / KNEE)
+    return np.asarray(np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2))
 
 
 def between_nodes(speed: Array) -> Array:

@@ -16,8 +16,6 @@ _SECONDS = (0.03, 0.05, 0.07, 0.09, 0.12, 0.16)
 gaps beyond what a gear in use has."""
 _SHIFTS = (0.0, -0.15, 0.15)
 """By how much the load may change sign elsewhere than the model has it, as a share of its spread."""
-_LEAST_INERTIA = 0.05
-"""Share of its mean below which the inertia behind the gear does not fall."""
 
 
 @numba.njit(cache=True)
@@ -70,7 +68,7 @@ class BacklashInFlight(JointElasticity):
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """There has to be an inertia behind the gear, and a load that changes sign for one of the starts."""
-        if signals.rigid is None or len(signals.t) < 3 or float(np.mean(_inertia(signals, joint))) <= 0.0:
+        if signals.rigid is None or len(signals.t) < 3 or float(np.mean(signals.inertia_behind(joint))) <= 0.0:
             return False
         load = self._crossing_load(signals, joint)
         return any(_turns(load + shift) for _, shift in self.starts(signals, joint))
@@ -82,7 +80,7 @@ class BacklashInFlight(JointElasticity):
         shifts = [share * size for share in _SHIFTS]
         if abs(_constant(signals, joint)) > 0.1 * size:
             shifts.append(-_constant(signals, joint))
-        inertia = abs(float(np.mean(_inertia(signals, joint)))) + 1e-12
+        inertia = abs(float(np.mean(signals.inertia_behind(joint)))) + 1e-12
         # Where none makes the load change sign, as of a joint that rests, they are starts of another motion.
         turning = [shift for shift in shifts if _turns(load + shift)] or shifts
         rates = np.abs(signals.rate(load))
@@ -102,7 +100,7 @@ class BacklashInFlight(JointElasticity):
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``JointElasticity.bend``."""
         load = self._crossing_load(signals, joint) + theta[1]
-        return np.asarray(crossed(load / _inertia(signals, joint), signals.dt, theta[0]))
+        return np.asarray(crossed(load / signals.inertia_behind(joint), signals.dt, theta[0]))
 
     def _crossing_load(self, signals: Signals, joint: int) -> Array:
         """Slow load with all of the constant torque ``(N,)`` [N m]: a fit knows their sum better than each."""
@@ -132,9 +130,3 @@ def _constant(signals: Signals, joint: int) -> float:
     """Constant torque that the model has beside load and friction [N m]; accelerations have no mean."""
     j = joint - 1
     return float(np.mean(signals.torque[:, j] - signals.friction[:, j] - signals.load[:, j]))
-
-
-def _inertia(signals: Signals, joint: int) -> Array:
-    """Inertia behind the gear ``(N,)`` [kg m²], kept away from zero."""
-    inertia = signals.inertia[:, joint - 1]
-    return np.asarray(np.maximum(inertia, _LEAST_INERTIA * np.mean(inertia)))

@@ -19,8 +19,6 @@ _DAMPING = 0.1
 """Of the gear, as a share of the critical: that of loaded gears is between a few hundredths and a few tenths."""
 _STEP = 1e-3
 """[s] of the integration, at most."""
-_LEAST_INERTIA = 0.05
-"""Share of its mean below which the inertia behind the gear does not fall."""
 
 
 @numba.njit(cache=True)
@@ -88,8 +86,7 @@ class GearResonance(JointElasticity):
 
     def bend(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
         """See ``JointElasticity.bend``."""
-        inertia = signals.inertia[:, joint - 1]
-        inertia = np.maximum(inertia, _LEAST_INERTIA * np.mean(inertia))
+        inertia = signals.inertia_behind(joint)
         return np.asarray(swinging(signals.load[:, joint - 1] / inertia, inertia, signals.dt, theta[0]))
 
     def plausible(self, coefficients: Array, theta: tuple[float, ...], signals: Signals, joint: int) -> bool:

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.effects import Signals, library
+from ideal_robot.effects import library
 from ideal_robot.effects.torque.backlash_in_flight import crossed
 from ideal_robot.signals.preprocess import lowpass
+from tests.ideal_robot.effects.pendulum import INERTIA, signals_of, through_gear
 from trials.report import arm_of
 from trials.strangers.trial import draw_trial
 
-INERTIA, WEIGHT, CONSTANT, HALF_GAP, CUTOFF = 0.12, 3.0, 0.3, 2e-3, 20.0
+CONSTANT, HALF_GAP = 0.3, 2e-3
 
 
 def driven(half_gap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -18,35 +19,20 @@ def driven(half_gap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     dt, count = 1e-4, 120_000
     t = dt * np.arange(count)
     q = 0.25 * np.sin(2.1 * t) + 0.12 * np.sin(5.3 * t + 1.0)
-    qd = np.gradient(q, dt)
     k = (2.0 * np.pi * 40.0) ** 2 * INERTIA
     d = np.sqrt(k * INERTIA)
-    at, speed, torque = q[0], qd[0], np.empty(count)
-    for i in range(count):
-        twist = q[i] - at
+
+    def stops(twist: float, rate: float) -> float:
         beyond = np.sign(twist) * max(abs(twist) - half_gap, 0.0)
-        torque[i] = k * beyond + d * (qd[i] - speed) * (beyond != 0.0)
-        speed += dt * (torque[i] - WEIGHT * np.sin(at) - CONSTANT) / INERTIA
-        at += dt * speed
-    return t, q, torque
+        return k * beyond + d * rate * (beyond != 0.0)
 
-
-def signals_of(t: np.ndarray, q: np.ndarray) -> Signals:
-    """What a diagnosis knows: it takes the constant part of the weight for one of the motor."""
-    qd = np.gradient(q, t, axis=0)
-    qdd = np.gradient(qd, t, axis=0)
-
-    def rigid(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-        return INERTIA * c + WEIGHT * np.sin(a)
-
-    load, still = rigid(q, qd, qdd), np.zeros_like(q)
-    return Signals(t, q, qd, qdd, load, load + CONSTANT, still, rigid=rigid, cutoff=CUTOFF)
+    return t, q, through_gear(q, dt, stops, CONSTANT)
 
 
 @pytest.mark.parametrize(("prefix", "least", "most"), [("tau_flight", 0.9, 1.0), ("tau", 0.0, 0.5)])
 def test_torque_of_a_gap_is_that_of_free_flight_and_impact(prefix, least, most):
     t, q, torque = driven(HALF_GAP)
-    signals = signals_of(t[::20], q[::20, None])
+    signals = signals_of(t[::20], q[::20, None], CONSTANT)
     missing = (torque - driven(0.0)[2])[::20]
     effect = next(e for e in library() if e.name == "backlash" and e.channel_prefix == prefix)
     thetas = [(HALF_GAP, 0.0)] if prefix == "tau_flight" else effect.starts(signals, 1)
@@ -64,13 +50,13 @@ def test_torque_of_a_gap_is_that_of_free_flight_and_impact(prefix, least, most):
 def test_a_start_lies_near_the_gap():
     t, q, _ = driven(HALF_GAP)
     effect = next(e for e in library() if e.key == "backlash/tau_flight")
-    gaps = {theta[0] for theta in effect.starts(signals_of(t[::20], q[::20, None]), 1)}
+    gaps = {theta[0] for theta in effect.starts(signals_of(t[::20], q[::20, None], CONSTANT), 1)}
     assert min(abs(np.log(gap / HALF_GAP)) for gap in gaps) < np.log(2.0)
 
 
 def test_a_joint_at_rest_is_not_asked_but_has_starts_for_another_motion():
     effect = next(e for e in library() if e.key == "backlash/tau_flight")
-    still = signals_of(np.linspace(0.0, 1.0, 200), np.full((200, 1), 0.3))
+    still = signals_of(np.linspace(0.0, 1.0, 200), np.full((200, 1), 0.3), CONSTANT)
     assert not effect.usable(still, 1)
     assert effect.starts(still, 1)
 

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import diagnose
-from ideal_robot.effects import Signals, library
+from ideal_robot.effects import library
 from ideal_robot.effects.torque.gear_resonance import swinging
 from ideal_robot.signals.preprocess import lowpass
+from tests.ideal_robot.effects.pendulum import INERTIA, signals_of, through_gear
 from trials.report import arm_of
 from trials.strangers.score import score
 from trials.strangers.trial import draw_trial
 
-INERTIA, WEIGHT, STIFFNESS, DAMPING, CUTOFF = 0.12, 3.0, 0.12 * (2.0 * np.pi * 8.0) ** 2, 0.07, 20.0
+STIFFNESS, DAMPING = INERTIA * (2.0 * np.pi * 8.0) ** 2, 0.07
 
 
 def driven() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -19,26 +20,8 @@ def driven() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     dt, count = 1e-4, 150_000
     t = dt * np.arange(count)
     q = 0.25 * np.sin(2.1 * t) + 0.004 * np.sin(2.0 * np.pi * 4.7 * t) + 0.0005 * np.sin(2.0 * np.pi * 10.3 * t + 1.0)
-    qd = np.gradient(q, dt)
     d = 2.0 * DAMPING * np.sqrt(STIFFNESS * INERTIA)
-    at, speed, torque = q[0], qd[0], np.empty(count)
-    for i in range(count):
-        torque[i] = STIFFNESS * (q[i] - at) + d * (qd[i] - speed)
-        speed += dt * (torque[i] - WEIGHT * np.sin(at)) / INERTIA
-        at += dt * speed
-    return t, q, torque
-
-
-def signals_of(t: np.ndarray, q: np.ndarray) -> Signals:
-    """What a diagnosis knows: the arm as if its gear were rigid."""
-    qd = np.gradient(q, t, axis=0)
-    qdd = np.gradient(qd, t, axis=0)
-
-    def rigid(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-        return INERTIA * c + WEIGHT * np.sin(a)
-
-    load, still = rigid(q, qd, qdd), np.zeros_like(q)
-    return Signals(t, q, qd, qdd, load, load, still, rigid=rigid, cutoff=CUTOFF)
+    return t, q, through_gear(q, dt, lambda twist, rate: STIFFNESS * twist + d * rate)
 
 
 def test_the_torque_of_a_swinging_arm_is_that_of_an_oscillator_and_tells_its_stiffness():
