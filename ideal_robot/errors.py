@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -32,6 +34,23 @@ class InputError(IdealRobotError):
         where = ": ".join(str(part) for part in (file, field) if part is not None)
         shown = "" if value is None else f" (got {value!r})"
         super().__init__(f"{where}: {message}{shown}" if where else f"{message}{shown}")
+
+
+@contextmanager
+def found_in(file: str | Path | None) -> Iterator[None]:
+    """Names the file in bad input that is found within and names none.
+
+    >>> with found_in("arm.toml"):
+    ...     raise InputError("must be positive", field="t_ipo")
+    Traceback (most recent call last):
+    ideal_robot.errors.InputError: arm.toml: t_ipo: must be positive
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise InputError(error.message, file=file, field=error.field, value=error.value) from error
 
 
 class LimitError(IdealRobotError):

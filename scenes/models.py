@@ -26,4 +26,5 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
     """
     if scene.model != OWN:
         return model_at(scene.model, robot)
-    return model_at(str(prepared_model(robot, World.from_table(scene.robot, scene.arm_world), progress).path), robot)
+    world = World.from_table(scene.robot, scene.arm_world, scene.source)
+    return model_at(str(prepared_model(robot, world, progress).path), robot)

@@ -52,6 +52,7 @@ class Scene(pydantic.BaseModel):
     workshop: ClassVar[dict[str, dict[str, Any]]] = {}
     """What the world ``workshop`` of this kind of scene has, by table; a kind without one plays on the bench."""
     _folder: Path | None = pydantic.PrivateAttr(default=None)
+    _source: Path | None = pydantic.PrivateAttr(default=None)
     _given: dict[str, Any] | None = pydantic.PrivateAttr(default=None)
 
     @pydantic.model_validator(mode="before")
@@ -81,6 +82,11 @@ class Scene(pydantic.BaseModel):
     def folder(self) -> Path | None:
         """Where the scene file lies, for files beside it; None for a scene made in memory."""
         return self._folder
+
+    @property
+    def source(self) -> str:
+        """What messages about its keys name: the scene file, or the scene where it was made in memory."""
+        return f"scene {self.name}" if self._source is None else str(self._source)
 
     def beside(self, folder: Path | None) -> Self:
         """The same scene as if its file lay in ``folder``."""
@@ -115,7 +121,7 @@ class Scene(pydantic.BaseModel):
         """
         if not lasts <= self.max_duration:
             raise InputError(f"the motion would last {lasts:.3g} s, the scene allows {self.max_duration:g} s: move "
-                             "faster, or give the scene a larger max_duration", file=f"scene {self.name}",
+                             "faster, or give the scene a larger max_duration", file=self.source,
                              field="max_duration", value=self.max_duration)
 
     def played(self) -> dict[str, Any]:
@@ -136,7 +142,7 @@ class Scene(pydantic.BaseModel):
                 value = {"base": value} if isinstance(value, str) else value
             both = isinstance(value, dict) and isinstance(values.get(key), dict)
             values[key] = {**values[key], **value} if both else value
-        return scene_of(type(self), values, Path(f"scene {self.name}")).beside(self.folder)
+        return scene_of(type(self), values, Path(self.source)).beside(self.folder)
 
 
 def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
@@ -154,6 +160,7 @@ def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
     try:
         scene = model(**values)
         scene._given = deepcopy(values)
+        scene._source = path
         return scene
     except pydantic.ValidationError as error:
         first = error.errors()[0]

@@ -59,7 +59,7 @@ def undeclared_effects(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     result = effects_of_world(scene, n)
     if not result:
         raise InputError("the scene's world holds nothing that the model does not know; set one of "
-                         f"{', '.join(EFFECTS_OF_KEY)}", file=f"scene {scene.name}", field="world")
+                         f"{', '.join(EFFECTS_OF_KEY)}", file=scene.source, field="world")
     return result
 
 
@@ -73,7 +73,7 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
     Raises:
         InputError: a world that cannot be closed, which key and why.
     """
-    default, file = World.default(scene.robot), f"scene {scene.name}"
+    default, file = World.default(scene.robot), scene.source
     for key, value in scene.arm_world.items():
         if key in _REASONS and _differs(default, key, value):
             raise InputError(f"a world with this key cannot be closed: {_REASONS[key]}", file=file,

@@ -22,6 +22,8 @@ LONGEST = 3600.0
 """Longest period of a motion [s]."""
 LONGEST_APPROACH = 600.0
 """Longest way from rest to where a motion begins [s]."""
+_LEAST_TRAVEL = 1e-3
+"""A joint with less between its limits does not move [rad or m]: limits that nobody filled in are both 0."""
 _AWAY = 50.0
 """How far from home a motion is looked for [rad or m]: a limit beyond stands for none."""
 
@@ -70,7 +72,8 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         travel: the same of the position limits.
 
     Raises:
-        InputError: too few harmonics, a period that is none, or no motion within the limits was found.
+        InputError: too few harmonics, a period that is none, a joint with nothing to move, or no motion within the
+            limits was found.
     """
     if harmonics < 3:
         raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
@@ -113,12 +116,19 @@ class MotionSpace:
         harmonics: number of sines and cosines per joint.
         workspace: where tool and links may go.
         speed, acceleration, travel: shares of the limits that may be used.
+
+    Raises:
+        InputError: a joint whose limits leave it nothing to move.
     """
 
     def __init__(self, robot: Robot, period: float, harmonics: int, workspace: Workspace, speed: float,
                  acceleration: float, travel: float) -> None:
         self.robot, self.period, self.workspace = robot, period, workspace
         q_min, q_max = np.maximum(robot.q_min, robot.home - _AWAY), np.minimum(robot.q_max, robot.home + _AWAY)
+        if np.any(q_max - q_min < _LEAST_TRAVEL):
+            j = int(np.argmin(q_max - q_min))
+            raise InputError(f"the limits of joint {j + 1} leave it nothing to move; give its true ones in the URDF",
+                             field="limit", value=[float(robot.q_min[j]), float(robot.q_max[j])])
         half = 0.5 * travel * (q_max - q_min)
         # Several turns of a wrist joint excite nothing that one does not.
         self.half = np.minimum(half, np.pi)

@@ -262,6 +262,8 @@ def _own(values: Any, source: str, name: str) -> Array:
             values.base is None or in_file(values)):
         return values
     array = np.array(values)
+    if array.dtype.kind == "b" and (name == "t" or name.rpartition("_")[0] in OF_JOINTS):
+        raise InputError("column holds true and false, expected numbers", file=source, field=name)
     if array.dtype.kind not in "fiub":
         try:
             array = array.astype(float)

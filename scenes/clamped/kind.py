@@ -38,7 +38,7 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
     """
     chosen = method_of(method or "both", METHODS).key
     robot = Robot.load(scene.robot)
-    world = ClampWorld.from_table(robot, scene.arm_world)
+    world = ClampWorld.from_table(robot, scene.arm_world, scene.source)
     rng = np.random.default_rng(scene.seed)
     progress(0.05, "choosing configurations")
     postures = configurations(scene, robot, rng)

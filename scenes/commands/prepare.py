@@ -35,7 +35,7 @@ def command(
 
     loaded = chosen(load_scene(scene), individual=individual)
     check_outputs(json=json, out=out)
-    world = World.from_table(loaded.robot, loaded.arm_world)
+    world = World.from_table(loaded.robot, loaded.arm_world, loaded.source)
     with progress_bar(f"{loaded.robot} {world.individual}") as progress:
         prepared = prepared_model(Robot.load(loaded.robot), world, progress)
     model = Model.load(prepared.path)

@@ -61,7 +61,7 @@ def set_up(scene: ForceScene) -> Cell:
         InputError: path out of reach, unreachable speed, a value that makes no sense.
     """
     robot = Robot.load(scene.robot)
-    world = World.from_table(scene.robot, scene.arm_world)
+    world = World.from_table(scene.robot, scene.arm_world, scene.source)
     place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)

@@ -125,9 +125,9 @@ def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:
     if not found and keys:
         raise InputError("sensor and contact are right, and what this does to the force is not looked for here: close "
                          "a path scene with this world, and give its model to this one",
-                         file=f"scene {scene.name}", field=f"world.{keys[0]}", value=scene.world[keys[0]])
+                         file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
     if not found:
         raise InputError("sensor and contact are right, or the controller finds out by itself: nothing is there to be "
                          "found; set sensor.drift, or assumed.elasticity_ratio with elasticity_estimated = false",
-                         file=f"scene {scene.name}", field="sensor.drift")
+                         file=scene.source, field="sensor.drift")
     return tuple(found)

@@ -65,7 +65,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
     """
-    world = World.from_table(scene.robot, scene.arm_world)
+    world = World.from_table(scene.robot, scene.arm_world, scene.source)
     # A controller's cycle times are no secret: they stand in its manual.
     robot = replace(scene.arm, t_ipo=world.t_ipo, t_position=world.t_position,
                     t_velocity=world.t_velocity)

@@ -176,7 +176,7 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
             if getattr(wrong, key):
                 raise InputError("along a line nobody can see it: a camera that is shifted across the line, or rolled, "
                                  "sees another line; set it to 0, or let the camera be calibrated (by_moving = true)",
-                                 file=f"scene {scene.name}", field=f"calibration.{key}", value=getattr(wrong, key))
+                                 file=scene.source, field=f"calibration.{key}", value=getattr(wrong, key))
     if camera.stamp_offset != 0.0 and not scene.stamp_estimate:
         found.append("camera_latency")
     if camera.stamp_drift != 0.0 and not scene.stamp_estimate:
@@ -193,12 +193,12 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
         raise InputError("along a line nothing of it is left to be found: the camera rides on the arm, and sees the "
                          "line by the same wrong geometry with which the arm goes there; close a path scene with this "
                          "world",
-                         file=f"scene {scene.name}", field=f"world.{keys[0]}", value=scene.world[keys[0]])
+                         file=scene.source, field=f"world.{keys[0]}", value=scene.world[keys[0]])
     if not found and not keys:
         raise InputError("the camera is right, or its follower finds out by itself: nothing is there to be found; set "
                          "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
                          "[calibration] with by_moving = false, or one of the arm's keys in [world]",
-                         file=f"scene {scene.name}", field="camera")
+                         file=scene.source, field="camera")
     return tuple(found)
 
 

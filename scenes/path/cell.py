@@ -131,6 +131,6 @@ def set_up(scene: PathScene, *, delay: bool, model: Model | None = None) -> Path
         InputError: path out of reach, no model, a value of the world that makes no sense.
     """
     robot = Robot.load(scene.robot)
-    world = World.from_table(scene.robot, {**scene.arm_world, "correction_delay": delay})
+    world = World.from_table(scene.robot, {**scene.arm_world, "correction_delay": delay}, scene.source)
     return PathCell(robot, world, model or model_for(scene, robot), joint_path(scene, robot, world.t_ipo),
                     scene.learn_from, scene.seed)

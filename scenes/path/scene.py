@@ -114,7 +114,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
             q = kinematics.solve(pin.SE3.Interpolate(home, tool.poses[0], float(share)), q)
         moved = kinematics.path(tool.poses, q)
     except OutOfReachError as error:
-        raise InputError(f"the path is out of reach: {error}", file=f"scene {scene.name}", field="path.centre",
+        raise InputError(f"the path is out of reach: {error}", file=scene.source, field="path.centre",
                          value=list(figure.centre)) from error
     _check_speed(moved, robot, t_ipo)
     before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)

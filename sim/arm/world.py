@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.robot import Robot
 from sim.arm.generic_world import generic_world
 from sim.arm.world_values import checked_value
@@ -187,21 +187,27 @@ class World:
             external_rotation_noise=0.0)
 
     @classmethod
-    def from_table(cls, robot_name: str, table: dict[str, Any]) -> World:
+    def from_table(cls, robot_name: str, table: dict[str, Any], file: str | None = None) -> World:
         """The default world changed by a scene's ``[world]`` table; ``ideal = true`` starts from the ideal one.
+
+        Args:
+            robot_name: of a shipped robot, or the path of a URDF.
+            table: keys of the world with their values.
+            file: the table was read from, for messages.
 
         Raises:
             InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
         """
         table = dict(table)
         ideal = table.pop("ideal", False)
-        if not isinstance(ideal, bool):
-            raise InputError("expected true or false", field="world.ideal", value=ideal)
-        unknown = sorted(set(table) - set(TABLE_KEYS))
-        if unknown:
-            raise InputError(f"unknown key; allowed here are ideal, {', '.join(TABLE_KEYS)}",
-                             field=f"world.{unknown[0]}")
-        return (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
+        with found_in(file):
+            if not isinstance(ideal, bool):
+                raise InputError("expected true or false", field="world.ideal", value=ideal)
+            unknown = sorted(set(table) - set(TABLE_KEYS))
+            if unknown:
+                raise InputError(f"unknown key; allowed here are ideal, {', '.join(TABLE_KEYS)}",
+                                 field=f"world.{unknown[0]}")
+            return (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
 
     def replace(self, **changes: Any) -> World:
         """A checked copy with some effects changed.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.robot import Robot
 from sim.arm.world import World
 
@@ -90,18 +90,24 @@ class ClampWorld:
                        wrench_noise=(0.0, 0.0), wrench_bias=(0.0, 0.0), clock_offset=0.0, clock_drift=0.0, gaps=False)
 
     @classmethod
-    def from_table(cls, robot: Robot, table: dict[str, Any]) -> ClampWorld:
+    def from_table(cls, robot: Robot, table: dict[str, Any], file: str | None = None) -> ClampWorld:
         """The default changed by a scene's ``[world]`` table; one number stands for all joints.
+
+        Args:
+            robot: that is clamped.
+            table: keys of the world with their values.
+            file: the table was read from, for messages.
 
         Raises:
             InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
         """
         default = cls.default(robot)
         known = tuple(field.name for field in fields(cls))
-        for key in table:
-            if key not in known:
-                raise InputError(f"unknown key; allowed here are {', '.join(known)}", field=f"world.{key}")
-        return replace(default, **{key: _checked(key, value, getattr(default, key)) for key, value in table.items()})
+        with found_in(file):
+            for key in table:
+                if key not in known:
+                    raise InputError(f"unknown key; allowed here are {', '.join(known)}", field=f"world.{key}")
+            return replace(default, **{k: _checked(k, value, getattr(default, k)) for k, value in table.items()})
 
 
 def _checked(key: str, value: Any, default: Any) -> Any:

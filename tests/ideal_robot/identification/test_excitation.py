@@ -39,6 +39,14 @@ def test_impossible_wishes_are_refused() -> None:
         design_excitation(robot(), np.random.default_rng(0), workspace=Workspace(z_min=9.0), trials=3)
 
 
+def test_limits_that_nobody_filled_in_are_named() -> None:
+    """Both at 0, as exporters write them, gave a motion that leaves the joint at rest and a condition of 1e12."""
+    arm = robot()
+    shut = np.where(np.arange(arm.n) == 1, 0.0, 1.0)
+    with pytest.raises(InputError, match="limits of joint 2 leave it nothing to move"):
+        design_excitation(replace(arm, q_min=arm.q_min * shut, q_max=arm.q_max * shut), np.random.default_rng(3))
+
+
 def test_a_limit_that_is_none_moves_the_motion_nowhere() -> None:
     """With the middle of such a range as the posture to begin with, the way there took years and all memory."""
     arm = robot()

@@ -92,3 +92,9 @@ def test_errors_name_file_and_field(recording: Recording, tmp_path: Path) -> Non
 def test_columns_cannot_be_changed(recording: Recording) -> None:
     with pytest.raises(ValueError):
         recording.columns["t"][0] = 1.0
+
+
+def test_true_and_false_are_no_torque() -> None:
+    with pytest.raises(InputError, match="tau_1: column holds true and false"):
+        Recording({"t": np.arange(4.0), "tau_1": np.array([True, False, True, True])})
+    assert Recording({"t": np.arange(2.0), "touched": np.array([True, False])}).columns["touched"].dtype == bool

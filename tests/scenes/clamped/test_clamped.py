@@ -123,8 +123,8 @@ def test_pushes_that_cannot_be_are_refused(clamp: dict[str, object]) -> None:
 def test_bad_input_is_named(kr500: Robot) -> None:
     with pytest.raises(InputError, match="motor, wrench or both"):
         analyse_stiffness([], kr500, "laser")
-    with pytest.raises(InputError, match="unknown key"):
-        ClampWorld.from_table(kr500, {"stifness": 1.0})
+    with pytest.raises(InputError, match=r"cell\.toml: world\.stifness: unknown key"):
+        ClampWorld.from_table(kr500, {"stifness": 1.0}, "cell.toml")
     scene = load_scene("clamped_kr500_1").changed(clamp={"configurations": [[0.0, 1.0]]})
     with pytest.raises(InputError, match="6 joint angles"):
         configurations(scene, kr500, np.random.default_rng(0))

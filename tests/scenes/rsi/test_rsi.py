@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from typer import Typer
 from typer.testing import CliRunner
 
 from ideal_robot.arrays import Array
@@ -175,11 +176,15 @@ def test_a_controller_that_falls_silent_ends_the_run_and_keeps_the_recording(tmp
     assert len(run.recording.t) == 69
 
 
-def test_the_command_line_plays_a_path_and_writes_what_json_names(tmp_path: Path) -> None:
+def _app() -> Typer:
     from scenes.cli import _register, app
 
     if "rsi" not in {command.name for command in app.registered_commands}:
         _register()
+    return app
+
+
+def test_the_command_line_plays_a_path_and_writes_what_json_names(tmp_path: Path) -> None:
     path = written(tmp_path, motion())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -188,7 +193,7 @@ def test_the_command_line_plays_a_path_and_writes_what_json_names(tmp_path: Path
              "--json", str(tmp_path / "figures.json")]
     with (SimulatedArm(ROBOT, World.default("kr6"), np.random.default_rng(1)) as arm,
           controlled(arm, port, timeout=0.5, patience=100)):
-        done = CliRunner().invoke(app, words)
+        done = CliRunner().invoke(_app(), words)
     assert done.exit_code == 0, done.output
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert figures["failure"] is None
@@ -218,3 +223,10 @@ def test_a_path_outside_the_limits_is_refused(tmp_path: Path) -> None:
     with (pytest.raises(IdealRobotError, match="velocity"),
           rsi_server(written(tmp_path, motion()[::5]), robot="kr6", port=0)):
         pass
+
+
+@pytest.mark.parametrize("seconds", ["1e20", "nan", "-1"])
+def test_a_wait_that_never_ends_is_refused(seconds: str) -> None:
+    done = CliRunner().invoke(_app(), ["rsi", "p.csv", "--robot", "kr6", "--wait", seconds])
+    assert done.exit_code == 2
+    assert "--wait" in done.output
