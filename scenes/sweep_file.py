@@ -13,6 +13,13 @@ from ideal_robot.errors import InputError
 from ideal_robot.whole_file import OutputError
 from scenes.report.page import plain
 
+FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_error_mm.p95": "95 % mm",
+           "control_error_mm.max": "max mm", "path_error_mm.time_matched.E_car": "E_car mm",
+           "force_error_N.rms": "force N"}
+"""Figures of a run that the table shows where the kind of scene has them, and the columns' titles."""
+_LARGEST = 1e15
+"""Numbers beyond are no figures."""
+
 
 class SweepFile:
     """A file of lines ``{"job": …, "answer": …}``.
@@ -44,9 +51,10 @@ class SweepFile:
         for number, line in enumerate(whole.splitlines(), start=1):
             try:
                 entry = json.loads(line)
-                self.answers[key_of(entry["job"])] = dict(entry["answer"])
-            except (ValueError, KeyError, TypeError, RecursionError) as error:
-                raise InputError(f"line {number} is none of a sweep", file=self.path, field="--lines") from error
+                self.answers[key_of(entry["job"])] = _checked(entry["answer"])
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+                raise InputError(f"line {number} is none of a sweep; remove it, and its run is played again",
+                                 file=self.path, field="--lines") from error
         if len(whole) < len(raw):
             os.truncate(self.path, len(whole))
 
@@ -70,6 +78,22 @@ class SweepFile:
         except OSError as error:
             raise OutputError.of(self.path, error, "make room and go on with --resume; it holds the answers before "
                                                    "this one") from error
+
+
+def _checked(answer: dict[str, Any]) -> dict[str, Any]:
+    """An answer that tables can be made of; raises an error of Python for any other."""
+    for key, kinds in (("scene", str), ("method", str | None), ("seed", int | None), ("failure", str | None)):
+        if not isinstance(answer[key], kinds):
+            raise TypeError(key)
+    for path in FIGURES:
+        *tables, key = path.split(".")
+        value: Any = answer
+        for table in tables:
+            value = value.get(table, {})
+        value = value.get(key)
+        if value is not None and not (isinstance(value, int | float) and abs(value) < _LARGEST):
+            raise ValueError(path)
+    return dict(answer)
 
 
 def _append(descriptor: int, line: bytes) -> None:

@@ -77,6 +77,8 @@ def _write(recording: Recording, folder: Path, *, mcap: bool) -> Path:
 
     if recording.n == 0:
         raise InputError("the recording has no joints q_1, q_2, …", file=recording.source, field="q_1")
+    if len(recording.t) == 0:
+        raise InputError("the recording has no rows", file=recording.source, field="t")
     if not (recording.t[0] >= 0.0 and np.all(np.diff(recording.t) >= 0.0) and recording.t[-1] < _LAST):
         raise InputError("ROS 2 takes times that rise, from 0 to 2^31 s; give t in seconds", file=recording.source,
                          field="t", value=[float(recording.t[0]), float(recording.t[-1])])
@@ -97,7 +99,8 @@ def _topics(recording: Recording, store: Any) -> Iterator[tuple[str, str, Callab
     """Topic, message type and the maker of message k."""
     types = store.types
     Time, Header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
-    names = [str(name) for name in recording.meta.get("joints", [])]
+    told = recording.meta.get("joints")
+    names = [str(name) for name in told] if isinstance(told, (list, tuple)) else []
     if len(names) != recording.n:
         names = [f"joint_{i + 1}" for i in range(recording.n)]
 

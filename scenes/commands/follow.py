@@ -32,7 +32,7 @@ def command(
     cycle: Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004; default: robot's.")] = None,
     delay: Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")] = False,
     bridge: Annotated[float, typer.Option(help="How long packets may be lost in a row [s].", min=0.0, max=1.0)] = 0.1,
-    wait: Annotated[float, typer.Option(help="How long to wait for the arm [s].", min=0.1)] = 60.0,
+    wait: Annotated[float, typer.Option(help="How long to wait for the arm [s].", min=0.1, max=86_400.0)] = 60.0,
     core: Annotated[int | None, typer.Option(help="Processor core to keep to.", min=0)] = None,
     json: Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None,

@@ -41,7 +41,7 @@ def command(
     from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.sweep import jobs, sweep
-    from scenes.sweep_file import SweepFile
+    from scenes.sweep_file import FIGURES, SweepFile
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
                 numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),
@@ -72,9 +72,3 @@ def command(
             frame[shown].to_csv(csv_file, index=False)
     if all(answer.get("failure") for answer in answers):
         raise typer.Exit(1)
-
-
-FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_error_mm.p95": "95 % mm",
-           "control_error_mm.max": "max mm", "path_error_mm.time_matched.E_car": "E_car mm",
-           "force_error_N.rms": "force N"}
-"""Figures of a run that the table shows where the kind of scene has them, and the columns' titles."""

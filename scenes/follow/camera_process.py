@@ -49,7 +49,7 @@ class CameraProcess:
         theirs.close()
         try:
             if not self._pipe.poll(patience):
-                raise InputError(f"the camera was not ready within {patience:.0f} s", field="--camera", value=address)
+                raise InputError(f"the camera was not ready within {patience:g} s", field="--camera", value=address)
             kind, content = self._pipe.recv()
         except (EOFError, OSError) as error:
             self.close()

@@ -61,13 +61,18 @@ class Replay:
     def __post_init__(self) -> None:
         n = len(self.t)
         shapes = {"q": (n, self.robot.n), "tool": (n, 3), "wanted": (n, 3), "error": (n,)}
-        if self.force is not None:
-            shapes["force"] = (n, 3)
+        optional = {"force": (n, 3), "ghost": (n, self.robot.n), "surface": (4, 3)}
+        shapes |= {name: shape for name, shape in optional.items() if getattr(self, name) is not None}
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise InputError(f"expected the shape {shape}", field=name, value=np.shape(getattr(self, name)))
         if n < 2:
             raise InputError("a replay needs two samples at least", field="t", value=n)
+        if not (np.isfinite(self.t).all() and np.all(np.diff(self.t) >= 0.0) and self.t[0] < self.t[-1]):
+            raise InputError("the times of a replay must rise", field="t")
+        for name, curve in self.curves.items():
+            if np.ndim(curve) != 2 or np.shape(curve)[1] != 3 or len(curve) < 2:
+                raise InputError("expected two points (K, 3) at least", field=name, value=np.shape(curve))
 
     def html(self) -> str:
         """The replay as a piece of HTML for a page."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import json
 import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
@@ -15,6 +18,8 @@ from ideal_robot.signals.recording import Recording
 from scenes.report.replay import Replay
 
 ENDING = ".replay.npz"
+_LARGEST = 1_000_000_000
+"""Bytes that a replay may unpack to."""
 _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 
 
@@ -55,6 +60,8 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
     """
     try:
         with np.load(path, allow_pickle=False) as file:
+            if sum(info.file_size for info in file.zip.infolist()) > _LARGEST:
+                raise ValueError(f"more than {_LARGEST / 1e6:.0f} MB in it")
             words = json.loads(str(file["words"]))
             if words["recording"] != recording.hash:
                 return None
@@ -62,8 +69,13 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
             curves = {str(name): np.asarray(file[f"curve_{i}"], dtype=float) for i, name in enumerate(words["curves"])}
             pictures = tuple((float(t), file[f"picture_{i}"].astype(np.uint8).tobytes())
                              for i, t in enumerate(words["times"]))
+            for _, png in pictures:
+                Image.open(io.BytesIO(png)).load()
             return Replay(robot, **arrays, error_name=str(words["error_name"]), unit=str(words["unit"]), curves=curves,
                           pictures=pictures, enlarged=float(words["enlarged"]))
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except InputError as error:
+        raise InputError(f"not a readable replay ({error}); delete it to see the recording alone", file=path) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, SyntaxError, RecursionError, zlib.error,
+            NotImplementedError, RuntimeError, zipfile.BadZipFile) as error:
         raise InputError(f"not a readable replay ({type(error).__name__}: {error}); delete it to see the "
                          "recording alone", file=path) from error

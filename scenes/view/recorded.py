@@ -32,6 +32,10 @@ def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
     arm = Robot.load(name)
     if arm.n != recording.n:
         raise InputError(f"the recording has {recording.n} joints, {arm.name} has {arm.n}", file=path)
+    t = recording.t
+    if len(t) < 2 or not (np.isfinite(t).all() and np.all(np.diff(t) >= 0.0) and t[0] < t[-1]):
+        raise InputError("times that rise are needed to show a motion, at least two; give t in seconds, sorted",
+                         file=path, field="t")
     return arm, recording
 
 

@@ -2,33 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from tests.fuzz import mutate_table, mutate_text, originals, set_key
+from tests.fuzz.case import Case, Maker
+from tests.fuzz.further_cases import FURTHER
 
-
-@dataclass(frozen=True)
-class Case:
-    """What is called with what.
-
-    Attributes:
-        name: kind of the case: verb and format.
-        words: of the command line.
-        files: name → bytes, in the working folder.
-        must_fail: whether exit code 0 would be wrong: a required column is lost.
-    """
-
-    name: str
-    words: list[str]
-    files: dict[str, bytes] = field(default_factory=dict)
-    must_fail: bool = False
-
-
-Maker = Callable[[np.random.Generator, Path], Case]
 ARM = ("arm.urdf", "arm.toml")
 QUESTIONS = (b'{"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2", "indistinguishable_from": '
              b'["stribeck", "kinematic_error of joint 1"]}], "undecided": [{"joint": 1, "reason": "rests"}]}')
@@ -194,7 +175,7 @@ MAKERS: dict[str, tuple[Maker, float]] = {
     "rsi": (_rsi, 1.0), "rsi_arm": (_rsi_arm, 1.0), "plan": (_plan, 1.0), "questions": (_questions, 1.0),
     "scene": (_scene, 4.0), "scenes": (_view, 1.0), "words": (_words, 2.0), "diagnose": (_diagnose, 1.0),
     "diagnose_model": (_diagnose_model, 1.0), "key": (_key, 3.0),
-    "model_value": (_model_value, 2.0),
+    "model_value": (_model_value, 2.0), **FURTHER,
 }
 """Kinds of cases: what makes one, and how often it is drawn in comparison."""
 

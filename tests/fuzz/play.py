@@ -17,7 +17,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.fuzz.cases import Case
+from tests.fuzz.case import Case
 
 SECONDS = 60.0
 """Longest processor time of a case [s]."""
@@ -149,6 +149,19 @@ def _child(case: Case, folder: Path, seconds: float) -> None:
         os._exit(code)
 
 
+def _says_why(figures: Path) -> bool:
+    """Whether these are figures of what did not succeed, whole and with the reason.
+
+    Of an arm that was stopped on its path, of a sweep without a success, of pictures without a line.
+    """
+    found = json.loads(figures.read_text())
+    if "runs" in found:
+        return all(run["failure"] for run in found["runs"])
+    if "pictures" in found:
+        return not any(one["found"] for one in found["pictures"])
+    return bool(found.get("failure"))
+
+
 def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: str, seconds: float) -> str | None:
     if code < 0:
         return "over time" if took >= 0.98 * seconds else f"killed by signal {-code}"
@@ -168,8 +181,7 @@ def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: st
     if code == 2 and "Usage:" not in err and len(lines) != 1:
         return f"{len(lines)} lines on standard error"
     left = {path.name for path in folder.iterdir()} - set(case.files) - {".out", ".err"}
-    if code == 1 and left == {"j.json", "o"} and json.loads((folder / "j.json").read_text()).get("failure"):
-        # The arm moved and was stopped on its path: what was recorded is whole and says why.
+    if code == 1 and "j.json" in left and left <= {"j.json", "o", "t.csv"} and _says_why(folder / "j.json"):
         return None
     if code and left:
         return f"left {', '.join(sorted(left))} after a failure"

@@ -17,14 +17,16 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.follow.camera_file import calibrated_camera
 from scenes.scene_file import library, load_scene
 from scenes.svg_file import first_path
+from sensing.camera.camera_model import CameraModel
 from tests.fuzz import mutate_table, mutate_text, originals, set_key
 from tests.fuzz.cases import drawn
+from tests.fuzz.further_cases import SVG, calibration
 from tests.fuzz.play import play, warm_up
 
 T = TypeVar("T")
-SVG = b'<svg xmlns="http://www.w3.org/2000/svg"><g><path d="M 0 0 C 50 10 80 -20 100 0 L 200 10"/></g></svg>'
 
 
 def unless_refused(call: Callable[[], T]) -> T | None:
@@ -98,6 +100,13 @@ def test_a_scene_with_an_extreme_key_is_read_or_refused(seed: int, tmp_path: Pat
 def test_a_broken_svg_file_is_read_or_refused(seed: int, tmp_path: Path) -> None:
     (tmp_path / "a.svg").write_bytes(mutate_text.mutated(SVG, np.random.default_rng(seed)))
     unless_refused(lambda: first_path("a.svg", tmp_path))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_broken_calibration_of_a_camera_is_read_or_refused(seed: int, tmp_path: Path) -> None:
+    path = tmp_path / "c.json"
+    path.write_bytes(mutate_text.mutated(calibration(), np.random.default_rng(seed)))
+    unless_refused(lambda: calibrated_camera(CameraModel.default(320, 240), path))
 
 
 @pytest.mark.parametrize("seed", range(10))

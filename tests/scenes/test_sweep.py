@@ -23,7 +23,7 @@ WORK = jobs(["line", "straight"], seeds=[1, 2])
 
 
 def answer(job: Job) -> dict[str, Any]:
-    return {"scene": job.scene, "seed": job.seed, "failure": None}
+    return {"scene": job.scene, "method": job.method, "seed": job.seed, "failure": None}
 
 
 def _killed_once(folder: str) -> str:
@@ -80,7 +80,11 @@ def test_an_ended_sweep_goes_on_where_it_was(tmp_path: Path) -> None:
 
 def test_a_file_that_is_none_of_a_sweep_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "runs.jsonl"
-    for text in ("3\n", "{}\n", "[" * 100_000 + "\n", '{"job": 1}\n', "\0\n"):
+    good = {"scene": "line", "method": None, "seed": 1, "failure": None}
+    of_no_table = ({"scene": []}, {"seed": {}}, {"failure": 3}, {"speed_m_s": "x"}, {"control_error_mm": [1]},
+                   {"control_error_mm": {"mean": 10**400}})
+    for text in ("3\n", "{}\n", "[" * 100_000 + "\n", '{"job": 1}\n', "\0\n",
+                 *(json.dumps({"job": 1, "answer": good | wrong}) + "\n" for wrong in of_no_table)):
         path.write_text(text)
         with pytest.raises(InputError, match="none of a sweep"):
             SweepFile(path, resume=True)

@@ -42,6 +42,14 @@ def test_names_that_cannot_be_are_refused(tmp_path: Path) -> None:
         write_rosbag2(RECORDING, tmp_path / "there")
     with pytest.raises(InputError, match="no joints"):
         write_mcap(Recording.from_arrays(T, x=T), tmp_path / "run.mcap")
+    with pytest.raises(InputError, match="no rows"):
+        write_mcap(Recording({"t": T[:0], "q_1": T[:0]}), tmp_path / "run.mcap")
+
+
+def test_names_of_joints_that_are_none_are_not_taken(tmp_path: Path) -> None:
+    told = Recording(RECORDING.columns, {"joints": 3})
+    back = Recording.read(write_mcap(told, tmp_path / "run.mcap"))
+    assert back.meta["joints"] == [f"joint_{i + 1}" for i in range(6)]
 
 
 @pytest.mark.parametrize("t", [-T[::-1], T[::-1], 1e300 * T, 1.7e18 + 1e7 * T])

@@ -18,7 +18,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.report.replay import Replay
 from scenes.report.replay_file import read_replay, replay_beside, write_replay
-from scenes.view.recorded import recorded_replay, replay_of_columns
+from scenes.view.recorded import open_recording, recorded_replay, replay_of_columns
 from tests.scenes.report.test_replay import ROBOT, _replay
 
 viser = pytest.importorskip("viser")
@@ -110,3 +110,26 @@ def test_any_recording_shows_how_far_the_tool_is_from_the_command() -> None:
     wanted = pose(replay.q[k] + 1e-3).translation
     assert replay.error[k] == pytest.approx(1e3 * np.linalg.norm(wanted - replay.tool[k]), rel=1e-6)
     assert "commanded" in replay.curves
+
+
+@pytest.mark.parametrize("t", [[], [1.0], [2.0, 1.0], [0.0, np.inf], [1.0, 1.0]])
+def test_times_that_do_not_rise_are_no_motion_to_show(t: list[float], tmp_path: Path) -> None:
+    columns = {"t": np.array(t), **{f"q_{i + 1}": np.zeros(len(t)) for i in range(6)}}
+    path = Recording(columns, {"robot": "kr6"}).write(tmp_path / "r.parquet")
+    with pytest.raises(InputError, match="times that rise"):
+        open_recording(path, None)
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("t", np.arange(200.0)[::-1]), ("surface", np.zeros(3)), ("ghost", np.zeros((1, 6))), ("curve_0", np.zeros(2)),
+    ("picture_0", np.arange(9.0)), ("words", np.array("3")), ("words", np.array("[" * 100_000)),
+])
+def test_a_replay_with_an_array_of_another_shape_is_refused(name: str, value: np.ndarray, tmp_path: Path) -> None:
+    replay, path = whole_replay(), tmp_path / "recording.replay.npz"
+    write_replay(replay, path, of_replay(replay))
+    with np.load(path) as file:
+        arrays = {**file, name: value}
+    with path.open("wb") as written:
+        np.savez_compressed(written, **arrays)
+    with pytest.raises(InputError, match="delete it"):
+        read_replay(path, ROBOT, of_replay(replay))
