@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from ideal_robot.errors import InputError
+from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
 from scenes.sweep import Job, jobs, play, sweep
 from scenes.sweep_file import SweepFile
@@ -44,6 +45,16 @@ def test_a_lost_process_is_replaced_and_its_task_done_by_another(tmp_path: Path)
     for folder in folders:
         Path(folder).mkdir()
     assert dict(work_off(folders, _killed_once, 2)) == dict.fromkeys(range(4), "done")
+
+
+def _own_number(task: int) -> int:
+    return os.getpid()
+
+
+def test_a_process_is_replaced_after_its_share_of_tasks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "TASKS", 2)
+    numbers_of = dict(work_off(list(range(5)), _own_number, 1))
+    assert [len({numbers_of[i] for i in pair}) for pair in ((0, 1), (2, 3), (0, 2, 4))] == [1, 1, 3]
 
 
 def test_a_task_that_ends_every_process_is_an_answer_among_the_others() -> None:
