@@ -74,7 +74,7 @@ def _rest(plant: Plant) -> Callable[[float, Array, Array, Array], Array] | None:
     """The torque of what the world has no key for, friction of it with a smooth sign; None where there is nothing."""
     block, plain = plant.block.copy(), drive.parameters(plant.n)
     block[list(_BY_WORLD)] = 0.0
-    if plant.spring is None and not block[list(_BY_TORQUE)].any():
+    if not plant.balancers and not block[list(_BY_TORQUE)].any():
         return None
     rows = [*_BY_WORLD, drive.V_SURPLUS, drive.V_DEGRESSIVE]
     plain[rows] = plant.block[rows]
@@ -92,8 +92,8 @@ def _rest(plant: Plant) -> Callable[[float, Array, Array, Array], Array] | None:
             fluid = drive.fluid(plant.block, j, t, speed) - drive.fluid(plain, j, t, speed)
             result[j] = (-drive.resisted(block, j, t, float(q[j])) - block[drive.OFFSET, j] - fluid * speed
                          - level * math.tanh(speed / 2e-3))
-        if plant.spring is not None:
-            result[plant.spring.joint] -= spring_torque(plant, float(q[plant.spring.joint]))
+        for spring in plant.balancers:
+            result[spring.joint] -= spring_torque(spring, float(q[spring.joint]))
         return result
 
     return torque
@@ -131,7 +131,7 @@ def simulate(plant: Plant, motion: Motion) -> Run:
         robot = robot_of(plant, Path(folder))
         world = world_of(plant).replace(extra_torque=_rest(plant))
         # The world begins with weights held, but no spring: what it pulls is taken up before anything is recorded.
-        settling = 0 if plant.spring is None else round(_SETTLING / _CYCLE)
+        settling = 0 if not plant.balancers else round(_SETTLING / _CYCLE)
         with SimulatedArm(robot, world, np.random.default_rng(0), motion.q[0]) as arm:
             pybullet.setGravity(*[float(g) for g in plant.model.gravity.linear], physicsClientId=arm.client)
             every = round(_CYCLE / STEP)

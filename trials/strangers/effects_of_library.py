@@ -118,7 +118,8 @@ def gravity_spring(rng: np.random.Generator, s: Setup, j: int) -> Drawn | None:
 
     def apply(setup: Setup, size: float) -> Setup:
         spring = BalanceSpring(j, size * k, rest, 0.5, 0.2, angle)
-        return dataclasses.replace(setup, plant=dataclasses.replace(setup.plant, spring=spring))
+        balancers = (*setup.plant.balancers, spring)
+        return dataclasses.replace(setup, plant=dataclasses.replace(setup.plant, balancers=balancers))
 
     return Drawn("gravity_spring", j + 1, apply)
 
@@ -146,7 +147,8 @@ def axis_coupling(rng: np.random.Generator, s: Setup, j: int) -> Drawn | None:
 
     def apply(setup: Setup, size: float) -> Setup:
         shaft = Coupling(j, j - 1, sense, size * inertia, size * viscous, size * dry)
-        return dataclasses.replace(setup, plant=dataclasses.replace(setup.plant, coupling=shaft))
+        couplings = (*setup.plant.couplings, shaft)
+        return dataclasses.replace(setup, plant=dataclasses.replace(setup.plant, couplings=couplings))
 
     return Drawn("axis_coupling", j + 1, apply)
 

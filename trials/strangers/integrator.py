@@ -19,7 +19,7 @@ from numba import njit
 from ideal_robot.arrays import Array
 from trials.strangers.drive import ACTING, BELIEVED, FLUID, LEVEL, RESULTS, STATES, drive_step
 from trials.strangers.motion import STEP, Motion
-from trials.strangers.plant import BRISTLE, CONSTRAINT, TANH, Coupling, Plant, Run
+from trials.strangers.plant import BRISTLE, CONSTRAINT, TANH, BalanceSpring, Coupling, Plant, Run
 
 _SWEEPS, _TOLERANCE = 30, 1e-9
 
@@ -187,22 +187,21 @@ def simulate(plant: Plant, motion: Motion) -> Run:
     qa = q - np.where(elastic, load / k_gear + np.sign(load) * half, 0.0)
     v, va, z, friction = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     log_q, log_qa, log_tau = np.zeros((N, n)), np.zeros((N, n)), np.zeros((N, n))
-    coupling, spring = plant.coupling, plant.spring
     rotors = np.diag(plant.rotor)
-    if coupling is not None:
+    for coupling in plant.couplings:
         rotors = rotors + _coupled(coupling, n, coupling.inertia)
     kinds = plant.regularisation.astype(np.int64)
     for k in range(N):
         drive_step(k, plant.cycle, P, x, q, v, load, motion.q[k], motion.qd[k], forward[k], out)
         log_q[k], log_qa[k], log_tau[k] = q, qa, out[BELIEVED]
         push = out[ACTING].copy()
-        if coupling is not None:
+        for coupling in plant.couplings:
             speed = v[coupling.joint] + coupling.sense * v[coupling.partner]
             torque = coupling.viscous * speed + coupling.dry * math.tanh(speed / 2e-3)
             push[coupling.joint] -= torque
             push[coupling.partner] -= coupling.sense * torque
-        if spring is not None:
-            push[spring.joint] -= spring_torque(plant, float(q[spring.joint]))
+        for spring in plant.balancers:
+            push[spring.joint] -= spring_torque(spring, float(q[spring.joint]))
         M = pin.crba(model, data, qa)
         h = pin.nonLinearEffects(model, data, qa, va)
         if mixed:
@@ -257,10 +256,7 @@ def _coupled(coupling: Coupling, n: int, inertia: float) -> Array:
     return inertia * np.outer(row, row)
 
 
-def spring_torque(plant: Plant, q: float) -> float:
+def spring_torque(s: BalanceSpring, q: float) -> float:
     """Torque of the balance spring that the motor works against [N m]: dU/dq of ``k/2 (l - rest)²``."""
-    s = plant.spring
-    if s is None:
-        return 0.0
     length = math.sqrt(s.reach**2 + s.lever**2 - 2.0 * s.reach * s.lever * math.cos(q - s.angle))
     return s.stiffness * (length - s.rest) * s.reach * s.lever * math.sin(q - s.angle) / length

@@ -46,9 +46,8 @@ def mjcf(plant: Plant) -> str:
         placement, body = model.jointPlacements[j + 1], model.inertias[j + 1]
         axis = axes[j, :3] if slides[j] else axes[j, 3:]
         kind = f'type="{"slide" if slides[j] else "hinge"}" axis="{_text(axis)}"'
-        if plant.spring is not None and plant.spring.joint == j:
-            across = _across(axis)
-            parts.append(f'<site name="frame" pos="{_text(placement.act(plant.spring.reach * across))}"/>')
+        across, balancers = _across(axis), [s for s in plant.balancers if s.joint == j]
+        parts += [f'<site name="frame{j + 1}" pos="{_text(placement.act(s.reach * across))}"/>' for s in balancers]
         turn = pin.Quaternion(placement.rotation)
         parts.append(f'<body pos="{_text(placement.translation)}" quat="{_text([turn.w, turn.x, turn.y, turn.z])}">'
                      f'<joint name="m{j + 1}" {kind} armature="{plant.rotor[j]:.12g}" frictionloss="1e-9"/>')
@@ -66,9 +65,9 @@ def mjcf(plant: Plant) -> str:
         i = body.inertia
         parts.append(f'<inertial pos="{_text(body.lever)}" mass="{body.mass:.12g}" fullinertia="'
                      f'{_text([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]])}"/>')
-        if plant.spring is not None and plant.spring.joint == j:
-            back = pin.exp3(-plant.spring.angle * axis) @ across
-            parts.append(f'<site name="link" pos="{_text(plant.spring.lever * back)}"/>')
+        for s in balancers:
+            back = pin.exp3(-s.angle * axis) @ across
+            parts.append(f'<site name="link{j + 1}" pos="{_text(s.lever * back)}"/>')
     return "".join([*parts, *reversed(closing), "</worldbody>", _tendons(plant), "</mujoco>"])
 
 
@@ -78,14 +77,13 @@ def _tendons(plant: Plant) -> str:
         k, rest = plant.block[[CABLE, CABLE_REST], j]
         parts.append(f'<fixed stiffness="{k:.12g}" springlength="{rest:.12g}">'
                      f'<joint joint="m{j + 1}" coef="1"/></fixed>')
-    c = plant.coupling
-    if c is not None:
+    for c in plant.couplings:
         parts.append(f'<fixed armature="{c.inertia:.12g}" damping="{c.viscous:.12g}" frictionloss="{c.dry:.12g}">'
                      f'<joint joint="m{c.joint + 1}" coef="1"/><joint joint="m{c.partner + 1}" coef="{c.sense:g}"/>'
                      "</fixed>")
-    if plant.spring is not None:
-        parts.append(f'<spatial stiffness="{plant.spring.stiffness:.12g}" springlength="{plant.spring.rest:.12g}">'
-                     '<site site="frame"/><site site="link"/></spatial>')
+    for s in plant.balancers:
+        parts.append(f'<spatial stiffness="{s.stiffness:.12g}" springlength="{s.rest:.12g}">'
+                     f'<site site="frame{s.joint + 1}"/><site site="link{s.joint + 1}"/></spatial>')
     return f"<tendon>{''.join(parts)}</tendon>" if parts else ""
 
 

@@ -72,7 +72,7 @@ class Plant:
         controller: one of ``CONTROLLERS``.
         cycle: of the controller, in steps.
         known: the controller's own idea of the rigid body, with errors.
-        coupling, spring: of some joints, or None.
+        couplings, balancers: of some joints; two effects of a recording may be of one kind.
     """
 
     arm: Arm
@@ -88,8 +88,8 @@ class Plant:
     controller: str
     cycle: int
     known: pin.Model
-    coupling: Coupling | None = None
-    spring: BalanceSpring | None = None
+    couplings: tuple[Coupling, ...] = ()
+    balancers: tuple[BalanceSpring, ...] = ()
 
     @property
     def n(self) -> int:

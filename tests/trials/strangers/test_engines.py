@@ -114,7 +114,7 @@ def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
     v, a = np.gradient(q, STEP, axis=0), np.gradient(np.gradient(q, STEP, axis=0), STEP, axis=0)
 
     stretched = BalanceSpring(1, 200.0, 0.1, 0.5, 0.2, 0.4)
-    change = ENGINES[engine](dataclasses.replace(plant, spring=stretched), motion).tau - plain.tau
+    change = ENGINES[engine](dataclasses.replace(plant, balancers=(stretched,)), motion).tau - plain.tau
     x = q[:, 1] - 0.4
     length = np.sqrt(0.29 - 0.2 * np.cos(x))
     expected = 200.0 * (length - 0.1) * 0.1 * np.sin(x) / length
@@ -128,7 +128,7 @@ def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
 
     inertia = float(plant.rotor[2])
     shaft = Coupling(2, 1, -1.0, inertia, 0.5 * inertia, 0.0)
-    change = ENGINES[engine](dataclasses.replace(plant, coupling=shaft), motion).tau - plain.tau
+    change = ENGINES[engine](dataclasses.replace(plant, couplings=(shaft,)), motion).tau - plain.tau
     expected = inertia * (a[:, 2] - a[:, 1]) + 0.5 * inertia * (v[:, 2] - v[:, 1])
     assert np.std((change[:, 2] - expected)[rows]) < 0.2 * np.std(expected[rows])
 
@@ -149,7 +149,7 @@ def test_a_spring_is_held_before_anything_is_recorded() -> None:
     """Our arm begins with its weights held; a spring of many times that once threw it off by a radian."""
     arm = an_arm()
     spring = BalanceSpring(0, 2e4 * float(arm.need[0]), 0.0, 0.5, 0.2, 0.4)
-    plant, motion = dataclasses.replace(a_plant(arm, kind=BRISTLE), spring=spring), a_motion(arm)
+    plant, motion = dataclasses.replace(a_plant(arm, kind=BRISTLE), balancers=(spring,)), a_motion(arm)
     run = ENGINES["pybullet"](plant, motion)
     assert run.t[0] == 0.0
     first = run.t < 0.2
