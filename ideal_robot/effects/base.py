@@ -145,6 +145,11 @@ class Effect(ABC):
         """Name and place: what tells the forms of one cause apart."""
         return f"{self.name}/{self.channel_prefix}"
 
+    @property
+    def at_motor(self) -> bool:
+        """Whether it is a torque at the motor, neither a delay of its positions nor a motion behind the gear."""
+        return self.channel_prefix == MOTOR_TORQUE.prefix
+
     def acts_on(self, channel: str) -> bool:
         """Whether a fitted effect of this name in ``channel`` is one of these."""
         return prefix_of(channel) == self.channel_prefix

@@ -21,6 +21,7 @@ _TABLE = {
     "coulomb/tau": "torque.coulomb:Coulomb",
     "degressive/tau": "torque.degressive:Degressive",
     "stribeck/tau": "torque.stribeck:Stribeck",
+    "stribeck/tau_bell": "torque.bell_stribeck:BellStribeck",
     "asymmetric_friction/tau": "torque.asymmetric_friction:AsymmetricFriction",
     "load_dependent_friction/tau": "torque.load_dependent_friction:LoadDependentFriction",
     "load_direction_friction/tau": "torque.load_direction_friction:LoadDirectionFriction",

@@ -19,7 +19,7 @@ from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.regression import without_known
 from ideal_robot.diagnosis.validation.carry_over import accepted
 from ideal_robot.diagnosis.validation.result import Diagnosis
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect
+from ideal_robot.effects import ARM_POSITION, FittedEffect
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -44,8 +44,7 @@ def adopted(known: Model, found: Diagnosis, run: Recording, robot: Robot) -> Mod
     fitted = found.model
     if fitted is None:
         return kept
-    at_torque = [f.fitted for f in (*found.effects, *found.unknown)
-                 if f.fitted.effect.channel_prefix == MOTOR_TORQUE.prefix]
+    at_torque = [f.fitted for f in (*found.effects, *found.unknown) if f.fitted.effect.at_motor]
 
     def with_joints(joints: Sequence[int]) -> Model:
         model = kept

@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.effects import MOTOR_TORQUE, FittedEffect
+from ideal_robot.effects import FittedEffect
 from ideal_robot.model.model import Model
 
 
@@ -45,7 +45,7 @@ def beside_held_model(regression: Regression, model: Model,
     Returns:
         Those of the motor torque that have a size which physics allows, in their order.
     """
-    of_torque = [effect for effect in effects if effect.effect.channel_prefix == MOTOR_TORQUE.prefix]
+    of_torque = [effect for effect in effects if effect.effect.at_motor]
     if not of_torque:
         return ()
     candidates = [Candidate(effect.effect, effect.joint, effect.theta) for effect in of_torque]

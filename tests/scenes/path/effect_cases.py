@@ -118,6 +118,12 @@ def stribeck() -> Case:
     return _with_torque(true, lambda t, q, qd, q_a: true.coefficients[0] * _along(qd[1]) * np.exp(-abs(qd[1]) / 0.05))
 
 
+def bell_stribeck() -> Case:
+    true = visible("stribeck/tau_bell", 2, (1.0,), (0.05,))
+    return _with_torque(
+        true, lambda t, q, qd, q_a: true.coefficients[0] * _along(qd[1]) * np.exp(-((qd[1] / 0.05) ** 2)))
+
+
 def asymmetric_friction() -> Case:
     """Of viscous friction that is known: half the difference is less than all of it."""
     true = visible("asymmetric_friction/tau", 2, (1.0,))
@@ -303,6 +309,7 @@ def kinematic_error() -> Case:
 
 CASES: dict[str, Callable[[], Case]] = {
     "viscous/tau": viscous, "coulomb/tau": coulomb, "degressive/tau": degressive, "stribeck/tau": stribeck,
+    "stribeck/tau_bell": bell_stribeck,
     "asymmetric_friction/tau": asymmetric_friction, "load_dependent_friction/tau": load_dependent_friction,
     "load_direction_friction/tau": load_direction_friction,
     "presliding_hysteresis/tau": presliding_hysteresis, "torque_ripple/tau": torque_ripple,

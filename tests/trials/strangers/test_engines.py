@@ -133,6 +133,24 @@ def test_springs_and_shafts_do_what_their_formulas_say(engine: str) -> None:
     assert np.std((change[:, 2] - expected)[rows]) < 0.2 * np.std(expected[rows])
 
 
+@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
+def test_two_shafts_and_two_springs_of_an_arm_are_all_there(engine: str) -> None:
+    """Two effects of one recording may be of one kind: the second once took the place of the first."""
+    arm = an_arm()
+    plant, motion = a_plant(arm, friction=False), a_motion(arm, 3.0)
+
+    def torque(couplings: tuple[Coupling, ...], balancers: tuple[BalanceSpring, ...]) -> np.ndarray:
+        changed = dataclasses.replace(plant, couplings=couplings, balancers=balancers)
+        return ENGINES[engine](changed, motion).tau[1000:]
+
+    shafts = tuple(Coupling(j, j - 1, 1.0, 0.3 * float(plant.rotor[j]), 0.0, 0.0) for j in (1, 2))
+    springs = tuple(BalanceSpring(j, 50.0, 0.1, 0.5, 0.2, 0.4) for j in (0, 1))
+    none, both = torque((), ()), torque(shafts, springs)
+    for k in (0, 1):
+        for without in (torque((shafts[1 - k],), springs), torque(shafts, (springs[1 - k],))):
+            assert np.std(both - without, axis=0).max() > 0.05 * np.std(both - none, axis=0).max()
+
+
 @pytest.mark.parametrize("engine", sorted(ENGINES))
 def test_play_lets_the_arm_fall_behind_by_half_the_gap_to_either_side(engine: str) -> None:
     arm = an_arm()
