@@ -58,7 +58,8 @@ class GearResonance(JointElasticity):
 
     ``y`` the twist, ``M`` the inertia behind the gear, ``tau_load`` of the motor's own motion. ``JointElasticity`` is
     the limit of slow motion, ``y = tau_load/K``: at two thirds of the resonance ``sqrt(K/M)`` it has half of the twist,
-    and above it the wrong sign. The coefficient is one where the inertia is right.
+    and above it the wrong sign. The coefficient is one where the inertia is right, in slow motion as well: what gives
+    with the wrong sign there is no gear.
     """
 
     prefix = "tau_resonance"
@@ -66,6 +67,7 @@ class GearResonance(JointElasticity):
     theta_units = ("N m/rad",)
     coefficient_names = ("share",)
     coefficient_units = ("1",)
+    at_all_frequencies = True
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """There has to be a load, and an inertia behind the gear."""

@@ -1,4 +1,4 @@
-"""The surplus of friction near standstill in each of its two forms: named so, with its numbers, and nothing beside it."""
+"""The surplus of friction near standstill in each of its two forms: with its numbers and nothing beside it."""
 
 from __future__ import annotations
 
