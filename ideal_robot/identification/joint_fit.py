@@ -20,6 +20,7 @@ from ideal_robot.identification.friction_choice import (
     with_coefficients,
 )
 from ideal_robot.identification.prior import Prior
+from ideal_robot.identification.regions import regions_of_motion
 from ideal_robot.identification.weighted_least_squares import Solution, weighted_least_squares
 from ideal_robot.model.parametrisation import shape_columns
 from ideal_robot.robots.robot import Robot
@@ -72,6 +73,7 @@ class JointProblem:
         self._velocity, self._sigma_v, self._sigma_a = (np.concatenate(parts) for parts in (
             [s.qd[:: s.factor][s.keep] for s in signals], [b.velocity for b in budgets],
             [b.acceleration for b in budgets]))
+        self._regions = regions_of_motion(np.concatenate([s.q[:: s.factor][s.keep] for s in signals]), self._velocity)
 
     def fit(self, wanted: str) -> JointFit:
         """Fits with a friction law for all joints, or with ``auto`` the best one for each."""
@@ -116,7 +118,7 @@ class JointProblem:
         start = np.concatenate([self._prior.start, np.zeros(W.shape[2] - self._base.count)])
         return weighted_least_squares(W, self._y, start, segments=self._segments, nonnegative=nonnegative,
                                       variance=variance, information=self._prior.padded(W.shape[2]),
-                                      correlated=correlated)
+                                      correlated=correlated, regions=self._regions)
 
     def _laws(self, wanted: str, load: Sequence[Array], noise: Array, barred: frozenset[int],
               ) -> tuple[list[FrictionModel], list[dict[str, float]]]:
@@ -176,7 +178,7 @@ class JointProblem:
         joined = np.concatenate([W * ~solution.at_bound, np.concatenate(parts)], axis=2)
         # At the optimum the linearised problem has the residual for its measurement and no step as its solution.
         linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), segments=self._segments,
-                                        information=self._prior.padded(joined.shape[2]))
+                                        information=self._prior.padded(joined.shape[2]), regions=self._regions)
         none = np.zeros(len(shape), dtype=bool)
         return replace(solution, value=np.concatenate([solution.value, shape]), covariance=linear.covariance,
                        std_white=linear.std_white, unexcited=np.concatenate([solution.unexcited, none]),

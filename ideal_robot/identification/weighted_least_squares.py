@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -48,7 +49,8 @@ class Solution:
 
 def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int = 4, segments: Array | None = None,
                            information: Array | None = None, nonnegative: np.ndarray | None = None,
-                           variance: Array | None = None, correlated: bool = True) -> Solution:
+                           variance: Array | None = None, correlated: bool = True,
+                           regions: Sequence[np.ndarray] = ()) -> Solution:
     """Solves ``y = W p + e`` with one noise level per channel, estimated from the residual (IDIM-WLS).
 
     Args:
@@ -64,6 +66,8 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
             of y's unit.
         correlated: whether what residuals have in common from sample to sample widens the covariance; else they
             are taken for white.
+        regions: rows at which the motion is alike: what the model class lacks there does not average out over time, and
+            what regions disagree about widens the covariance.
     """
     live = np.asarray(~np.isnan(y).all(axis=0))
     y = np.where(live, y, 0.0)
@@ -93,6 +97,9 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         std = np.sqrt(noise**2 + extra)
         inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
         covariance = inverse * np.outer(inflation, inflation)
+        if regions:
+            widening = _student(len(regions) - 1)
+            covariance += widening**2 * _jackknife(W / std[:, :, None], residual / std, inverse, regions)
     return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
 
@@ -212,23 +219,30 @@ def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: 
         for lag in range(1, min(lags, len(block) - 1) + 1):
             variance += 2.0 * (1.0 - lag / (lags + 1.0)) * np.sum(block[lag:] * block[:-lag], axis=0)
     white = np.diag(inverse)
-    variance = np.maximum(variance * count / max(1, count - scores.shape[1]), _jackknife(W, residual, inverse))
+    times = np.array_split(np.arange(count), _BLOCKS)
+    variance = np.maximum(variance * count / max(1, count - scores.shape[1]),
+                          np.diag(_jackknife(W, residual, inverse, times)))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.sqrt(np.maximum(variance, 0.0) / white)
-    # A variance from so few independent stretches is itself uncertain: three of these standard deviations hold the
-    # truth as often as three exact ones would (Student's t; degrees of freedom of Bartlett's window, Priestley 1981).
-    freedom = max(3.0 * count / max(lags, 1), 3.0)
-    student = float(stats.t.isf(stats.norm.sf(3.0), freedom) / 3.0)
+    # Degrees of freedom of Bartlett's window (Priestley 1981).
+    student = _student(max(3.0 * count / max(lags, 1), 3.0))
     return student * np.maximum(1.0, np.nan_to_num(ratio, nan=1.0, posinf=1.0))
 
 
-def _jackknife(W: Array, residual: Array, inverse: Array) -> Array:
-    """Variances ``(P,)`` from leaving out one of ten blocks of time after the other.
+def _student(freedom: float) -> float:
+    """Factor on a standard deviation that is known from ``freedom`` independent stretches.
+
+    Of few it is itself uncertain: three of the widened ones hold the truth as often as three exact ones would.
+    """
+    return float(stats.t.isf(stats.norm.sf(3.0), freedom) / 3.0)
+
+
+def _jackknife(W: Array, residual: Array, inverse: Array, blocks: Sequence[np.ndarray]) -> Array:
+    """Covariance ``(P, P)`` from leaving out one of the blocks, of rows each, after the other.
 
     A model that is not quite right fits different stretches with different parameters, however long its residual stays
     alike; what the blocks disagree about, the whole cannot know either.
     """
-    blocks = np.array_split(np.arange(len(W)), _BLOCKS)
     information = np.linalg.pinv(inverse, hermitian=True)
     steps = []
     for rows in blocks:
@@ -237,4 +251,4 @@ def _jackknife(W: Array, residual: Array, inverse: Array) -> Array:
         left = information - A.T @ A
         steps.append(-np.linalg.pinv(left, rcond=1e-12, hermitian=True) @ (A.T @ residual[rows].reshape(-1)))
     deviation = np.array(steps) - np.mean(steps, axis=0)
-    return np.asarray((_BLOCKS - 1) / _BLOCKS * np.sum(deviation**2, axis=0))
+    return np.asarray((len(blocks) - 1) / len(blocks) * deviation.T @ deviation)

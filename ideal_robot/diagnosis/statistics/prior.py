@@ -13,14 +13,26 @@ from ideal_robot.model.model import Model
 def prior_precision(model: Model, problem: Problem) -> Array:
     """Precision of the model's parameters ``(P, P)``, in the units of the weighted squares.
 
-    The model's own covariance, never taken for better than two percent of a friction coefficient or, of any parameter,
-    than what moves a torque by a five-hundredth of its size; times the number of samples that count for one, as the
-    residual is coloured.
+    That of ``prior_covariance`` times the number of samples that count for one, as the residual is coloured.
     """
-    products = problem.products
     design = problem.design()
     fit = Fit(design, ["W"], weights_of_channels(design, ["W"], None, 0))
-    squares = np.einsum("bcii->ci", design.cross("W", "W")[problem.blocks.selecting])
+    covariance = prior_covariance(model, problem)
+    # Of parameters without a finite covariance nothing is known.
+    known = np.isfinite(covariance).all(axis=0) & np.isfinite(covariance).all(axis=1)
+    precision = np.zeros_like(covariance)
+    precision[np.ix_(known, known)] = fit.inflation * np.linalg.pinv(covariance[np.ix_(known, known)])
+    return precision
+
+
+def prior_covariance(model: Model, problem: Problem) -> Array:
+    """Covariance of the model's parameters ``(P, P)``.
+
+    The model's own, never taken for better than two percent of a friction coefficient or, of any parameter, than what
+    moves a torque by a five-hundredth of its size.
+    """
+    products = problem.products
+    squares = np.einsum("bcii->ci", problem.design().cross("W", "W")[problem.blocks.selecting])
     torque = (problem.regression.measured**2 * products.use).sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = 0.002 * np.sqrt(torque[:, None] / squares)
@@ -31,9 +43,16 @@ def prior_precision(model: Model, problem: Problem) -> Array:
     values = np.concatenate([np.zeros(model.base.count), friction])
     size = len(values)
     floor = np.where(np.isfinite(visible[:size]), np.hypot(0.02 * values, visible[:size]), 1.0)
-    covariance = model.covariance + np.diag(floor**2)
-    # Of parameters without a finite covariance nothing is known.
-    known = np.isfinite(covariance).all(axis=0) & np.isfinite(covariance).all(axis=1)
-    precision = np.zeros_like(covariance)
-    precision[np.ix_(known, known)] = fit.inflation * np.linalg.pinv(covariance[np.ix_(known, known)])
-    return precision
+    return np.asarray(model.covariance + np.diag(floor**2))
+
+
+def torque_left_open(model: Model, problem: Problem) -> Array:
+    """Standard deviation of each joint's torque, as what is not known of the parameters makes it ``(n,)`` [N m]."""
+    covariance, made = prior_covariance(model, problem), problem.regression
+    result = np.empty(len(made.channels))
+    for j in range(len(result)):
+        rows = made.W[made.use[:, j], j]
+        moves = np.any(rows != 0.0, axis=0)
+        rows, own = rows[:, moves], covariance[np.ix_(moves, moves)]
+        result[j] = np.sqrt(np.mean(np.sum(rows @ own * rows, axis=1))) if np.isfinite(own).all() and len(rows) else np.inf
+    return result

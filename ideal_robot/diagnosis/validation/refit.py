@@ -1,7 +1,8 @@
 """What refitting a given model's parameters alone explains: a cause that looks like them may hide in that.
 
 A spring, moved little, is a shift of masses; a wrong gain is heavier links and more friction. Where parameters have to
-move far from what was known for a joint's error to fall, that is no proof that nothing is missing.
+move far from what was known for a joint's error to fall, that is no proof that nothing is missing. What the recordings
+that the model was made of had left open is no such move.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.statistics.prior import torque_left_open
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.refit_explains import MovedParameter, RefitExplains
 from ideal_robot.diagnosis.validation.result import ChannelResult
@@ -23,7 +25,7 @@ _LARGE = 0.03
 _FALLS = 0.7
 """Error after over error before down to which refitting, or an effect, explains little."""
 _FAR = 3.0
-"""Standard deviations by which a parameter has moved."""
+"""Standard deviations by which a parameter, or the torque that refitting changes, has moved."""
 _FLOOR = 0.02
 """A parameter is never known better than this share of itself."""
 _ROUNDING = 1e-12
@@ -42,11 +44,12 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
     """
     levels = torque.levels_with_held_parameters()
     regression, estimate = torque.problem.regression, torque.problem.fit(torque.effects)
+    left_open = torque_left_open(model, torque.problem)
     result = []
     for j, c in enumerate(channels):
         explained = np.sqrt(max(c.rms_before**2 - c.rms_refit**2, 0.0))
         with_effects = float(levels[-1][j])
-        if (j + 1 in regression.undecided or c.rms_refit > _FALLS * c.rms_before or explained < _LARGE * c.spread
+        if (j + 1 in regression.undecided or c.rms_refit > _FALLS * c.rms_before or explained < max(_LARGE * c.spread, _FAR * left_open[j])
                 or (with_effects < _FALLS * c.rms_before and torque.problem.prior is not None)):
             continue
         result.append(RefitExplains(
