@@ -49,10 +49,11 @@ def prior_covariance(model: Model, problem: Problem) -> Array:
 def torque_left_open(model: Model, problem: Problem) -> Array:
     """Standard deviation of each joint's torque, as what is not known of the parameters makes it ``(n,)`` [N m]."""
     covariance, made = prior_covariance(model, problem), problem.regression
-    result = np.empty(len(made.channels))
+    result = np.full(len(made.channels), np.inf)
     for j in range(len(result)):
         rows = made.W[made.use[:, j], j]
         moves = np.any(rows != 0.0, axis=0)
         rows, own = rows[:, moves], covariance[np.ix_(moves, moves)]
-        result[j] = np.sqrt(np.mean(np.sum(rows @ own * rows, axis=1))) if np.isfinite(own).all() and len(rows) else np.inf
+        if len(rows) and np.isfinite(own).all():
+            result[j] = np.sqrt(np.mean(np.sum(rows @ own * rows, axis=1)))
     return result

@@ -49,7 +49,8 @@ def explained_by_refitting(model: Model, torque: DomainDiagnosis,
     for j, c in enumerate(channels):
         explained = np.sqrt(max(c.rms_before**2 - c.rms_refit**2, 0.0))
         with_effects = float(levels[-1][j])
-        if (j + 1 in regression.undecided or c.rms_refit > _FALLS * c.rms_before or explained < max(_LARGE * c.spread, _FAR * left_open[j])
+        least = max(_LARGE * c.spread, _FAR * left_open[j])
+        if (j + 1 in regression.undecided or c.rms_refit > _FALLS * c.rms_before or explained < least
                 or (with_effects < _FALLS * c.rms_before and torque.problem.prior is not None)):
             continue
         result.append(RefitExplains(
