@@ -28,6 +28,8 @@ from ideal_robot.signals.error_budget import ErrorBudget
 from ideal_robot.signals.preprocess import FilteredSignals
 
 _ATTEMPTS = 3
+_LAG = 0.01
+"""Standard deviation of the time by which torques may be logged late [s]."""
 _OTHER_LOAD = 0.1
 """A load that changes by this share of its size once the arm is known was a guess, and friction cannot follow it."""
 
@@ -73,6 +75,7 @@ class JointProblem:
         self._velocity, self._sigma_v, self._sigma_a = (np.concatenate(parts) for parts in (
             [s.qd[:: s.factor][s.keep] for s in signals], [b.velocity for b in budgets],
             [b.acceleration for b in budgets]))
+        self._rate = np.nan_to_num(np.concatenate([s.decimate(np.gradient(s.tau, s.dt, axis=0)) for s in signals]))
         self._regions = regions_of_motion(np.concatenate([s.q[:: s.factor][s.keep] for s in signals]), self._velocity)
 
     def fit(self, wanted: str) -> JointFit:
@@ -163,10 +166,12 @@ class JointProblem:
 
     def _with_shape(self, solution: Solution, W: Array, friction: PerJointFriction,
                     load: Sequence[Array]) -> Solution:
-        """The solution with the shape parameters' share of the covariance, by linearisation about the optimum."""
+        """The solution with the covariance of all parameters, by linearisation about the optimum.
+
+        Shape parameters have their share of it. Torques that are logged late bend parameters, by what they change when
+        a lag of all of them is fitted as well.
+        """
         shape = np.concatenate([law.shape[:, 0] for law in friction.laws])
-        if not len(shape):
-            return solution
         parts = []
         for s, load_s in zip(self._signals, load, strict=True):
             block, at = np.zeros((int(s.keep.sum()), W.shape[1], len(shape))), 0
@@ -175,13 +180,18 @@ class JointProblem:
                 block[:, j, span] = s.decimate(shape_columns(law, s.qd[:, [j]], load_s[:, [j]], s.q[:, [j]]))
                 at = span.stop
             parts.append(block)
-        joined = np.concatenate([W * ~solution.at_bound, np.concatenate(parts)], axis=2)
-        # At the optimum the linearised problem has the residual for its measurement and no step as its solution.
+        late = -self._rate[:, :, None]
+        joined = np.concatenate([W * ~solution.at_bound, np.concatenate(parts), late], axis=2)
+        information = self._prior.padded(joined.shape[2])
+        information[-1, -1] = 1.0 / _LAG**2
+        # At the optimum the linearised problem has the residual for its measurement and none but the lag for its step.
         linear = weighted_least_squares(joined, solution.residual, np.zeros(joined.shape[2]), segments=self._segments,
-                                        information=self._prior.padded(joined.shape[2]), regions=self._regions)
+                                        information=information, regions=self._regions)
+        bent = linear.value[:-1]
         none = np.zeros(len(shape), dtype=bool)
-        return replace(solution, value=np.concatenate([solution.value, shape]), covariance=linear.covariance,
-                       std_white=linear.std_white, unexcited=np.concatenate([solution.unexcited, none]),
+        return replace(solution, value=np.concatenate([solution.value, shape]),
+                       covariance=linear.covariance[:-1, :-1] + np.outer(bent, bent),
+                       std_white=linear.std_white[:-1], unexcited=np.concatenate([solution.unexcited, none]),
                        at_bound=np.concatenate([solution.at_bound, none]))
 
     def _load(self, full: Array) -> list[Array]:
