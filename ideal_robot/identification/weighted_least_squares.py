@@ -15,6 +15,8 @@ _RANK = 1e-8
 """Directions of the scaled regressor weaker than this share of the strongest count as not excited."""
 
 _BLOCKS = 10
+_TINY = 1e-10
+"""Least eigenvalue of a correlation matrix over the largest."""
 _OWN = 0.25
 """Least share of a channel's residual variance that is its own noise, whatever errors its samples are known to have."""
 
@@ -98,8 +100,7 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
         covariance = inverse * np.outer(inflation, inflation)
         if regions:
-            widening = _student(len(regions) - 1)
-            covariance += widening**2 * _jackknife(W / std[:, :, None], residual / std, inverse, regions)
+            covariance = covariance + _between_regions(W / std[:, :, None], residual / std, inverse, covariance, regions)
     return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
 
@@ -227,6 +228,27 @@ def _correlation_inflation(W: Array, residual: Array, inverse: Array, segments: 
     # Degrees of freedom of Bartlett's window (Priestley 1981).
     student = _student(max(3.0 * count / max(lags, 1), 3.0))
     return student * np.maximum(1.0, np.nan_to_num(ratio, nan=1.0, posinf=1.0))
+
+
+def _between_regions(W: Array, residual: Array, inverse: Array, covariance: Array,
+                     regions: Sequence[np.ndarray]) -> Array:
+    """What regions of the motion disagree about beyond ``covariance (P, P)``, as a covariance ``(P, P)``.
+
+    Of K regions, P parameters of a model that is right differ in some direction as if they were up to
+    ``(1 + √(P / (K - 1)))²`` times as uncertain as they are (Marchenko and Pastur 1967); what is beyond that counts.
+    """
+    held = np.flatnonzero((np.diag(covariance) > 0.0) & np.isfinite(np.diag(covariance)))
+    disagreement = _jackknife(W[:, :, held], residual, inverse[np.ix_(held, held)], regions)
+    std = np.sqrt(np.diag(covariance)[held])
+    value, vector = np.linalg.eigh(covariance[np.ix_(held, held)] / np.outer(std, std))
+    root = vector * np.sqrt(np.maximum(value, _TINY * np.max(value, initial=0.0)))
+    whitened = np.linalg.pinv(root * std[:, None])
+    ratio, direction = np.linalg.eigh(whitened @ disagreement @ whitened.T)
+    chance = (1.0 + np.sqrt(len(held) / (len(regions) - 1))) ** 2
+    beyond = (std[:, None] * root @ direction) * (_student(len(regions) - 1) * np.sqrt(np.maximum(ratio - chance, 0.0)))
+    widening = np.zeros_like(covariance)
+    widening[np.ix_(held, held)] = beyond @ beyond.T
+    return widening
 
 
 def _student(freedom: float) -> float:
