@@ -10,6 +10,7 @@ import pytest
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import Signals
 from ideal_robot.effects.torque.axis_coupling import AxisCoupling
+from ideal_robot.identification.idim import identify
 from trials.report import arm_of
 from trials.strangers.score import Score, score
 from trials.strangers.trial import Trial, draw_trial
@@ -110,6 +111,19 @@ def test_a_lag_that_differs_from_none_by_less_than_two_deviations_is_none() -> N
 ])
 def test_what_was_once_wrong(seed: int) -> None:
     assert diagnosed(seed)[2].right
+
+
+@pytest.mark.parametrize("seed", [
+    pytest.param(733503, id="what the model's own recording left open of friction is nothing that refitting reveals"),
+    pytest.param(733508, marks=pytest.mark.slow, id="a cycle that is repeated tells friction no better"),
+    pytest.param(733517, marks=pytest.mark.slow, id="late torques bent the parameters of the model"),
+    pytest.param(733518, marks=pytest.mark.slow, id="joints that a few seconds of a Fourier motion excite badly"),
+])
+def test_nothing_is_said_against_the_model_of_another_healthy_recording(seed: int) -> None:
+    trial = draw_trial(seed, "known")
+    with arm_of(trial.urdf) as robot:
+        found = diagnose(trial.recording, robot, model=identify([trial.reference], robot).model)
+    assert score(trial, found).right
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
