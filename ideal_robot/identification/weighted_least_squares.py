@@ -100,7 +100,8 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
         inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
         covariance = inverse * np.outer(inflation, inflation)
         if regions:
-            covariance = covariance + _between_regions(W / std[:, :, None], residual / std, inverse, covariance, regions)
+            scaled = W / std[:, :, None], residual / std
+            covariance = covariance + _between_regions(*scaled, inverse, covariance, regions)
     return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
 
