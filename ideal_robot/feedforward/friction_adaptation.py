@@ -28,15 +28,19 @@ from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, point_mas
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
+from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
 from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load
 from ideal_robot.robots.interface import RobotState
 
-_WINDOW = 9
-"""Measured positions whose polynomial gives velocity and acceleration at its middle."""
 _GRAVITY = 9.81
-_BELIEVED = 0.15
-"""Standard deviation of the friction factors before anything was measured."""
+_SHARED, _OWN = (0.1, 0.3), (0.12, 0.15)
+"""Standard deviations of the two friction factors before anything was measured: of what all joints share, as they were
+as cold or as warm together, and of what is a joint's own. Oil changes with temperature more than what runs dry."""
+_SLIDES = 0.9
+"""How far friction must have turned to tell its size."""
+_APPARENT = 0.15
+"""The same of the inertias' factors."""
 _WEIGHT = 0.2
 """Weight of an unknown tool mass before anything was measured, at a metre, over the largest dry friction: standard
 deviation. What is lighter is no more than friction's own changes leave."""
@@ -60,12 +64,16 @@ class FrictionFactors:
     """
 
     theta: Array
+    inertia: Array
     mass: float
     covariance: Array
     q: Array
     tau: Array
+    z: Array
     rejected: Array
     used: Array
+
+
 
 
 class FrictionAdaptation:
@@ -93,22 +101,27 @@ class FrictionAdaptation:
         dry = np.maximum(self._dry.mean(axis=0), 1e-6)
         self._mass = 0.0 if tool is None else float(_WEIGHT * dry.max() / _GRAVITY)
         # All joints ask for the mass's drift in every cycle.
-        self._drift = drift**2 * loop.t_ipo * np.append(np.ones(2 * loop.n), self._mass**2 / loop.n)
+        self._drift = drift**2 * loop.t_ipo * np.concatenate([np.ones(2 * loop.n), np.zeros(loop.n),
+                                                              [self._mass**2 / loop.n]])
         # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
         self._sigma = np.sqrt(3.0) * noise * dry
         # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
         # move on a path slide slowly all the time: what they say is all that is known of friction where they work.
         self._slow = 0.005 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
-        half = _WINDOW // 2
-        t = loop.t_ipo * np.arange(-half, half + 1)
-        self._fit = np.linalg.pinv(np.vander(t, 4, increasing=True))
+        self._grown = grown_friction(loop)
+        self._window = SmoothedWindow(loop)
+        most = np.concatenate([np.full(loop.n, _FARTHEST * _APPARENT), [_FARTHEST * self._mass]])
+        self._low = np.concatenate([np.full(2 * loop.n, bounds[0] - 1.0), -most])
+        self._high = np.concatenate([np.full(2 * loop.n, bounds[1] - 1.0), most])
 
     def init(self) -> FrictionFactors:
-        """Factors 1, believed to 15 %, and no mass."""
+        """Factors 1, believed as far as friction changes, and no mass."""
         n = self.loop.n
-        variance = np.append(np.full(2 * n, _BELIEVED**2), self._mass**2)
-        return FrictionFactors(np.ones((n, 2)), 0.0, np.diag(variance), np.empty((0, n)), np.empty((0, n)),
-                               np.zeros(n), np.zeros(n))
+        shared, own = np.diag(np.square(_SHARED)), np.diag(np.square(_OWN))
+        covariance = np.diag(np.concatenate([np.zeros(2 * n), np.full(n, _APPARENT**2), [self._mass**2]]))
+        covariance[: 2 * n, : 2 * n] = np.kron(np.ones((n, n)), shared) + np.kron(np.eye(n), own)
+        return FrictionFactors(np.ones((n, 2)), np.zeros(n), 0.0, covariance, np.empty((0, n)), np.empty((0, n)),
+                               np.empty((0, n)), np.zeros(n), np.zeros(n))
 
     def carried(self, mass: float) -> Chain | None:
         """The tool's mass beyond the model's as a body; None for none."""
@@ -126,65 +139,57 @@ class FrictionAdaptation:
         n = self.loop.n
         if q.shape != (n,) or tau.shape != (n,) or not (np.isfinite(q).all() and np.isfinite(tau).all()):
             # A hole in the measurements: the window starts anew, the factors stay.
-            return replace(state, q=np.empty((0, n)), tau=np.empty((0, n)))
+            return replace(state, q=np.empty((0, n)), tau=np.empty((0, n)), z=np.empty((0, n)))
         if tau_ext is not None:
             tau = tau + self.loop.gain * tau_ext
-        window_q = np.concatenate([state.q, q[None]])[-_WINDOW:]
-        window_tau = np.concatenate([state.tau, tau[None]])[-_WINDOW:]
-        state = replace(state, q=window_q, tau=window_tau)
-        if len(window_q) < _WINDOW:
+        z = self._window.turned(state.z[-1], q - state.q[-1]) if len(state.q) else np.zeros(n)
+        window_z = np.concatenate([state.z, z[None]])[-CYCLES:]
+        window_q = np.concatenate([state.q, q[None]])[-CYCLES:]
+        window_tau = np.concatenate([state.tau, tau[None]])[-CYCLES:]
+        state = replace(state, q=window_q, tau=window_tau, z=window_z)
+        if len(window_q) < CYCLES:
             return state
         return self._learned(state)
 
-    def _ripple(self, q: Array) -> Array:
-        """Known torque ripple at positions ``(m, n)`` [N m]."""
-        k, a, b = (self.loop.ripple[:, row, None] for row in range(3))
-        return np.asarray(np.sum(a * np.cos(k * q) + b * np.sin(k * q), axis=0) if len(k) else np.zeros_like(q))
-
     def _learned(self, state: FrictionFactors) -> FrictionFactors:
-        loop, middle = self.loop, _WINDOW // 2
-        coefficients = self._fit @ state.q
-        position, speed, acceleration = coefficients[0], coefficients[1], 2 * coefficients[2]
-        if np.any(np.abs(speed) > 1.5 * loop.v_max) or np.any(np.abs(state.q[middle] - position) > 1e-2):
+        loop, n = self.loop, self.loop.n
+        seen = self._window.of(state.q, state.tau, state.z)
+        speed = seen.motor_v
+        if np.any(np.abs(speed) > 1.5 * loop.v_max) or np.any(np.abs(state.q[CYCLES // 2] - seen.q) > 2e-2):
             return state
-        # Torque through the same filter as the positions, so that both are smoothed alike.
-        tau = self._fit[0] @ (state.tau - self._ripple(state.q))
-        at = position[None], speed[None]
-        rigid = inverse_dynamics(loop.chain, *at, acceleration[None])[0]
-        further = further_torque(loop, np.zeros(1), *at, acceleration[None], rigid[None], np.sign(speed)[None])[0]
-        left = (tau - further) / loop.gain - rigid - loop.rotor_inertia * acceleration - loop.offset
-        steady = inverse_dynamics(loop.chain, *at, np.zeros_like(acceleration)[None])[0]
-        accelerating = rigid - steady + loop.rotor_inertia * acceleration
+        at = seen.q[None], seen.v[None]
+        rigid = inverse_dynamics(loop.chain, *at, seen.a[None])[0]
+        steady = inverse_dynamics(loop.chain, *at, np.zeros((1, n)))[0]
+        further = further_torque(loop, np.zeros(1), *at, seen.motor_a[None], rigid[None], np.sign(speed)[None])[0]
+        accelerating = rigid - steady + loop.rotor_inertia * seen.motor_a
+        left = (seen.tau - further) / loop.gain - steady - accelerating - loop.offset
         variance = self._sigma**2 + (_ACCELERATING * accelerating) ** 2
-        per_kilogram = inverse_dynamics(self._kilogram, *at, acceleration[None])[0]
-        factors, most = 2 * loop.n, _FARTHEST * self._mass
-        low, high = np.full(factors + 1, self.bounds[0]), np.full(factors + 1, self.bounds[1])
-        low[-1], high[-1] = -most, most
-        x, covariance = np.append(state.theta, state.mass), state.covariance
-        rejected, used = state.rejected.copy(), state.used.copy()
-        # All samples of the window must slide the same way.
-        steps = np.diff(state.q, axis=0)
-        for i in range(loop.n):
+        per_kilogram = inverse_dynamics(self._kilogram, *at, seen.a[None])[0]
+        x = np.concatenate([(state.theta - 1.0).ravel(), state.inertia, [state.mass]])
+        covariance, rejected, used = state.covariance, state.rejected.copy(), state.used.copy()
+        for i in range(n):
             v = speed[i]
-            same = np.all(steps[:, i] > 0) or np.all(steps[:, i] < 0)
-            if abs(v) < self._slow[i] or not same:
+            z = seen.z[i]
+            if abs(v) < self._slow[i] or z * np.sign(v) < _SLIDES:
                 continue
             side = 0 if v > 0 else 1
-            dry = self._dry[side, i] + friction_of_load(loop.friction_load[i], loop.friction_driven[i], rigid[i], v)
+            by_load = friction_of_load(loop.friction_load[i], loop.friction_driven[i], rigid[i], v)
             table = float(np.interp(abs(v), loop.friction_velocity[:, i], loop.friction_torque[side, :, i]))
-            own, h = slice(2 * i, 2 * i + 2), np.zeros(factors + 1)
-            h[own], h[-1] = np.sign(v) * np.array([dry, table - self._dry[side, i]]), per_kilogram[i]
+            grown = float(np.interp(abs(v), loop.friction_velocity[:, i], self._grown[side, :, i]))
+            own, h = slice(2 * i, 2 * i + 2), np.zeros(len(x))
+            h[own] = z * np.array([self._dry[side, i] + by_load, grown])
+            h[2 * n + i], h[-1] = accelerating[i], per_kilogram[i]
             P = self._aged(covariance, own)
-            innovation, said = left[i] - h @ x, P @ h
+            innovation, said = left[i] - z * (table + by_load) - h @ x, P @ h
             S = float(h @ said) + variance[i]
             if innovation**2 > self.gate**2 * S:
                 rejected[i] += 1
                 continue
-            x = np.clip(x + said / S * innovation, low, high)
+            x = np.clip(x + said / S * innovation, self._low, self._high)
             covariance = P - np.outer(said, said) / S
             rejected[i], used[i] = 0, used[i] + 1
-        return replace(state, theta=x[:factors].reshape(-1, 2), mass=float(x[-1]), covariance=covariance,
-                       rejected=rejected, used=used)
+        return replace(state, theta=1.0 + x[: 2 * n].reshape(-1, 2), inertia=x[2 * n : -1], mass=float(x[-1]),
+                       covariance=covariance, rejected=rejected, used=used)
 
     def _aged(self, covariance: Array, own: slice) -> Array:
         """Covariance before the next measurement of a joint whose factors are ``own``: forgotten and wandered a little.
@@ -266,7 +271,16 @@ class AdaptedIdeal(Feedforward):
 
 def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:
     """Friction fields of a loop model with the factors ``theta (n, 2)`` applied."""
-    dry = loop.friction_torque[:, :1]
-    torque = theta[:, 0] * dry + theta[:, 1] * (loop.friction_torque - dry)
-    return {"friction_torque": torque, "friction_load": theta[:, 0] * loop.friction_load,
+    more = (theta[:, 0] - 1.0) * loop.friction_torque[:, :1] + (theta[:, 1] - 1.0) * grown_friction(loop)
+    return {"friction_torque": np.maximum(loop.friction_torque + more, 0.0), "friction_load": theta[:, 0] * loop.friction_load,
             "friction_driven": theta[:, 0] * loop.friction_driven}
+
+
+def grown_friction(loop: LoopModel) -> Array:
+    """What the second factor counts, in the loop's table of friction ``(2, m, n)`` [N m].
+
+    It rises with the root of speed to as much as dry friction. The identified friction less its dry part has not this
+    form: at low speed a gear's friction falls before it rises, and what of it rises does not show by itself.
+    """
+    v_max = np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
+    return np.asarray(loop.friction_torque[:, :1] * np.sqrt(loop.friction_velocity / v_max))
