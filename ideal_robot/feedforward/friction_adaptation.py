@@ -1,14 +1,22 @@
 """Adaptation: friction and the tool's mass follow the arm while it works ([L] Fig. 1, [G] Figs 3 and 12).
 
 Friction changes with temperature and lubricant, and a tool may be heavier than told; arm and controller do not change.
-So two factors per joint are estimated, one for the dry and one for the speed-dependent part of the identified friction,
-and one mass at the tool for all joints, by recursive least squares with forgetting:
+So two factors per joint are estimated, one for the dry part of the identified friction and one for what rises with the
+root of speed, an apparent inertia per joint, and one mass at the tool for all joints, by recursive least squares with
+forgetting:
 
-    τ - τ_rigid + τ_ext = θ_1 F(0) sign(q̇) + θ_2 (F(|q̇|) - F(0)) sign(q̇) + τ_offset + m y(q, q̇, q̈)
+    τ - τ_rigid + τ_ext = z (F(|q̇|) + (θ_1 - 1) F(0) + (θ_2 - 1) F(0) √(|q̇| / v_max)) + c k_p T q̈ + τ_offset
+                          + m y(q, q̇, q̈)
 
-with y the torque of 1 kg at the tool. Friction turns round with the motion and is each joint's own; a weight does not,
-and shows in all joints as its lever has it. What the identified inertias are wrong by grows with the acceleration: it
-is counted to a sample's variance, else it would be taken for a mass.
+with z how far friction has turned since the last reversal, and y the torque of 1 kg at the tool. Friction turns round
+with the motion and is each joint's own; a weight does not, and shows in all joints as its lever has it.
+
+Commands are joined by straight lines: at the end of each cycle T the wanted speed jumps by q̈ T, and with it the torque,
+by a share of k_p T q̈. A torque that is read there shows less inertia than there is, and would be taken for less friction
+at low speed and more at high. That is c, and what rotors were identified wrong by besides; nothing is commanded
+for it. What other inertias are wrong by is counted to a sample's variance.
+
+Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
 What the law's shape lacks over speed can be learned beside it, from the following error (``friction_curve``).
 
@@ -35,12 +43,12 @@ from ideal_robot.robots.interface import RobotState
 
 _GRAVITY = 9.81
 _SHARED, _OWN = (0.1, 0.3), (0.12, 0.15)
-"""Standard deviations of the two friction factors before anything was measured: of what all joints share, as they were
-as cold or as warm together, and of what is a joint's own. Oil changes with temperature more than what runs dry."""
+"""Standard deviations of the two friction factors before anything was measured: of what all joints share, which are
+cold or warm together, and of what is a joint's own. Oil changes with temperature more than what runs dry."""
 _SLIDES = 0.9
 """How far friction must have turned to tell its size."""
-_APPARENT = 0.15
-"""The same of the inertias' factors."""
+_APPARENT = 0.2
+"""Standard deviation of an apparent inertia over ``k_p T``."""
 _WEIGHT = 0.2
 """Weight of an unknown tool mass before anything was measured, at a metre, over the largest dry friction: standard
 deviation. What is lighter is no more than friction's own changes leave."""
@@ -55,16 +63,18 @@ class FrictionFactors:
     """What adaptation knows.
 
     Attributes:
-        theta: factors on dry and on speed-dependent friction ``(n, 2)``.
+        theta: factors on dry friction and on what rises with speed ``(n, 2)``.
+        apparent: inertia that torques show beyond the model's, over ``k_p T`` ``(n,)``.
         mass: that the tool has beyond the model [kg].
-        covariance: of the factors, joint by joint, and the mass ``(2 n + 1, 2 n + 1)``.
+        covariance: of the factors, joint by joint, the apparent inertias and the mass ``(3 n + 1, 3 n + 1)``.
         q, tau: last measurements ``(m, n)`` with ``m`` up to the window, contact torque taken away.
+        z: how far friction had turned then ``(m, n)``, -1 to 1.
         rejected: measurements in a row that did not count, per joint ``(n,)``.
         used: measurements that counted, per joint ``(n,)``.
     """
 
     theta: Array
-    inertia: Array
+    apparent: Array
     mass: float
     covariance: Array
     q: Array
@@ -108,6 +118,7 @@ class FrictionAdaptation:
         # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
         # move on a path slide slowly all the time: what they say is all that is known of friction where they work.
         self._slow = 0.005 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
+        self._apparent = loop.k_p * loop.t_ipo
         self._grown = grown_friction(loop)
         self._window = SmoothedWindow(loop)
         most = np.concatenate([np.full(loop.n, _FARTHEST * _APPARENT), [_FARTHEST * self._mass]])
@@ -165,7 +176,7 @@ class FrictionAdaptation:
         left = (seen.tau - further) / loop.gain - steady - accelerating - loop.offset
         variance = self._sigma**2 + (_ACCELERATING * accelerating) ** 2
         per_kilogram = inverse_dynamics(self._kilogram, *at, seen.a[None])[0]
-        x = np.concatenate([(state.theta - 1.0).ravel(), state.inertia, [state.mass]])
+        x = np.concatenate([(state.theta - 1.0).ravel(), state.apparent, [state.mass]])
         covariance, rejected, used = state.covariance, state.rejected.copy(), state.used.copy()
         for i in range(n):
             v = speed[i]
@@ -178,7 +189,7 @@ class FrictionAdaptation:
             grown = float(np.interp(abs(v), loop.friction_velocity[:, i], self._grown[side, :, i]))
             own, h = slice(2 * i, 2 * i + 2), np.zeros(len(x))
             h[own] = z * np.array([self._dry[side, i] + by_load, grown])
-            h[2 * n + i], h[-1] = accelerating[i], per_kilogram[i]
+            h[2 * n + i], h[-1] = self._apparent[i] * seen.motor_a[i], per_kilogram[i]
             P = self._aged(covariance, own)
             innovation, said = left[i] - z * (table + by_load) - h @ x, P @ h
             S = float(h @ said) + variance[i]
@@ -188,7 +199,7 @@ class FrictionAdaptation:
             x = np.clip(x + said / S * innovation, self._low, self._high)
             covariance = P - np.outer(said, said) / S
             rejected[i], used[i] = 0, used[i] + 1
-        return replace(state, theta=1.0 + x[: 2 * n].reshape(-1, 2), inertia=x[2 * n : -1], mass=float(x[-1]),
+        return replace(state, theta=1.0 + x[: 2 * n].reshape(-1, 2), apparent=x[2 * n : -1], mass=float(x[-1]),
                        covariance=covariance, rejected=rejected, used=used)
 
     def _aged(self, covariance: Array, own: slice) -> Array:
@@ -272,8 +283,8 @@ class AdaptedIdeal(Feedforward):
 def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:
     """Friction fields of a loop model with the factors ``theta (n, 2)`` applied."""
     more = (theta[:, 0] - 1.0) * loop.friction_torque[:, :1] + (theta[:, 1] - 1.0) * grown_friction(loop)
-    return {"friction_torque": np.maximum(loop.friction_torque + more, 0.0), "friction_load": theta[:, 0] * loop.friction_load,
-            "friction_driven": theta[:, 0] * loop.friction_driven}
+    return {"friction_torque": np.maximum(loop.friction_torque + more, 0.0),
+            "friction_load": theta[:, 0] * loop.friction_load, "friction_driven": theta[:, 0] * loop.friction_driven}
 
 
 def grown_friction(loop: LoopModel) -> Array:

@@ -63,7 +63,7 @@ class SmoothedWindow:
         self._bend = np.convolve(_MEAN, [1.0, -2.0, 1.0]) / T**2
 
     def turned(self, z: Array, step: Array) -> Array:
-        """How far friction has turned ``(n,)``, -1 to 1, after a step of the motors ``(n,)`` [rad] from where it was."""
+        """How far friction has turned ``(n,)``, -1 to 1, a step of the motors ``(n,)`` [rad] after it was at ``z``."""
         bend = self._loop.friction_bend
         left = np.where(bend > 0.0, np.exp(-np.abs(step) / np.where(bend > 0.0, bend, 1.0)), step == 0.0)
         return np.asarray(np.sign(step) + (z - np.sign(step)) * left)

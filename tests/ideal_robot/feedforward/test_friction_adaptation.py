@@ -111,6 +111,22 @@ def test_finds_how_much_friction_has_changed(factor):
     np.testing.assert_allclose(sliding_ratio(loop, factors.theta), factor, rtol=0.1)
 
 
+@pytest.mark.parametrize("factor", [0.7, 1.0, 1.4])
+def test_what_torques_show_of_acceleration_is_not_taken_for_friction(factor):
+    """They are read where they jump, the arm lags behind its gears, and friction has to turn after each reversal."""
+    loop = plant()
+    factors = fed(FrictionAdaptation(loop), states(plant(friction=factor), motion()))
+    np.testing.assert_allclose(sliding_ratio(loop, factors.theta), factor, rtol=0.03)
+
+
+def test_a_joint_that_stands_still_is_thought_to_be_as_cold_as_the_others():
+    loop, q_d = plant(), motion()
+    q_d[:, 4:] = ROBOT.home[4:]
+    factors = fed(FrictionAdaptation(loop), states(plant(friction=1.4), q_d))
+    assert factors.used[4] == 0
+    assert 1.05 < sliding_ratio(loop, factors.theta)[0, 4] < 1.4
+
+
 def test_joints_that_slide_slowly_are_learned_too():
     """A tenth of the motion: hardly any joint is faster than 2 % of its limit, and all are far beyond presliding."""
     loop, q_d = plant(), motion()
