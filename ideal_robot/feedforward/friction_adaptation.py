@@ -12,9 +12,9 @@ with z how far friction has turned since the last reversal, and y the torque of 
 with the motion and is each joint's own; a weight does not, and shows in all joints as its lever has it.
 
 Commands are joined by straight lines: at the end of each cycle T the wanted speed jumps by q̈ T, and with it the torque,
-by a share of k_p T q̈. A torque that is read there shows less inertia than there is, and would be taken for less friction
-at low speed and more at high. That is c, and what rotors were identified wrong by besides; nothing is commanded
-for it. What other inertias are wrong by is counted to a sample's variance.
+by a share of k_p T q̈. A torque that is read there shows less inertia than there is; it would be taken for less friction
+at low speed and more at high. That is c, and what rotors were identified wrong by besides; nothing is commanded for it.
+What other inertias are wrong by is counted to a sample's variance.
 
 Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
