@@ -69,7 +69,13 @@ class SmoothedWindow:
         return np.asarray(np.sign(step) + (z - np.sign(step)) * left)
 
     def of(self, q: Array, tau: Array, z: Array) -> Smoothed:
-        """From motor angles [rad], torques [N m] and how far friction has turned, each ``(CYCLES, n)``."""
+        """Motion and torque in the middle.
+
+        Args:
+            q: motor angles ``(CYCLES, n)`` [rad].
+            tau: motor torques ``(CYCLES, n)`` [N m].
+            z: how far friction had turned ``(CYCLES, n)``, -1 to 1.
+        """
         loop = self._loop
         tau = tau - self._ripple(q)
         a = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / loop.t_ipo**2
