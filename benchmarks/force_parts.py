@@ -10,8 +10,7 @@ Scene `force_wave` as in ``force_workshop.py``. Root mean squares over the trave
 - the force's error over the travel, and where the tip moves at full speed.
 
 ``--told`` plays twice more: with the surface known beforehand (the height at which the force would have been right in
-the first play takes the forecast's place), and with the true friction of all joints told besides. That needs contacts
-on which the forecast is used: from 7.5 N/mm on.
+the first play takes the forecast's place), and with the true friction of all joints told besides.
 """
 
 from __future__ import annotations

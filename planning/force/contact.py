@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import PathDeviation
 from planning.path.reference import ReferencePath
@@ -12,6 +14,8 @@ from planning.path.reference import ReferencePath
 FORCE_ERRORS = (0.3, 0.002)
 """Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant
 of damping or stamps [s]."""
+STAMPS, DAMPING = 5e-4, 10.0
+"""Standard deviations of what is left wrong in the sensor's stamps [s], and of a tip's damping [N s/m]."""
 
 NOTICED = 0.08
 """Time from a touch until the arm answers it: the sensor's, two cycles, and the arm's own [s]."""
@@ -79,6 +83,15 @@ class ContactSettings:
     def approach(self) -> float:
         """Speed of the approach [m/s]: the stiffer the contact, the slower."""
         return min(self.descent, self.plunge / (self.elasticity * NOTICED))
+
+    @property
+    def lateness(self) -> float:
+        """Standard deviation of the time by which damping and stamps shift a force [s].
+
+        The stiffer the contact, the less its damping counts. With more than it can be, the forecast takes the lie of a
+        wave for it.
+        """
+        return min(FORCE_ERRORS[1], float(np.hypot(STAMPS, DAMPING / self.elasticity)))
 
     def jerk(self, acceleration: float, jerk: float) -> float:
         """Jerk of a travel [m/s³]: a tip at rest feels no slope, so the stiffer the contact, the gentler the start.

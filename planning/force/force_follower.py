@@ -27,8 +27,6 @@ STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is assumed."""
 KNOWN_LATERAL = 0.001
 """Standard deviation of the lateral deviation below which the line counts as known [m]."""
-CLEAR = 4e-5
-"""Height that a sample's noise is worth, below which the forecast knows waves better than the map does [m]."""
 STEP = 0.006
 """Distance of the heights that the slope along the path is taken from [m]."""
 FRICTION = 0.3
@@ -85,7 +83,8 @@ class SurfaceFollower:
                 field="fusion",
                 value=self.fusion.model.directions,
             )
-        self._forecast = SurfaceForecast((*force_errors, FRICTION))
+        self._force_errors = force_errors
+        self._forecast = self._fresh_forecast()
         self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)
         first = pin.SE3(table.rotations[0], table.frames.position[0] + start_height * table.frames.up[0])
         self._q_start = self._kinematics.solve(first, table.q[0])
@@ -130,6 +129,13 @@ class SurfaceFollower:
     def press_as(self, elasticity: float) -> None:
         """Assumes this elasticity of tip and surface [N/m] from now on."""
         self.settings = replace(self.settings, elasticity=elasticity)
+        if self._contact_since is None:
+            self._forecast = self._fresh_forecast()
+
+    def _fresh_forecast(self) -> SurfaceForecast:
+        """Of a surface of which nothing was felt, on a contact of the elasticity that is assumed."""
+        ratio, lateness = self._force_errors
+        return SurfaceForecast((ratio, min(lateness, self.settings.lateness), FRICTION))
 
     def update_force(self, t: Array, contact: Array) -> Fused | None:
         """Fuses the contact forces that arrived since the last cycle.
@@ -179,7 +185,7 @@ class SurfaceFollower:
         rising = float(self._velocity(float(t[middle])) @ up)
         wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
         fused = self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
-        if fused.dof and self._forecasts:
+        if fused.dof and not self._lateral:
             at = float(s.mean())
             self._forecast.add(at, float(value.mean()), float(covariance.mean()),
                                np.append(wrong.mean(axis=0), self._by_friction(at)))
@@ -219,14 +225,9 @@ class SurfaceFollower:
         slides = -np.expm1(-max(s, 0.0) / SLIDES)
         return float((1.0 - self._known(s)) * slides * SLOPE * self.settings.force / self.settings.elasticity)
 
-    @property
-    def _forecasts(self) -> bool:
-        """Whether the forecast continues the surface: with a soft contact noise hides the waves it would learn."""
-        return not self._lateral and self.settings.noise / self.settings.elasticity < CLEAR
-
     def _slope_along(self, s: float, step: float) -> float:
         """Slope along the path at arc length ``s``, from heights ``step`` [m] apart."""
-        if not self._forecasts:
+        if self._lateral:
             d, _ = self.fusion.deviation(np.array([s - 2 * step, s]))
             return float(d[1, 1] - d[0, 1]) / (2 * step)
         before, after = self._forecast.height(np.array([s - step, s + step]))
@@ -285,7 +286,7 @@ class SurfaceFollower:
         estimate, _ = self.fusion.deviation(self._table.s[rows], t)
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
-        elif self.phase is Phase.TRAVEL and self._forecasts:
+        elif self.phase is Phase.TRAVEL and not self._lateral:
             estimate[:, 1] = self._forecast.height(self._table.s[rows])
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
+from planning.force.wave_variances import likelier_variances
 from planning.line.deviation_model import matern
 
 SPACING = 0.008
@@ -29,8 +30,6 @@ WAVES = (4e-3 * WAVELENGTHS**2 / 0.09) ** 2 / len(WAVELENGTHS)
 """Variances of the waves before any is known: the longer, the larger [m²]."""
 LARGEST_WAVE = 1e-4
 """Bound of a wave's variance [m²]."""
-BETTER = 0.1
-"""Gain of log likelihood from which on a change of the kernel is taken."""
 ALIKE = 3.0
 """Standard deviations of the noise by which the sensor's errors may differ between measurements of one place."""
 BEGIN = 8
@@ -45,10 +44,9 @@ class SurfaceForecast:
 
     with Matérn's correlation m. A force shows the surface under the tip and nothing ahead, so the height is continued
     over all that delays an answer, some 15 mm at 0.2 m/s. A prior of smoothness alone is poor there;
-    surfaces that were milled, bent or cast have waves, and one that was felt once goes on. One variance γ
-    at a time is changed to its best value, as Tipping and Faul's *fast marginal likelihood* does for relevance vectors
-    (2003), and σ by factors of two, whenever that makes what was felt likelier. Errors of the sensor itself are part
-    of the same regression.
+    surfaces that were milled, bent or cast have waves, and one that was felt once goes on. The
+    variances γ are those that make what was felt likelier (``wave_variances``), and σ changes by factors of two for the
+    same reason. Errors of the sensor itself are part of the same regression.
 
     Args:
         errors: standard deviations of the sensor's errors ``(b,)``, as in ``planning.line.fusion.DeviationFilter``.
@@ -123,36 +121,18 @@ class SurfaceForecast:
         return -0.5 * (float(value @ weights) + size), inverse, weights
 
     def _learn(self) -> None:
-        """One step: another size of the shape that is no wave, and another variance of one wave."""
+        """One step: another size of the shape that is no wave, and other variances of some waves."""
         best, inverse, weights = self._likelihood(self._sigma, self._gamma)
         self._turn += 1
         sigma = float(np.clip(self._sigma * (0.5 if self._turn % 2 else 2.0), SMOOTHEST, ROUGHEST))
         if sigma != self._sigma:
             likelihood, other, others = self._likelihood(sigma, self._gamma)
             if likelihood > best:
-                self._sigma, best, inverse, weights = sigma, likelihood, other, others
-        # Of each wave the two numbers on which the likelihood depends, as if the wave were not in the kernel.
-        spread, fit = np.zeros(len(WAVELENGTHS)), np.zeros(len(WAVELENGTHS))
-        for wave in np.split(_waves(self._places[:, 0]), 2, axis=1):
-            with_it = np.einsum("ij,ij->j", wave, inverse @ wave)
-            share = np.maximum(1.0 - self._gamma * with_it, 1e-6)
-            spread += 0.5 * with_it / share
-            fit += 0.5 * (wave.T @ weights / share) ** 2
-        gamma = np.minimum(np.where(fit > spread, (fit - spread) / spread**2, 0.0), LARGEST_WAVE)
-        gain = _gain(gamma, spread, fit) - _gain(self._gamma, spread, fit)
-        changed = self._gamma.copy()
-        most = int(np.argmax(gain))
-        changed[most] = gamma[most]
-        if self._likelihood(self._sigma, changed)[0] > best + BETTER:
-            self._gamma = changed
+                self._sigma, inverse, weights = sigma, other, others
+        self._gamma = likelier_variances(self._gamma, _waves(self._places[:, 0]), inverse, weights, LARGEST_WAVE)
 
 
 def _waves(s: Array) -> Array:
     """Cosines and sines of all waves at arc lengths ``(m,)`` [m], ``(m, 2 waves)``."""
     phase = 2 * np.pi / WAVELENGTHS * s[:, None]
     return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-
-
-def _gain(gamma: Array, spread: Array, fit: Array) -> Array:
-    """Log likelihood that waves of variances γ add, each for itself."""
-    return np.asarray(-np.log1p(gamma * spread) + gamma * fit / (1.0 + gamma * spread))

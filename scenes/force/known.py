@@ -25,7 +25,7 @@ from sensing.camera.camera_model import CameraModel
 
 N_D = 20
 """Desired positions handed to the ideal robot [cycles]."""
-POSITION_NOISE = 1e-5
+POSITION_NOISE = 5e-6
 """Standard deviation of the estimated tip position from cycle to cycle [m]; with more, stiff contacts lag."""
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
 """Orientation of a tool that points down."""

@@ -23,9 +23,12 @@ def wave() -> ForceResult:
 
 
 def test_force_is_kept_on_a_wavy_surface(wave: ForceResult) -> None:
-    """20 N at 0.2 m/s, 12 ms cycle, 20 ms latency: RMS ≤ 1 N, contact never lost, never above 3 × desired."""
+    """20 N at 0.2 m/s, 12 ms cycle, 20 ms latency: RMS ≤ 1 N, contact never lost, never above 3 × desired.
+
+    The bound is what was measured and a fifth; with a map of smoothness alone it was 0.88 N.
+    """
     assert wave.failure is None
-    assert wave.figures.rms <= 1.0
+    assert wave.figures.rms <= 0.75
     assert wave.figures.lost == 0.0
     assert wave.figures.largest <= 60.0
     assert wave.figures.travel > 4.0
@@ -74,9 +77,9 @@ def test_no_dry_run_where_no_path_is_known_or_a_camera_helps() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("stiffness", "friction", "rms"), [(1e4, 0.23, 1.0), (2e4, 0.30, 1.15), (5e4, 0.40, 1.7)])
+@pytest.mark.parametrize(("stiffness", "friction", "rms"), [(1e4, 0.23, 1.0), (2e4, 0.30, 0.9), (5e4, 0.40, 1.1)])
 def test_a_stiff_contact_does_not_bounce(stiffness: float, friction: float, rms: float) -> None:
-    """The bounds are what was measured and a fifth; with a prior of smoothness alone it was 1.6 and 1.9 N.
+    """The bounds are what was measured and up to a fifth; with a prior of smoothness alone it was 1.6 and 1.9 N.
 
     At 50 N/mm it bounced because the swing of the arm on its gears was taken for a shape of the surface.
     """
