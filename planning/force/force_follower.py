@@ -172,6 +172,7 @@ class SurfaceFollower:
         ]
         covariance = np.diag([one.sigma**2 for one in seen]) + settings.position_noise**2
         value = np.array([one.value for one in seen])
+        upward = height + value
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
             # With a camera the force says how far to go along the surface's normal, not along the reference's. While
             # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
@@ -179,15 +180,15 @@ class SurfaceFollower:
             value = direction[:, 0] * lateral + direction[:, 1] * height + value * float(normal @ up)
         else:
             direction = np.tile([0.0, 1.0], (len(t), 1))
-            value = height + value
+            value = upward
         # With E assumed r times too large a deviation Δ is felt as Δ/r: (1 - r) Δ is missing. A tip with damping, or
         # a wrong time stamp, adds a share of the velocity.
         rising = float(self._velocity(float(t[middle])) @ up)
         wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
         fused = self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
-        if fused.dof and not self._lateral:
+        if fused.dof:
             at = float(s.mean())
-            self._forecast.add(at, float(value.mean()), float(covariance.mean()),
+            self._forecast.add(at, float(upward.mean()), float(covariance.mean()),
                                np.append(wrong.mean(axis=0), self._by_friction(at)))
         return fused
 
@@ -286,7 +287,7 @@ class SurfaceFollower:
         estimate, _ = self.fusion.deviation(self._table.s[rows], t)
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
-        elif self.phase is Phase.TRAVEL and not self._lateral:
+        elif self.phase is Phase.TRAVEL:
             estimate[:, 1] = self._forecast.height(self._table.s[rows])
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
