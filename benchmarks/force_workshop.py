@@ -5,8 +5,8 @@
 
 Stiffnesses in N/mm; friction goes from 0.05 at the softest to 0.4 at the stiffest contact, and the sensor's bias has
 changed by 0.3 N since its calibration. Direct feedback has the best gains that a search in the same cell finds, and no
-emergency stop: from 20 N/mm on it would be stopped at 80 N with any of them. The wanted: RMS at most 1 N and a quarter
-of direct feedback's, never above 40 N.
+emergency stop, so that it has a number where it loses contact. The wanted: RMS at most 1 N and a quarter of direct
+feedback's, never above 40 N.
 """
 
 from __future__ import annotations
