@@ -51,7 +51,11 @@ def read_joint_states(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
 
 
 def _columns(messages: list[tuple[int, Any]], path: Path, topic: str) -> tuple[dict[str, Array], dict[str, Any]]:
+    if not messages:
+        raise InputError(f"no messages on {topic}; record them while the arm moves", file=path)
     names = list(messages[0][1].name)
+    if len(set(names)) < len(names):
+        raise InputError(f"joints of the same name ({', '.join(names)})", file=path, field="name")
     order = {name: i for i, name in enumerate(names)}
     stamps = np.array([m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages])
     if not np.any(stamps):

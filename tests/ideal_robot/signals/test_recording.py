@@ -71,6 +71,14 @@ def test_joint_states_from_a_bag(tmp_path: Path, plugin: str) -> None:
         assert recording.meta["joints"] == ["b", "a", "c"]
 
 
+@pytest.mark.parametrize(("rows", "names", "says"), [(0, ["a", "b"], "no messages"), (5, ["a", "a"], "same name")])
+def test_a_bag_without_messages_or_with_one_name_twice_is_refused(tmp_path: Path, rows: int, names: list[str],
+                                                                  says: str) -> None:
+    bag = write_bag(tmp_path / "bag", "SQLITE3", names, np.zeros((rows, 2)), np.zeros((rows, 2)))
+    with pytest.raises(InputError, match=says):
+        Recording.read(bag)
+
+
 def test_errors_name_file_and_field(recording: Recording, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such recording"):
         Recording.read(tmp_path / "none.parquet")
