@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
@@ -62,18 +65,30 @@ def _precorrected(setting: Setting) -> Feedforward:
 
 
 def _adapted(setting: Setting) -> Feedforward:
-    ideal, robot = _ideal(setting), setting.robot
-    tool = robot.pinocchio.frames[robot.tool_id].placement.translation
-    start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)))
-    # The motors tell friction's shape only where the path is not planned anew while they are on their way. What they
-    # tell on another motion is not this path's: it starts with none.
-    curve = None if setting.q_d is None else FrictionCurve(ideal.loop)
     if setting.practice is None:
         # Nothing to play beforehand: it learns while it works.
-        return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, curve=curve))
+        return _corrected(setting, _adapting(setting, None if setting.q_d is None else FrictionCurve(setting.loop())))
     practice = setting.plays()
+    start = _adapting(setting)
     before = practice.play(start, practice.motion(setting.path()))
-    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors, curve))
+    factors = before.state.factors
+    if before.recording is not None:
+        own = arm_of_its_type(before.recording, setting.identified(), setting.robot)
+        if own is not setting.model:
+            setting = replace(setting, model=own)
+            start = _adapting(setting)
+            factors = start.adaptation.learned(before.recording)
+    # The motors tell friction's shape only where the path is not planned anew while they are on their way. What they
+    # tell on another motion is not this path's: it starts with none.
+    curve = FrictionCurve(start.ideal.loop)
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, factors, curve))
+
+
+def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedIdeal:
+    """The ideal robot that knows nothing beyond the model yet."""
+    ideal, robot = _ideal(setting), setting.robot
+    tool = robot.pinocchio.frames[robot.tool_id].placement.translation
+    return AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool)), curve=curve)
 
 
 def _model_learned(setting: Setting) -> Feedforward:

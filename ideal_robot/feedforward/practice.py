@@ -16,6 +16,7 @@ from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 ITERATIONS = 4
 """Learning steps on the arm, as in [G] 4.3."""
@@ -31,10 +32,12 @@ class Rehearsed:
     Attributes:
         state: the feedforward's last state.
         errors: gives the measured errors ``q_d - q (N, n)`` [rad] at the cycles; computed when it is called.
+        recording: what the controller logged; None where nothing is logged.
     """
 
     state: Any
     errors: Callable[[], Array]
+    recording: Recording | None = None
 
 
 Play = Callable[[Feedforward, Array], Rehearsed]

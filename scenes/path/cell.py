@@ -98,7 +98,8 @@ class PathCell:
     def _rehearsed(self, feedforward: Feedforward, q_d: Array) -> Rehearsed:
         path = self.path if q_d is self.path.q_d else about(self.path, q_d, self.world.t_ipo)
         played = self.play(feedforward, path)
-        return Rehearsed(played.state, lambda: measured_errors(self.robot, path, played.recording, self.learn_from))
+        return Rehearsed(played.state, lambda: measured_errors(self.robot, path, played.recording, self.learn_from),
+                         played.recording)
 
 
 def training_path(path: JointPath, t_ipo: float) -> JointPath:

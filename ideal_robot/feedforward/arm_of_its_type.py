@@ -1,0 +1,138 @@
+r"""The model of one arm from that of another of its type and one motion of this one.
+
+Arms of a type have the same gears and controllers, but castings of other weight, and motors that are mounted with their
+ripple at another angle. Both show in the torques of any motion:
+
+.. math:: \tau - \tau_{model} = Y \Delta p + F(0) z \left(\theta_1 + \theta_2 \sqrt{|\dot q| / v_{max}}\right)
+          + \sum_k a_k \cos(k q) + b_k \sin(k q)
+
+with Y the regressor of the links, rotors and offsets [G] (6) and the ripple's orders k those of the model. It is least
+squares with a prior: links are as heavy as the model's within some percent, and a ripple is as large as the model's, at
+any angle. What the motion does not tell stays as it was. What friction is wrong by is taken out, not kept: it changes
+while the arm works, and adaptation follows it.
+
+Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
+very arm leaves that the model was identified from, friction explains as well, and its model stays what it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics import full_regressor
+from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
+from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
+from ideal_robot.signals.recording import Recording
+
+RIPPLE = "torque_ripple"
+CUTOFF = 20.0
+"""Of the low-pass on positions [Hz]. Decimated torques are slow enough for the controller to answer ripple fully."""
+LINK, SHAPE, ROTOR = 0.1, 0.03, 0.1
+"""Standard deviations of a link's weight, of single parameters of it over a body's of that size, and of a rotor."""
+OFFSET, FRICTION = 0.1, 0.3
+"""Of the offset and of the friction factors, over dry friction."""
+NOISE = 0.2
+"""Standard deviation of a torque over dry friction: neighbouring ones share what is wrong besides."""
+
+
+def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
+    """The model of the arm that was recorded; ``model`` itself where no torques say that it is another arm.
+
+    Args:
+        recording: a motion in free space of that arm, logged several times a cycle: ``t`` [s], ``q_i`` [rad], ``tau_i``
+            [N m]. Read once a cycle, at its end, torques show less inertia than there is (``friction_adaptation``).
+        model: of an arm of the same type.
+        robot: the type.
+
+    Raises:
+        InputError: a recording of another number of joints, or too short.
+    """
+    if recording.n != model.n:
+        raise InputError(f"the recording has {recording.n} joints, the model has {model.n}", file=recording.source,
+                         field="q_i")
+    s = preprocess(recording, cutoff=CUTOFF)
+    if not np.isfinite(s.tau).all() or s.dt > 0.5 * robot.t_ipo:
+        return model
+    ripple = tuple(effect for effect in model.effects if effect.name == RIPPLE)
+    bare = replace(model, effects=tuple(effect for effect in model.effects if effect.name != RIPPLE))
+    dry = _dry(model)
+    believed = np.maximum(NOISE * dry, model.noise_std)
+    left = [_rows(s.decimate(s.tau - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])), believed)
+            for one in (model, bare)]
+    count = 12 * model.n
+    columns = _rows(np.concatenate([
+        s.decimate_motion(lambda rows: full_regressor(model.kinematics, s.q[rows], s.qd[rows], s.qdd[rows])),
+        s.decimate(_friction(s, dry, robot)), s.decimate(_waves(s, ripple))], axis=2), believed)
+    root = _root(model, dry, ripple)
+    whitened = columns @ root
+    of_this_arm = slice(count - model.n, count + 2 * model.n)
+    if _evidence(whitened[:, of_this_arm], left[0]) >= _evidence(whitened, left[1]):
+        return model
+    covariance = root @ np.linalg.inv(np.eye(root.shape[1]) + whitened.T @ whitened) @ root.T
+    found = covariance @ (columns.T @ left[1])
+    base, waves = model.base, found[count + 2 * model.n :].reshape(-1, 2)
+    values = model.base_values + base.of(found[:count])
+    full = consistent_parameters(base, values, base.grouping @ covariance[:count, :count] @ base.grouping.T,
+                                 np.array(model.consistent)).full
+    turned = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
+                   for effect, (a, b) in zip(ripple, waves, strict=True))
+    return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *turned))
+
+
+def _dry(model: Model) -> Array:
+    """Dry friction ``(n,)`` [N m]."""
+    slow = np.full((1, model.n), 1e-9)
+    return np.asarray(np.maximum(0.5 * (model.friction.torque(slow) - model.friction.torque(-slow))[0], 1e-6))
+
+
+def _rows(values: Array, believed: Array) -> Array:
+    """Torques ``(M, n, …)`` over the standard deviations that they are ``believed (n,)`` to, one after the other."""
+    return np.asarray((values / believed.reshape(1, -1, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:]))
+
+
+def _friction(s: FilteredSignals, dry: Array, robot: Robot) -> Array:
+    """What friction factors count ``(N, n, 2 n)`` [N m]."""
+    n = len(dry)
+    v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 10.0)
+    columns = np.zeros((len(s.qd), n, n, 2))
+    at = np.arange(n)
+    columns[:, at, at, 0] = np.sign(s.qd) * dry
+    columns[:, at, at, 1] = columns[:, at, at, 0] * np.sqrt(np.abs(s.qd) / v_max)
+    return columns.reshape(len(s.qd), n, 2 * n)
+
+
+def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
+    """Cosine and sine of every ripple ``(N, n, 2 m)``."""
+    columns = np.zeros((*s.q.shape, 2 * len(ripple)))
+    for place, effect in enumerate(ripple):
+        joint = effect.joint - 1
+        phase = effect.theta[0] * s.q[:, joint]
+        columns[:, joint, 2 * place], columns[:, joint, 2 * place + 1] = np.cos(phase), np.sin(phase)
+    return columns
+
+
+def _root(model: Model, dry: Array, ripple: tuple[FittedEffect, ...]) -> Array:
+    """A root of the prior covariance ``(P, R)``: links, rotors, offsets, friction factors, ripple."""
+    n, full = model.n, np.array(model.consistent)
+    bodies = np.zeros((12 * n, n))
+    for i in range(n):
+        bodies[10 * i : 10 * i + 10, i] = LINK * full[10 * i : 10 * i + 10]
+    waves = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
+    single = np.concatenate([SHAPE * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry,
+                             np.full(2 * n, FRICTION), waves])
+    return np.hstack([np.diag(single), np.vstack([bodies, np.zeros((len(single) - 12 * n, n))])])
+
+
+def _evidence(columns: Array, left: Array) -> float:
+    """Logarithm of the probability of torques ``(M,)`` that are noise and ``columns (M, R)`` of unit variance."""
+    curvature = np.eye(columns.shape[1]) + columns.T @ columns
+    x = np.linalg.solve(curvature, columns.T @ left)
+    logarithm = float(np.linalg.slogdet(curvature)[1])
+    return -0.5 * (float(left @ (left - columns @ x)) + logarithm)

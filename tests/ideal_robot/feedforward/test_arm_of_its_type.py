@@ -1,0 +1,94 @@
+"""The model of one arm from that of another of its type and one motion: masses and ripple; none for the very arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.arm_of_its_type import RIPPLE, arm_of_its_type
+from ideal_robot.feedforward.training_motion import training_motion
+from ideal_robot.model.model import Model
+from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.feedforward.plant import ROBOT, motion
+
+DT = 0.002
+MODELS = Path(__file__).parents[3] / "scenes" / "models"
+
+
+def other_arm(model: Model) -> Model:
+    """Links heavier and lighter by up to a tenth, ripple turned by two radians."""
+    factor = np.repeat([1.05, 0.93, 1.1, 0.94, 1.08, 0.95], 10)
+    full = np.array(model.consistent)
+    full[: 10 * model.n] *= factor
+    turn = np.exp(2j)
+    effects = []
+    for effect in model.effects:
+        wave = turn * complex(*effect.coefficients) if effect.name == RIPPLE else None
+        effects.append(effect if wave is None else replace(effect, coefficients=(wave.real, wave.imag)))
+    return replace(model, consistent=full, base_values=model.base_values + model.base.of(full - model.consistent),
+                   effects=tuple(effects))
+
+
+def moved(scale: float = 1.0) -> tuple[Array, Array, Array, Array]:
+    """Times, positions and their derivatives of the motion about a path that adaptation learns from."""
+    q = ROBOT.home + scale * (training_motion(motion(), DT) - ROBOT.home)
+    qd = np.gradient(q, DT, axis=0)
+    return DT * np.arange(len(q)), q, qd, np.gradient(qd, DT, axis=0)
+
+
+def recorded(arm: Model, friction: float = 1.0) -> Recording:
+    """That motion of an arm, with noise of the currents, and friction that has changed since."""
+    t, q, qd, qdd = moved()
+    more = (friction - 1.0) * arm.friction.torque(qd, arm.rigid_body(q, qd, qdd), q)
+    tau = arm.inverse_dynamics(q, qd, qdd, t=t) + more
+    noise = 0.002 * np.array(ROBOT.tau_max) * np.random.default_rng(4).standard_normal(q.shape)
+    return Recording.from_arrays(t, q=q, tau=tau + noise)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return Model.load(MODELS / "kr15.json")
+
+
+def test_masses_and_ripple_of_the_arm_that_moved_are_found(model: Model) -> None:
+    true = other_arm(model)
+    found = arm_of_its_type(recorded(true, friction=1.2), model, ROBOT)
+    _, q, qd, qdd = moved(scale=0.8)
+    off = [np.sqrt(np.mean((one.rigid_body(q, qd, qdd) - true.rigid_body(q, qd, qdd)) ** 2, axis=0))
+           for one in (model, found)]
+    loaded = [1, 2]
+    assert np.all(off[1][loaded] < 0.3 * off[0][loaded]), off
+    waves = [[np.array(e.coefficients) for e in one.effects if e.name == RIPPLE] for one in (true, found)]
+    assert len(waves[0]) >= 5
+    for wave, ours in zip(*waves, strict=True):
+        assert np.linalg.norm(ours - wave) < 0.5 * np.linalg.norm(wave)
+
+
+@pytest.mark.parametrize("friction", [1.0, 1.3])
+def test_the_model_of_the_very_arm_stays(model: Model, friction: float) -> None:
+    assert arm_of_its_type(recorded(model, friction), model, ROBOT) is model
+
+
+def test_bodies_stay_possible(model: Model) -> None:
+    found = arm_of_its_type(recorded(other_arm(model)), model, ROBOT)
+    assert np.all(found.rotor_inertia >= 0.0)
+    assert all(np.all(np.linalg.eigvalsh(body.inertia) > 0.0) for body in list(found.dynamics.inertias)[1:])
+
+
+def test_what_tells_nothing_of_masses_changes_nothing(model: Model) -> None:
+    whole = recorded(other_arm(model))
+    once_a_cycle = Recording.from_arrays(whole.t[::6], q=whole.joints("q")[::6], tau=whole.joints("tau")[::6])
+    assert arm_of_its_type(once_a_cycle, model, ROBOT) is model
+    assert arm_of_its_type(Recording.from_arrays(whole.t, q=whole.joints("q")), model, ROBOT) is model
+
+
+def test_another_number_of_joints_is_refused(model: Model) -> None:
+    whole = recorded(model)
+    with pytest.raises(InputError, match="joints"):
+        arm_of_its_type(Recording.from_arrays(whole.t, q=whole.joints("q")[:, :3], tau=whole.joints("tau")[:, :3]),
+                        model, ROBOT)
