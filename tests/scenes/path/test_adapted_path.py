@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAd
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
 from scenes import load_scene
-from scenes.methods import ADAPTED
+from scenes.methods import ADAPTED, IDEAL
+from scenes.options import chosen
 from scenes.path.kind import run
 
 
@@ -29,3 +32,10 @@ def test_what_is_played_on_known_paths_learns_the_shape_of_friction(name: str, b
     scene = load_scene(name)
     shape, factors = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, two_factors))
     assert shape < bound * factors
+
+
+def test_with_another_arms_model_it_learns_what_this_arm_weighs_and_how_its_torques_ripple() -> None:
+    models = Path(__file__).parents[3] / "scenes" / "models"
+    scene = chosen(load_scene("iso9283_1"), individual=2).changed(model=str(models / "kr15.json"))
+    learned, fixed = (run(scene, method=method).errors.aligned.E_car for method in (ADAPTED, IDEAL))
+    assert learned < 0.6 * fixed
