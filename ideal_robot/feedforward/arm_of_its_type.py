@@ -25,7 +25,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
@@ -44,6 +44,8 @@ NOISE = 0.2
 
 def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     """The model of the arm that was recorded; ``model`` itself where no torques say that it is another arm.
+
+    So it is where no bodies that can be explain them.
 
     Args:
         recording: a motion in free space of that arm, logged several times a cycle: ``t`` [s], ``q_i`` [rad], ``tau_i``
@@ -79,8 +81,11 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     found = covariance @ (columns.T @ left[1])
     base, waves = model.base, found[count + 2 * model.n :].reshape(-1, 2)
     values = model.base_values + base.of(found[:count])
-    full = consistent_parameters(base, values, base.grouping @ covariance[:count, :count] @ base.grouping.T,
-                                 np.array(model.consistent)).full
+    try:
+        full = consistent_parameters(base, values, base.grouping @ covariance[:count, :count] @ base.grouping.T,
+                                     np.array(model.consistent)).full
+    except IdealRobotError:  # no bodies that can be: torques of something else
+        return model
     turned = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
                    for effect, (a, b) in zip(ripple, waves, strict=True))
     return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *turned))

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward import arm_of_its_type as arm_of_its_type_module
 from ideal_robot.feedforward.arm_of_its_type import RIPPLE, arm_of_its_type
 from ideal_robot.feedforward.training_motion import training_motion
 from ideal_robot.model.model import Model
@@ -92,3 +93,11 @@ def test_another_number_of_joints_is_refused(model: Model) -> None:
     with pytest.raises(InputError, match="joints"):
         arm_of_its_type(Recording.from_arrays(whole.t, q=whole.joints("q")[:, :3], tau=whole.joints("tau")[:, :3]),
                         model, ROBOT)
+
+
+def test_where_no_bodies_can_be_found_the_model_stays(model: Model, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_found(*_: object) -> None:
+        raise IdealRobotError("no solution")
+
+    monkeypatch.setattr(arm_of_its_type_module, "consistent_parameters", none_found)
+    assert arm_of_its_type(recorded(other_arm(model)), model, ROBOT) is model

@@ -252,11 +252,11 @@ def _jacobians(model: pin.Model) -> pin.Data:
 
 def base_tilt() -> Case:
     """A base that leans, seen from the base: gravity comes from elsewhere."""
-    true = visible("base_tilt/tau", 0, (1.0, 0.5))
+    true = visible("base_tilt/tau", 0, (1.0, 0.5, 0.0, 0.0))
     bare = arm.exact()
     model: pin.Model = bare.model.copy()
     gravity = np.array(model.gravity.linear)
-    gravity[:2] += true.coefficients
+    gravity[:2] += true.coefficients[:2]
     model.gravity.linear = gravity
     return Case(arm.WORLD, true, dataclasses.replace(bare, model=model))
 
