@@ -1,11 +1,11 @@
-"""KR 15 on [G]'s paths, ten arms: how much of E_car the ideal robot takes away, own model and a stranger's adapted.
+"""KR 15 on [G]'s paths, ten arms: how much of E_car is taken away with the own model and with a stranger's.
 
     python benchmarks/paths_ten_arms.py [--individuals 1-10] [--scenes iso9283_1,iso9283_2,iso9283_3]
     python benchmarks/paths_ten_arms.py --causes --individuals 2 --scenes iso9283_1   # single effects of the world off
 
 Own: the model that the arm's identification motions gave (11 s of processor time each, kept in the user's cache
-folder). Stranger: the model of the next individual, with friction adapted (`adapted`). Percent of E_car, the weaker of
-time-matched and aligned. Wanted: 95.
+folder). Stranger: the model of the next individual. Both by `ideal`, and by `adapted`, which learns on the way. Percent
+of E_car, the weaker of time-matched and aligned. Wanted: 95.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def main() -> None:
     if options.causes:
         causes(individuals, names)
         return
-    found = np.empty((len(individuals), len(names), 3))
-    titles = " | ".join(f"`{name}` own / stranger / stranger adapted" for name in names)
+    found = np.empty((len(individuals), len(names), 4))
+    titles = " | ".join(f"`{name}` own / own adapted / stranger / stranger adapted" for name in names)
     print(f"| individual | {titles} |\n{'| --- ' * (1 + len(names))}|")
     for i, individual in enumerate(individuals):
         for j, name in enumerate(names):
@@ -65,7 +65,7 @@ def main() -> None:
             path = prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, other.arm_world)).path
             stranger = scene.changed(model=str(path))
             before = run(scene, method=NONE).errors
-            after = (run(scene, method=IDEAL), run(stranger, method=IDEAL), run(stranger, method=ADAPTED))
+            after = [run(one, method=method) for one in (scene, stranger) for method in (IDEAL, ADAPTED)]
             found[i, j] = [reduction(before, one.errors) for one in after]
         cells = [" / ".join(f"{value:.1f}" for value in row) for row in found[i]]
         print(f"| {individual} | {' | '.join(cells)} |", flush=True)

@@ -117,9 +117,9 @@ def test_an_answer_that_finds_no_room_leaves_the_whole_ones_before_it(tmp_path: 
 
     def fill() -> None:
         for seed in range(1000):
-            file.add({"seed": seed}, {"error": 0.1})
+            file.add({"seed": seed}, {"scene": "line", "method": None, "seed": seed, "failure": None})
 
-    with files_of_at_most(1000), pytest.raises(OutputError, match="--resume"):
+    with files_of_at_most(2000), pytest.raises(OutputError, match="--resume"):
         fill()
     lines = (tmp_path / "l.jsonl").read_text().splitlines()
     assert [json.loads(line)["job"]["seed"] for line in lines] == list(range(len(lines)))
