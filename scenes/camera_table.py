@@ -24,7 +24,7 @@ class CameraTable(Table):
     """Of the camera above the TCP [m]."""
     mount_ahead: float = pydantic.Field(default=0.065, ge=-1, le=1)
     """Of the optical axis ahead of the TCP [m]."""
-    rate: float = pydantic.Field(default=50.0, gt=0, le=1000)
+    rate: float = pydantic.Field(default=50.0, ge=0.1, le=1000)
     exposure: float = pydantic.Field(default=0.002, ge=0)
     sub_exposures: int = pydantic.Field(default=3, ge=1, le=50)
     supersampling: int = pydantic.Field(default=2, ge=1, le=8)

@@ -47,7 +47,7 @@ class TipTable(Table):
 class SensorTable(Table):
     """The force sensor and the tool that hangs on it."""
 
-    rate: float = pydantic.Field(default=250.0, gt=0, le=10_000)
+    rate: float = pydantic.Field(default=250.0, ge=0.1, le=10_000)
     latency: float = pydantic.Field(default=0.02, ge=0, le=1)
     jitter: float = pydantic.Field(default=0.0005, ge=0, le=0.5)
     noise: tuple[float, float] = (0.3, 0.02)

@@ -66,6 +66,9 @@ class Replay:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise InputError(f"expected the shape {shape}", field=name, value=np.shape(getattr(self, name)))
+        for name in ("q", "ghost"):
+            if getattr(self, name) is not None and not np.isfinite(getattr(self, name)).all():
+                raise InputError("expected finite angles", field=name)
         if n < 2:
             raise InputError("a replay needs two samples at least", field="t", value=n)
         if not (np.isfinite(self.t).all() and np.all(np.diff(self.t) >= 0.0) and self.t[0] < self.t[-1]):

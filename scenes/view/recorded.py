@@ -64,9 +64,17 @@ def replay_of_columns(arm: Robot, recording: Recording) -> Replay:
     Args:
         arm: the arm.
         recording: at least two samples.
+
+    Raises:
+        InputError: positions are missing everywhere.
     """
     rows = np.unique(np.linspace(0, len(recording.t) - 1, MOST).astype(int))
     q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    # A gap in the positions is no posture that can be drawn.
+    measured = np.isfinite(q).all(axis=1)
+    rows, q = rows[measured], q[measured]
+    if len(rows) < 2:
+        raise InputError("no two samples have all positions", file=recording.source, field="q_1")
     tool = _places(arm, q)
     name = next((one for one in ("q_d", "q_c") if recording.has(one)), None)
     wanted = tool if name is None else _places(arm, recording.joints(name, rows))

@@ -105,3 +105,9 @@ def test_a_plan_of_numbers_that_are_none_ends_in_a_stop_on_the_path() -> None:
     assert np.isfinite(commands).all()
     assert np.ptp(commands[-5:], axis=0).max() < 1e-9
     assert np.all(np.diff(commands, axis=0) > -1e-12)
+
+
+@pytest.mark.parametrize(("scene", "table"), [("force_wave", "sensor"), ("line", "camera")])
+def test_a_rate_of_as_good_as_nothing_is_refused(scene: str, table: str) -> None:
+    with pytest.raises(InputError, match=f"{table}.rate"):
+        load_scene(scene).changed(**{table: {"rate": 1e-320}})

@@ -133,3 +133,14 @@ def test_a_replay_with_an_array_of_another_shape_is_refused(name: str, value: np
         np.savez_compressed(written, **arrays)
     with pytest.raises(InputError, match="delete it"):
         read_replay(path, ROBOT, of_replay(replay))
+
+
+def test_positions_that_are_missing_are_not_shown() -> None:
+    """Of what is not a number no rotation can be made."""
+    columns = dict(of_replay(_replay(100)).columns)
+    columns["q_2"] = np.where(np.arange(100) < 40, np.nan, columns["q_2"])
+    replay = replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))
+    assert len(replay.t) == 60
+    columns["q_2"] = np.full(100, np.inf)
+    with pytest.raises(InputError, match="no two samples"):
+        replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))
