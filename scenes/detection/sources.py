@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from ideal_robot.captured_stderr import kept_words
 from ideal_robot.errors import InputError
@@ -46,6 +48,7 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
 
 
 def _read(path: Path) -> Gray:
+    _check_header(path)
     try:
         with kept_words():
             gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -54,6 +57,22 @@ def _read(path: Path) -> Gray:
     if gray is None:
         raise InputError("not a readable picture", file=path)
     return _checked(np.asarray(gray, dtype=np.uint8), str(path))
+
+
+def _check_header(path: Path) -> None:
+    """Refuses a picture whose header says that it is too large: unpacked, a small file may take gigabytes."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(path) as header:
+                width, height = header.size
+    except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
+        raise InputError(f"larger than {MAX_PIXELS // 1_000_000} megapixels; make it smaller", file=path) from error
+    except Exception:  # not a picture of a kind known here: OpenCV says what is wrong with it
+        return
+    if width * height > MAX_PIXELS:
+        raise InputError(f"{width} × {height} pixels are more than {MAX_PIXELS // 1_000_000} megapixels; shrink it",
+                         file=path)
 
 
 def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:

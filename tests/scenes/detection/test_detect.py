@@ -67,3 +67,13 @@ def test_what_cannot_be_read_is_said(source: str, tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"no picture at all")
     with pytest.raises(InputError):
         list(pictures(str(tmp_path / source)))
+
+
+def test_a_small_file_of_a_huge_picture_is_refused_before_it_is_unpacked(tmp_path: Path,
+                                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    cv2.imwrite(str(tmp_path / "huge.png"), np.zeros((20_000, 10_000), np.uint8))
+    cv2.imwrite(str(tmp_path / "large.png"), np.zeros((8_100, 8_000), np.uint8))
+    monkeypatch.setattr(cv2, "imread", lambda *_: pytest.fail("unpacked"))
+    for name in ("huge.png", "large.png"):
+        with pytest.raises(InputError, match="64 megapixels"):
+            next(pictures(str(tmp_path / name)))
