@@ -26,6 +26,7 @@ from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
@@ -105,11 +106,10 @@ def _rows(values: Array, believed: Array) -> Array:
 def _friction(s: FilteredSignals, dry: Array, robot: Robot) -> Array:
     """What friction factors count ``(N, n, 2 n)`` [N m]."""
     n = len(dry)
-    v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 10.0)
     columns = np.zeros((len(s.qd), n, n, 2))
     at = np.arange(n)
     columns[:, at, at, 0] = np.sign(s.qd) * dry
-    columns[:, at, at, 1] = columns[:, at, at, 0] * np.sqrt(np.abs(s.qd) / v_max)
+    columns[:, at, at, 1] = columns[:, at, at, 0] * np.sqrt(np.abs(s.qd) / largest_speeds(robot.v_max))
     return columns.reshape(len(s.qd), n, 2 * n)
 
 

@@ -38,7 +38,7 @@ from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import LoopModel, friction_of_load
+from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
 
@@ -301,5 +301,5 @@ def grown_friction(loop: LoopModel) -> Array:
     It rises with the root of speed to as much as dry friction. The identified friction less its dry part has not this
     form: at low speed a gear's friction falls before it rises, and what of it rises does not show by itself.
     """
-    v_max = np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
-    return np.asarray(loop.friction_torque[:, :1] * np.sqrt(loop.friction_velocity / v_max))
+    shares = loop.friction_velocity / largest_speeds(loop.v_max)
+    return np.asarray(loop.friction_torque[:, :1] * np.sqrt(shares))

@@ -22,10 +22,10 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.friction_curve import LARGEST, SHAPE, between_nodes, largest_speeds, likeness
+from ideal_robot.feedforward.friction_curve import LARGEST, SHAPE, between_nodes, likeness
 from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import LoopModel, friction_of_load, ripple_torque
+from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds, ripple_torque
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
@@ -55,7 +55,7 @@ class FrictionAtWork:
 
     def in_loop(self, loop: LoopModel) -> LoopModel:
         """The loop that it was found for, with it."""
-        shares = loop.friction_velocity / largest_speeds(loop)
+        shares = loop.friction_velocity / largest_speeds(loop.v_max)
         more = np.column_stack([between_nodes(share) @ curve
                                 for share, curve in zip(shares.T, self.curve, strict=True)])
         return loop.replace(friction_torque=np.maximum(loop.friction_torque + more, 0.0),
@@ -108,7 +108,7 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: 
     by_load = [friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
                for a, b in zip(load, v, strict=True)]
     friction = np.where(v > 0, *sides) + by_load
-    nodes = dry * between_nodes(np.abs(v) / largest_speeds(loop)[j])
+    nodes = dry * between_nodes(np.abs(v) / largest_speeds(loop.v_max)[j])
     alike = likeness()
     prior = np.diag(np.append(np.full(len(alike), 1e-9), OFFSET**2))
     prior[:-1, :-1] += SHAPE**2 * alike

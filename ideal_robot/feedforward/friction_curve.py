@@ -24,7 +24,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.ideal import IdealState
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.loop_model import LoopModel, largest_speeds
 
 SPEEDS = np.array([0.0, 0.002, 0.005, 0.01, 0.015, 0.022, 0.035, 0.06, 0.12, 0.25, 0.5, 1.0])
 """Nodes of the curve, as shares of the largest speed."""
@@ -91,7 +91,7 @@ class FrictionCurve:
 
     def __init__(self, loop: LoopModel) -> None:
         self.loop = loop
-        self._v_max = largest_speeds(loop)
+        self._v_max = largest_speeds(loop.v_max)
         self._dry = np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6)
         alike = likeness()
         count = 1 + len(SPEEDS)
@@ -148,11 +148,6 @@ class FrictionCurve:
         # Of a joint that stands nothing is learned, and nothing forgotten.
         covariance = np.where(counts[:, None, None], covariance - gain[:, :, None] * said[:, None], state.covariance)
         return CurveState(x, covariance, plans, error, state.integral + loop.k_i * step)
-
-
-def largest_speeds(loop: LoopModel) -> Array:
-    """Speeds that the nodes are shares of ``(n,)`` [rad/s]."""
-    return np.where(np.isfinite(loop.v_max), loop.v_max, 10.0)
 
 
 def likeness() -> Array:

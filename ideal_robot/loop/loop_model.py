@@ -18,10 +18,14 @@ from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 
 
+def largest_speeds(v_max: Array) -> Array:
+    """Speeds that friction is looked at over ``(n,)`` [rad/s]: the limits, 10 rad/s where an arm tells none."""
+    return np.where(np.isfinite(v_max), v_max, 10.0)
+
+
 def velocity_grid(v_max: Array, points: int = 161) -> Array:
     """Velocities ``(points, n)`` at which friction is tabled: dense near zero, up to 1.2 × the limit."""
-    v = np.where(np.isfinite(v_max), v_max, 10.0)
-    return np.asarray(1.2 * v * np.linspace(0.0, 1.0, points)[:, None] ** 3)
+    return np.asarray(1.2 * largest_speeds(v_max) * np.linspace(0.0, 1.0, points)[:, None] ** 3)
 
 
 class Drives(NamedTuple):

@@ -70,9 +70,7 @@ def _check_header(path: Path) -> None:
         raise InputError(f"larger than {MAX_PIXELS // 1_000_000} megapixels; make it smaller", file=path) from error
     except Exception:  # not a picture of a kind known here: OpenCV says what is wrong with it
         return
-    if width * height > MAX_PIXELS:
-        raise InputError(f"{width} × {height} pixels are more than {MAX_PIXELS // 1_000_000} megapixels; shrink it",
-                         file=path)
+    _check_size(width, height, str(path))
 
 
 def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
@@ -103,7 +101,11 @@ def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
 
 
 def _checked(gray: Gray, name: str) -> Gray:
-    if gray.size > MAX_PIXELS or min(gray.shape) < 32:
-        raise InputError(f"a picture of {gray.shape[1]} × {gray.shape[0]} pixels; expected 32 × 32 to 64 megapixels",
-                         field="source", value=name)
+    _check_size(gray.shape[1], gray.shape[0], name)
     return gray
+
+
+def _check_size(width: int, height: int, name: str) -> None:
+    if width * height > MAX_PIXELS or min(width, height) < 32:
+        raise InputError(f"a picture of {width} × {height} pixels; expected 32 × 32 to 64 megapixels; scale it",
+                         field="source", value=name)

@@ -23,6 +23,11 @@ FRAMES = 400
 """A replay has no more frames than that; longer runs are thinned out."""
 
 
+def rises(t: Array) -> bool:
+    """Whether times ``(N,)`` can be played: finite, sorted, and not all the same."""
+    return bool(np.isfinite(t).all() and np.all(np.diff(t) >= 0.0) and t[0] < t[-1])
+
+
 @dataclass(frozen=True)
 class Replay:
     """What a replay shows; everything over one time axis of ``N`` samples.
@@ -71,7 +76,7 @@ class Replay:
                 raise InputError("expected finite angles", field=name)
         if n < 2:
             raise InputError("a replay needs two samples at least", field="t", value=n)
-        if not (np.isfinite(self.t).all() and np.all(np.diff(self.t) >= 0.0) and self.t[0] < self.t[-1]):
+        if not rises(self.t):
             raise InputError("the times of a replay must rise", field="t")
         for name, curve in self.curves.items():
             if np.ndim(curve) != 2 or np.shape(curve)[1] != 3 or len(curve) < 2:

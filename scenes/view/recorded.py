@@ -10,7 +10,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.recording import Recording
-from scenes.report.replay import Replay
+from scenes.report.replay import Replay, rises
 from scenes.report.replay_file import read_replay, replay_beside
 from scenes.report.sensed import sensed_force, sensed_line
 
@@ -32,8 +32,7 @@ def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
     arm = Robot.load(name)
     if arm.n != recording.n:
         raise InputError(f"the recording has {recording.n} joints, {arm.name} has {arm.n}", file=path)
-    t = recording.t
-    if len(t) < 2 or not (np.isfinite(t).all() and np.all(np.diff(t) >= 0.0) and t[0] < t[-1]):
+    if len(recording.t) < 2 or not rises(recording.t):
         raise InputError("times that rise are needed to show a motion, at least two; give t in seconds, sorted",
                          file=path, field="t")
     return arm, recording

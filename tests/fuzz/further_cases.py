@@ -1,4 +1,4 @@
-"""Fuzzed calls of the verbs beside the main ones: pictures, films, bags, answers of a sweep, XML, SVG, calibrations."""
+"""Fuzzed calls of the verbs beside the main ones: pictures, films, bags, answers of a sweep, XML, SVG."""
 
 from __future__ import annotations
 
