@@ -27,8 +27,9 @@ def two_factors(setting: Setting) -> Feedforward:
     return AdaptedIdeal(ideal, start.adaptation, known.factors)
 
 
-@pytest.mark.parametrize(("name", "bound"), [("vertical_circle", 0.95), ("edge", 1.03)])
+@pytest.mark.parametrize(("name", "bound"), [("vertical_circle", 0.97), ("edge", 1.03)])
 def test_what_is_played_on_known_paths_learns_the_shape_of_friction(name: str, bound: float) -> None:
+    # It gains where joints turn slowly for long, by more than the 3 % that it may lose elsewhere.
     scene = load_scene(name)
     shape, factors = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, two_factors))
     assert shape < bound * factors
