@@ -69,19 +69,20 @@ def _adapted(setting: Setting) -> Feedforward:
         # Nothing to play beforehand: it learns while it works.
         return _corrected(setting, _adapting(setting, None if setting.q_d is None else FrictionCurve(setting.loop())))
     practice = setting.plays()
-    start = _adapting(setting)
-    before = practice.play(start, practice.motion(setting.path()))
-    factors = before.state.factors
+    motion = practice.motion(setting.path())
+    start = _adapting(setting, FrictionCurve(setting.loop()))
+    before = practice.play(start, motion)
     if before.recording is not None:
         own = arm_of_its_type(before.recording, setting.identified(), setting.robot)
         if own is not setting.model:
             setting = replace(setting, model=own)
-            start = _adapting(setting)
-            factors = start.adaptation.learned(before.recording)
+            start = _adapting(setting, FrictionCurve(setting.loop()))
+            before = practice.play(start, motion)
     # The motors tell friction's shape only where the path is not planned anew while they are on their way. What they
-    # tell on another motion is not this path's: it starts with none.
+    # tell of it on another motion is not this path's: it starts with none.
     curve = FrictionCurve(start.ideal.loop)
-    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, factors, curve))
+    return _corrected(setting, AdaptedIdeal(start.ideal, start.adaptation, before.state.factors, curve,
+                                            curve.inertia_alone(before.state.curve)))
 
 
 def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedIdeal:

@@ -280,6 +280,7 @@ class AdaptedIdeal(Feedforward):
         curve = state.curve
         if self.curve is not None and curve is not None:
             change["friction_torque"] = change["friction_torque"] + self.curve.torque(curve)
+            change["rotor_inertia"] = self.ideal.loop.rotor_inertia + self.curve.inertia(curve)
         drives = self.ideal.drives._replace(**change)
         q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried)
         if self.curve is not None and curve is not None:

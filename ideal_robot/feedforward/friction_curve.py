@@ -1,4 +1,4 @@
-r"""The shape of friction over speed, learned from how far the motors are from where they were planned to be.
+r"""Friction's shape over speed, and inertia, learned from how far the motors are from where they were planned to be.
 
 A law of few coefficients has not the shape of a gear's friction where it moves slowly: there friction falls with speed
 before it rises. What the law lacks shows in the following error. Where the motors are not at the planned :math:`q_m`,
@@ -10,10 +10,15 @@ the joint controller [G] (16), (17) gives a torque beyond the planned one,
 which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. For
 each joint a Kalman filter learns a curve over speed, linear between nodes and smooth over the logarithm of speed:
 
-.. math:: \Delta\tau = F(0) \left(o + z \sum_k (c_k - c_k') \phi_k(|\dot q_m|)\right)
+.. math:: \Delta\tau = F(0) \left(o + z \sum_k (c_k - c_k') \phi_k(|\dot q_m|)\right) + (J - J') \ddot q_m
 
-with F(0) the dry friction, z the direction of sliding, between -1 and 1 after a reversal, :math:`c'` the curve that the
-plan had used, and an offset o that wanders: weight, load, what was planned wrong besides.
+with F(0) the dry friction, z the direction of sliding, between -1 and 1 after a reversal, J the inertia that the drive
+feels beyond the model's, :math:`c'` and :math:`J'` what the plan had used, and an offset o that wanders: weight, load,
+what was planned wrong besides.
+
+The torque for acceleration is planned wrong where rotors and links were identified wrong, and where the gain
+:math:`k_p` was, by which the plan turns it into a command. It is the same on any motion about the path and does not
+change; friction's shape does, and is learned anew on each.
 """
 
 from __future__ import annotations
@@ -36,6 +41,10 @@ SHAPE, DRIFT = 0.15, 0.05
 """The curve at first, and how far it wanders in a second: standard deviations over dry friction."""
 OFFSET, WANDERS = 0.3, 0.2
 """The same of the offset."""
+INERTIA = 0.1
+"""Standard deviation of the inertia at first, over ``k_p T``, which is about what a drive feels."""
+HEAVIEST = 0.3
+"""Bound of the inertia over ``k_p T``."""
 NOISE = 0.2
 """Standard deviation of a measurement over dry friction: neighbouring ones share what is wrong besides."""
 LARGEST = 0.5
@@ -50,12 +59,12 @@ FAR = 0.01
 
 @dataclass(frozen=True)
 class Planned:
-    """Of one cycle: motor angles and velocities at its end, direction of sliding, each ``(n,)``, curve ``(n, K)``."""
+    """Of one cycle: motor angles and velocities at its end, direction of sliding, each ``(n,)``, and what was known."""
 
     q: Array
     v: Array
     turned: Array
-    curve: Array
+    x: Array
 
 
 @dataclass(frozen=True)
@@ -63,9 +72,9 @@ class CurveState:
     """What is known of the curves.
 
     Attributes:
-        x: offset and curve of each joint over dry friction ``(n, 1 + K)``.
-        covariance: of them ``(n, 1 + K, 1 + K)``.
-        plans: cycles whose measurement has not come yet, oldest first.
+        x: of each joint offset over dry friction, inertia over ``k_p T``, curve over dry friction ``(n, 2 + K)``.
+        covariance: of them ``(n, 2 + K, 2 + K)``.
+        plans: cycles whose measurement has not come yet, oldest first, behind the last one whose has.
         error: following error of the last cycle ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
     """
@@ -79,11 +88,11 @@ class CurveState:
     @property
     def curve(self) -> Array:
         """Friction beyond the model's, over dry friction, at the nodes ``(n, K)``."""
-        return self.x[:, 1:]
+        return self.x[:, 2:]
 
 
 class FrictionCurve:
-    """Kalman filter for the friction curve of every joint.
+    """Kalman filter for the friction curve and the inertia of every joint.
 
     Args:
         loop: the identified loop; its controller and its dry friction are the reference.
@@ -93,61 +102,75 @@ class FrictionCurve:
         self.loop = loop
         self._v_max = largest_speeds(loop.v_max)
         self._dry = np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6)
+        self._unit = loop.k_p * loop.t_ipo
         alike = likeness()
-        count = 1 + len(SPEEDS)
+        count = 2 + len(SPEEDS)
         prior, drift = np.zeros((count, count)), np.zeros((count, count))
-        prior[0, 0], prior[1:, 1:] = OFFSET**2, SHAPE**2 * alike
-        drift[0, 0], drift[1:, 1:] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
+        prior[0, 0], prior[1, 1], prior[2:, 2:] = OFFSET**2, INERTIA**2, SHAPE**2 * alike
+        drift[0, 0], drift[2:, 2:] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
         self._prior, self._drift = np.tile(prior, (loop.n, 1, 1)), drift
         self._table = np.stack([between_nodes(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(loop.n)])
 
     def init(self, known: CurveState | None = None) -> CurveState:
-        """No curve, or the one known from another motion; of that motion's following error nothing stays."""
-        n, count = self.loop.n, 1 + len(SPEEDS)
+        """Nothing known, or what is known from another motion; of that motion's following error nothing stays."""
+        n, count = self.loop.n, 2 + len(SPEEDS)
         x = np.zeros((n, count))
         if known is None:
             return CurveState(x, self._prior, (), None, np.zeros(n))
-        x[:, 1:] = known.curve
+        x[:, 1:] = known.x[:, 1:]
         covariance = known.covariance.copy()
         covariance[:, 0], covariance[:, :, 0] = self._prior[:, 0], self._prior[:, :, 0]
         return CurveState(x, covariance, (), None, np.zeros(n))
+
+    def inertia_alone(self, state: CurveState) -> CurveState:
+        """What a motion tells of any other: the inertia. Friction's shape is unknown again."""
+        begun = self.init()
+        x, covariance = begun.x.copy(), begun.covariance.copy()
+        x[:, 1], covariance[:, 1, 1] = state.x[:, 1], state.covariance[:, 1, 1]
+        return replace(begun, x=x, covariance=covariance)
 
     def torque(self, state: CurveState) -> Array:
         """What the curves add to the loop's table of sliding friction ``(m, n)`` [N m]."""
         return np.asarray(np.matmul(self._table, state.curve[:, :, None])[:, :, 0].T * self._dry)
 
+    def inertia(self, state: CurveState) -> Array:
+        """What the drives feel beyond the model's rotors and links ``(n,)`` [kg m²]."""
+        return np.asarray(state.x[:, 1] * self._unit)
+
     def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
-        """Takes note of what the ideal robot planned in a cycle with this state's curves."""
-        plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.curve)
-        return replace(state, plans=(*state.plans, plan)[-self.loop.delay - 1 :])
+        """Takes note of what the ideal robot planned in a cycle with what this state knows."""
+        plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.x)
+        return replace(state, plans=(*state.plans, plan)[-self.loop.delay - 2 :])
 
     def update(self, state: CurveState, q: Array) -> CurveState:
         """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
         loop, q = self.loop, np.asarray(q, dtype=float)
-        if len(state.plans) <= loop.delay:
+        if len(state.plans) <= loop.delay + 1:
             return state
-        plan, plans = state.plans[0], state.plans[1:]
+        before, plan = state.plans[:2]
         if q.shape != plan.q.shape or not np.all(np.abs(q - plan.q) < FAR):
-            return replace(self.init(state), plans=plans)
+            return replace(self.init(state), plans=state.plans)
         error = q - plan.q
         if state.error is None:
-            return replace(state, plans=plans, error=error)
+            return replace(state, error=error)
         step = state.error - error - 0.5 * loop.t_ipo * loop.k_v * (state.error + error)
         torque = loop.k_p * step / loop.t_ipo + state.integral + 0.5 * loop.k_i * step
         h = np.ones_like(state.x)
-        h[:, 1:] = plan.turned[:, None] * between_nodes(np.abs(plan.v) / self._v_max)
+        h[:, 1] = self._unit / self._dry * (plan.v - before.v) / loop.t_ipo
+        h[:, 2:] = plan.turned[:, None] * between_nodes(np.abs(plan.v) / self._v_max)
         covariance = state.covariance + self._drift
         said = np.matmul(covariance, h[:, :, None])[:, :, 0]
         S = np.sum(h * said, axis=1) + NOISE**2
-        innovation = torque / self._dry - np.sum(h[:, 1:] * (state.curve - plan.curve), axis=1) - state.x[:, 0]
+        innovation = torque / self._dry - np.sum(h[:, 1:] * (state.x - plan.x)[:, 1:], axis=1) - state.x[:, 0]
         slides = (np.abs(plan.turned) > SLIDES) & (np.abs(plan.v) > SLOWEST * self._v_max)
         counts = slides & (innovation**2 < GATE**2 * S)
         gain = np.where(counts, 1.0 / S, 0.0)[:, None] * said
         x = state.x + gain * innovation[:, None]
-        x[:, 1:] = np.clip(x[:, 1:], -LARGEST, LARGEST)
+        x[:, 1] = np.clip(x[:, 1], -HEAVIEST, HEAVIEST)
+        x[:, 2:] = np.clip(x[:, 2:], -LARGEST, LARGEST)
         # Of a joint that stands nothing is learned, and nothing forgotten.
         covariance = np.where(counts[:, None, None], covariance - gain[:, :, None] * said[:, None], state.covariance)
-        return CurveState(x, covariance, plans, error, state.integral + loop.k_i * step)
+        return CurveState(x, covariance, state.plans, error, state.integral + loop.k_i * step)
 
 
 def likeness() -> Array:

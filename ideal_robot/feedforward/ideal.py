@@ -185,7 +185,7 @@ class IdealRobot(Feedforward):
             left = 1.0 - np.minimum(begun, 1.0)[:, None]
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
-        smooth = reflected + loop.rotor_inertia * a_m + loop.offset
+        smooth = reflected + drives.rotor_inertia * a_m + loop.offset
         if carried is not None:
             smooth = smooth + self._torque[0] @ inverse_dynamics(carried, q, qd, qdd)
         friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)

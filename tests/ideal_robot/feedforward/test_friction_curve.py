@@ -1,4 +1,4 @@
-"""The friction curve: it finds a shape that the law has not, from motor angles alone, and stays bounded."""
+"""The friction curve: it finds a shape and an inertia that the model has not, from motor angles, and stays bounded."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
-from ideal_robot.feedforward.friction_curve import LARGEST, CurveState, FrictionCurve, Planned
+from ideal_robot.feedforward.friction_curve import HEAVIEST, LARGEST, CurveState, FrictionCurve, Planned
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
@@ -32,8 +32,8 @@ def learned(loop: LoopModel, true: LoopModel, q_d: Array, repeat: int = 4, scale
     ahead = np.concatenate([q_d, np.tile(q_d[-1], (ideal.n_d, 1))])
     for k in range(len(q_d)):
         _, state = ideal.step(state, ahead[k : k + ideal.n_d])
-        plan = Planned(state.q_m, state.v_m, state.turned, np.zeros_like(known.curve))
-        known = CurveState(known.x, known.covariance, (*known.plans, plan)[-loop.delay - 1 :], known.error,
+        plan = Planned(state.q_m, state.v_m, state.turned, np.zeros_like(known.x))
+        known = CurveState(known.x, known.covariance, (*known.plans, plan)[-loop.delay - 2 :], known.error,
                            known.integral)
         known = curves.update(known, scale * done.q_m[k + 1])
     return known
@@ -49,6 +49,30 @@ def test_friction_that_falls_with_speed_is_found_in_the_motor_angles(delay: int)
     ratio = np.array([np.interp(SLOW, v, ours) / np.interp(SLOW, v, theirs)
                       for v, ours, theirs in zip(loop.friction_velocity.T, found.T, more.T, strict=True)])
     assert np.all((ratio > 0.5) & (ratio < 1.2)), ratio
+
+
+@pytest.mark.parametrize("delay", [0, 1])
+def test_inertia_that_the_model_has_not_is_found_in_the_motor_angles(delay: int) -> None:
+    loop = plant(delay=delay)
+    more = np.array([0.08, -0.08, 0.08, -0.08, 0.08, -0.08]) * loop.k_p * loop.t_ipo
+    heavier = loop.replace(rotor_inertia=np.maximum(loop.rotor_inertia + more, 0.2 * loop.rotor_inertia))
+    more = heavier.rotor_inertia - loop.rotor_inertia
+    curves = FrictionCurve(loop)
+    found = [curves.inertia(learned(loop, true, motion())) for true in (loop, heavier)]
+    np.testing.assert_allclose((found[1] - found[0])[:3], more[:3], rtol=0.35)
+
+
+def test_with_the_inertia_of_another_motion_the_arm_is_where_it_should_be() -> None:
+    loop = plant()
+    heavier = loop.replace(rotor_inertia=loop.rotor_inertia + 0.08 * loop.k_p * loop.t_ipo)
+    curves = FrictionCurve(loop)
+    known = curves.inertia_alone(learned(loop, heavier, motion(amplitude=0.05)))
+    assert not known.curve.any()
+    q_d = motion()
+    knew, fixed, adapted = (
+        rms(simulate(heavier, commands(feedforward, q_d)).q_a[40:-1] - q_d[40:]) for feedforward in
+        (IdealRobot(heavier), IdealRobot(loop), AdaptedIdeal(IdealRobot(loop), curve=curves, known_curve=known)))
+    assert adapted - knew < 0.35 * (fixed - knew), (knew, fixed, adapted)
 
 
 def errors(loop: LoopModel, true: LoopModel) -> dict[str, float]:
@@ -89,5 +113,6 @@ def test_motor_angles_that_cannot_be_leave_it_bounded(scale: float) -> None:
     loop = plant()
     known = learned(loop, loop, motion(), repeat=1, scale=scale)
     assert np.all(np.abs(known.curve) <= LARGEST)
+    assert np.all(np.abs(known.x[:, 1]) <= HEAVIEST)
     assert np.all(np.isfinite(known.covariance))
     assert np.all(np.linalg.eigvalsh(known.covariance) > -1e-9)
