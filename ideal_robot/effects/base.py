@@ -99,6 +99,8 @@ class Effect(ABC):
             which is needed beside it says that its form is wrong.
         at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
             vibrations that look like it are not.
+        of_slow_motion: whether it is a law of the joint's speed, which hardly acts in the upper half of the band: its
+            share is asked for in the lower half as well, where vibrations do not hide it.
         standstill: end of the bounds of its only theta, -1 or 1, at which all of it lies near standstill, where every
             drive's friction goes its own way; 0 if there is none.
         tail_alone: whether only the end of what it does lies in samples that count, so that a size and a theta that
@@ -129,6 +131,7 @@ class Effect(ABC):
     flexible: ClassVar[bool] = False
     of_angle_alone: ClassVar[bool] = False
     at_all_frequencies: ClassVar[bool] = False
+    of_slow_motion: ClassVar[bool] = False
     standstill: ClassVar[int] = 0
     tail_alone: ClassVar[bool] = False
     learned: ClassVar[bool] = False

@@ -24,6 +24,8 @@ class Options:
         smallest_beside: the same over the rms of the largest other effect at the same joint, at least.
         smallest_learned_bend: the same of a learned curve beside the bend of a gear, whose load is known no better:
             motions tell inertia on both sides of the gear as one.
+        smallest_slow: share that a law of speed has to take away in the lower half of the band where vibrations hide it
+            in the whole: twice what is asked there, as it is looked for a second time.
         learned_discovery: p-value of a learned curve; motions repeat themselves, and so does what a model leaves, so
             that blocks of time are fewer than they are counted.
         smallest_own: share of an effect's squares that the other parameters must not be able to cancel.
@@ -40,6 +42,7 @@ class Options:
     smallest_torque: float = 0.002
     smallest_beside: float = 0.05
     smallest_learned_bend: float = 0.5
+    smallest_slow: float = 0.30
     learned_discovery: float = 1e-5
     smallest_own: float = 0.0005
     unknown_margin: float = 1.6
@@ -57,7 +60,11 @@ class Options:
         """All shares of the residual that are asked of an effect, times a factor."""
         return replace(self, smallest=factor * self.smallest, smallest_next=factor * self.smallest_next,
                        smallest_learned=factor * self.smallest_learned,
-                       smallest_absorbed=factor * self.smallest_absorbed)
+                       smallest_absorbed=factor * self.smallest_absorbed, smallest_slow=factor * self.smallest_slow)
+
+    def slow(self) -> Options:
+        """The same for the lower half of the band; twice as much for a second effect of a joint."""
+        return replace(self, smallest=self.smallest_slow, smallest_next=2.0 * self.smallest_slow)
 
 
 @dataclass(frozen=True)

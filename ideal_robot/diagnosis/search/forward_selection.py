@@ -150,7 +150,7 @@ class Search:
                 best = other
         best = likelier(self.model, best, refined)
         return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share,
-                      asked=self.scoring.smallest_share(best.candidate))
+                      asked=self.scoring.share_asked(best))
 
     def _sharpened(self, fit: Fit, s: Scored) -> Scored:
         """A candidate that is large enough, but whose start lies too far off its theta to pay the price of all starts.
@@ -168,7 +168,8 @@ class Search:
         """Takes out what the others have made superfluous."""
         for choice in list(self.model.choices[:-1]):
             s = self.scoring.tested(self.model.fit_of_rivals(choice), choice.candidate)
-            if s.p_value > self.options.false_discovery or s.share < 0.5 * self.options.smallest:
+            if s.p_value > self.options.false_discovery or (
+                    s.share < 0.5 * self.options.smallest and not self.scoring.share_slowly(s, choice)):
                 self.model.drop(choice)
 
     def _drop_refuted(self, curve: Choice) -> None:
@@ -186,7 +187,7 @@ class Search:
     def _drop_if_small(self, choice: Choice) -> None:
         """Takes a choice out that the others leave too little, curves among them."""
         s = self.scoring.tested(self.model.fit(choice), choice.candidate, choice.dependence)
-        if s.p_value > self.options.false_discovery or s.share < self.scoring.smallest_share(choice.candidate, choice):
+        if s.p_value > self.options.false_discovery or s.share < self.scoring.share_asked(s, choice):
             self.model.drop(choice)
 
     def _with_needed_form(self) -> bool:
@@ -251,5 +252,5 @@ class Search:
                     and likelier(self.model, refined[0], [present]) is not present:
                 s = refined[0]
                 better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share,
-                                asked=self.scoring.smallest_share(s.candidate, choice))
+                                asked=self.scoring.share_asked(s, choice))
                 self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy import optimize
@@ -77,12 +78,59 @@ class Scoring:
         return caution * (self.options.smallest_next if occupied else self.options.smallest)
 
     def is_large(self, s: Scored, replaced: Choice | None = None) -> bool:
-        """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel.
+        """Whether a candidate reduces enough, in the whole band or where nothing vibrates.
 
         Args:
             s: tested.
             replaced: the choice in whose place it would be taken, if there is one.
         """
+        return self._is_large_here(s, replaced) or self.share_slowly(s, replaced) > 0.0
+
+    def share_slowly(self, s: Scored, replaced: Choice | None = None) -> float:
+        """Share that a law of speed takes away in the lower half of the band; zero where that is not enough there.
+
+        Another cause sets elastic arms swinging, and that may be most of what a joint's residual is. Friction over
+        speed has next to nothing at those frequencies, so they say nothing of how much it explains.
+
+        Args:
+            s: tested in the whole band.
+            replaced: the choice in whose place it would be taken, if there is one.
+        """
+        if not s.candidate.effect.of_slow_motion or self.model.problem.band < 1.0 \
+                or s.p_value > self.options.learned_discovery:
+            return 0.0
+        slow, choices = self._in_slow_band, self.model.choices
+        prior = self.model.problem.prior
+        if prior is not None and slow.model.problem.prior is not prior:
+            slow.model.with_prior(prior)
+        if slow.model.choices != choices:
+            slow.model.replace(list(choices))
+        fit = slow.model.fit(*[c for c in choices if c.candidate.place == s.candidate.place or c is replaced])
+        if slow.plausible_gain(fit, s.candidate) is None:
+            return 0.0
+        found = slow.tested(fit, s.candidate)
+        certain = found.p_value < self.options.learned_discovery
+        return found.share if certain and slow._is_large_here(found, replaced) else 0.0
+
+    @cached_property
+    def _in_slow_band(self) -> Scoring:
+        return Scoring(PresentModel(self.model.problem.slow()), self.options.slow())
+
+    def share_asked(self, s: Scored, own: Choice | None = None) -> float:
+        """Share of the whole band's squares that is asked of a candidate which is large.
+
+        Args:
+            s: tested.
+            own: its choice, if it was taken.
+        """
+        asked, slowly = self.smallest_share(s.candidate, own), 0.0
+        if s.share < asked:
+            slowly = self.share_slowly(s, own)
+        # Of what vibrations hide, as much of what it takes away in the whole band as is asked of it in the lower half.
+        return asked if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s.candidate, own) / slowly
+
+    def _is_large_here(self, s: Scored, replaced: Choice | None) -> bool:
+        """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
         if s.share < self.smallest_share(s.candidate, replaced):
             return False
         columns = self.model.design.groups[s.candidate.key]

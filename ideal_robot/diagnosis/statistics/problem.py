@@ -140,7 +140,9 @@ class Problem:
         whole = Fit(design, [*keys, *extra], weights, self.prior)
         covariance = whole.covariance()
         variance = np.maximum(np.diag(covariance), 0.0)
-        sigma = np.sqrt(variance + whole.misfit_variance(self.regression.noise_floor) if misfit else variance)
+        # Of white noise a part of the band holds its share.
+        noise = np.sqrt(self.band) * self.regression.noise_floor
+        sigma = np.sqrt(variance + whole.misfit_variance(noise) if misfit else variance)
         std = np.split(sigma[: p + sum(sizes)], np.cumsum([p, *sizes])[:-1])[1:] if effects else []
         where = {key: p + sum(sizes) + i for i, key in enumerate(extra)}
         theta_std, step = ([np.array([0.0 if key is None else values[where[key]] for key in keys_of])

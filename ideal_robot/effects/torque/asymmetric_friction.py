@@ -20,6 +20,7 @@ class AsymmetricFriction(Effect):
     name = "asymmetric_friction"
     coefficient_names = ("half difference of viscous friction",)
     coefficient_units = ("N m s/rad",)
+    of_slow_motion = True
     source = "A. Janot, M. Gautier, M. Brunot, data set EMPS: friction of a worn ball screw"
 
     def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:

@@ -20,6 +20,7 @@ class Degressive(Effect):
     theta_names = ("a_4",)
     theta_units = ("s/rad",)
     coefficient_names = ("a_3",)
+    of_slow_motion = True
     standstill = 1
     discriminating_motion = (
         ("viscous", "constant-velocity runs over the whole range of speeds"),

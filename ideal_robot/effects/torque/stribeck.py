@@ -20,6 +20,7 @@ class Stribeck(Effect):
     theta_names = ("v_s",)
     theta_units = ("rad/s",)
     coefficient_names = ("excess at standstill",)
+    of_slow_motion = True
     standstill = -1
     discriminating_motion = (
         ("degressive", "constant-velocity runs at ten speeds, the slowest below 1 % of the highest"),
