@@ -22,6 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.fuzz.cases import MAKERS, drawn, sound
 from tests.fuzz.play import play, warm_up
 
+EACH = 1000
+"""Cases after which it is told how far the run has come."""
+
 
 def main() -> None:
     """Plays the cases and counts."""
@@ -61,12 +64,20 @@ def played(options: argparse.Namespace, folder: Path) -> bool:
             if one.broken is not None:
                 broken[one.broken] += 1
                 print(f"seed {seed}: {case.name}: {one.broken}", flush=True)
+            if sum(counts.values()) % EACH == 0:
+                print(told(counts, broken, options.first, longest, largest, start), flush=True)
     for name, count in sorted(counts.items()):
         print(f"{name:24s} {count:6d}  " + "  ".join(f"exit {code}: {n}" for (kind, code), n in sorted(codes.items())
                                                       if kind == name))
-    print(f"{sum(counts.values())} cases from seed {options.first}, {sum(broken.values())} broken promises; longest "
-          f"{longest:.1f} s, largest {largest / 1e9:.2f} GB")
+    print(told(counts, broken, options.first, longest, largest, start))
     return bool(broken)
+
+
+def told(counts: collections.Counter[str], broken: collections.Counter[str], first: int, longest: float, largest: int,
+         start: float) -> str:
+    """What was played since ``start`` (monotonic clock) [s] in a line: longest case [s], largest [bytes]."""
+    return (f"{sum(counts.values())} cases from seed {first}, {sum(broken.values())} broken promises; longest "
+            f"{longest:.1f} s, largest {largest / 1e9:.2f} GB; {(time.monotonic() - start) / 60.0:.0f} minutes")
 
 
 if __name__ == "__main__":

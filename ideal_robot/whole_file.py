@@ -75,13 +75,14 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
     """
     places = [None if path is None else Path(path) for path in paths]
     moves: list[tuple[Path, Path]] = []
+    made: list[Path] = []
     try:
         partials = []
         for place in places:
             if place is not None:
                 if is_device(place):
                     raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
-                place.parent.mkdir(parents=True, exist_ok=True)
+                made += make_folder(place.parent)
                 moves.append((partial_name(place), place))
             partials.append(None if place is None else moves[-1][0])
         yield partials
@@ -104,6 +105,7 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
         for partial, _ in moves:
             with suppress(OSError):  # a disk that has become read-only, of which is told already
                 partial.unlink(missing_ok=True)
+        remove_empty(made)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -126,6 +128,20 @@ def partial_name(path: Path) -> Path:
             if time.time() - old.stat().st_mtime > _ABANDONED:
                 shutil.rmtree(old) if old.is_dir() else old.unlink()
     return path.parent / f"{beginning}{secrets.token_hex(6)}{ending}"
+
+
+def make_folder(folder: Path) -> list[Path]:
+    """Makes a folder where it is missing; returns what was made, it and its missing parents, the innermost first."""
+    missing = [one for one in (folder, *folder.parents) if not one.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    return missing
+
+
+def remove_empty(folders: list[Path]) -> None:
+    """Removes those of the folders in which nothing lies, the first one first."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
 
 
 def synchronise(path: Path) -> None:

@@ -95,9 +95,12 @@ def main() -> None:
         warnings.simplefilter("ignore")
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    _register()
     try:
+        _register()
         app()
+    except KeyboardInterrupt:
+        # Before a verb has begun; within it typer answers the same.
+        sys.exit(130)
     except Exception as error:
         sys.exit(ended_by(error))
 

@@ -166,11 +166,20 @@ def _unpacked(one: DataSet, content: bytes, source: str) -> bytes:
         raise InputError(f"a broken zip ({error}); get it from {one.page}", file=source) from error
 
 
+def _arrays(content: bytes) -> dict[str, Any]:
+    """What a ``mat`` file holds; ValueError for whatever SciPy says of a broken one, which has no type in common."""
+    try:
+        found: dict[str, Any] = loadmat(io.BytesIO(content))
+    except Exception as error:
+        raise ValueError(f"{type(error).__name__}: {error}") from error
+    return found
+
+
 def _columns(one: DataSet, content: bytes, source: str) -> dict[str, Array]:
     """The file's columns with our names, time from 0, and the torques."""
     try:
         if one.format == "mat":
-            values: dict[str, Any] = loadmat(io.BytesIO(content))
+            values = _arrays(content)
             columns = {ours: np.asarray(values[theirs], dtype=float).ravel()
                        for ours, theirs in zip(one.columns, one.signals, strict=True)}
         else:

@@ -9,15 +9,19 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from ideal_robot.errors import InputError
-from ideal_robot.whole_file import OutputError, is_device, partial_name, synchronise
+from ideal_robot.whole_file import OutputError, is_device, make_folder, partial_name, remove_empty, synchronise
 
 _EXCHANGE = 2
 """``RENAME_EXCHANGE`` of renameat2(2)."""
 _TRIED = 4096
 """How much is written to find out whether there is room [bytes]; no report is smaller."""
+_Held = list[tuple[Path, Path, list[Path]]]
+"""New folders that are written, their places, and what was made of their parents."""
+_HELD: ContextVar[_Held | None] = ContextVar("folders that wait for other files", default=None)
 _TRIES = 100
 """How often a folder that other runs exchange meanwhile is looked at anew."""
 
@@ -56,6 +60,8 @@ def _check(path: Path, option: str, folder: bool) -> None:
     if is_device(path):
         raise InputError("is a device or a pipe; expected the name of a file", field=option, value=str(path))
     place = path if folder else path.parent
+    # Libraries and pages want text: no name that the system has, but UTF-8 has not.
+    str(path).encode()
     if not folder:
         os.fsencode(path.name)
         if len(os.fsencode(path.name)) > 255:
@@ -68,6 +74,32 @@ def _check(path: Path, option: str, folder: bool) -> None:
     with tempfile.NamedTemporaryFile(dir=place, prefix=".ideal-robot-") as tried:
         tried.write(bytes(_TRIED))
         tried.flush()
+
+
+@contextmanager
+def folders_held() -> Iterator[None]:
+    """Folders that ``whole_folder`` writes meanwhile take their places when the block ends, and not where it fails.
+
+    So a file that is written after a folder, in the block, is whole before the folder is there.
+
+    Raises:
+        OutputError: a folder cannot take its place.
+    """
+    held: _Held = []
+    token = _HELD.set(held)
+    try:
+        yield
+        for new, place, _ in held:
+            try:
+                _take_place(new, place)
+                synchronise(place.parent)
+            except OSError as error:
+                raise OutputError.of(place, error) from error
+    finally:
+        _HELD.reset(token)
+        for new, _, made in held:
+            shutil.rmtree(new, ignore_errors=True)
+            remove_empty(made)
 
 
 @contextmanager
@@ -84,16 +116,22 @@ def whole_folder(folder: Path) -> Iterator[Path]:
         OutputError: it cannot be written; ``folder`` is as it was.
     """
     new: Path | None = None
+    made: list[Path] = []
+    held = _HELD.get()
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
+        made = make_folder(folder.parent)
         place = folder.absolute()
         new = partial_name(place / place.name if _fixed(place) else place)
         new.mkdir()
         yield new
         for file in new.iterdir():
             synchronise(file)
-        _take_place(new, place)
-        synchronise(place.parent)
+        if held is None:
+            _take_place(new, place)
+            synchronise(place.parent)
+        else:
+            held.append((new, place, made))
+            new, made = None, []
     except OSError as error:
         raise OutputError.of(folder, error) from error
     except OutputError as error:
@@ -101,6 +139,7 @@ def whole_folder(folder: Path) -> Iterator[Path]:
     finally:
         if new is not None:
             shutil.rmtree(new, ignore_errors=True)
+        remove_empty(made)
 
 
 def _fixed(folder: Path) -> bool:

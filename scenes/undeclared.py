@@ -74,6 +74,7 @@ def effects_of_world(scene: Scene, n: int) -> tuple[tuple[str, int], ...]:
         InputError: a world that cannot be closed, which key and why.
     """
     default, file = World.default(scene.robot), scene.source
+    World.from_table(scene.robot, scene.arm_world, file)
     for key, value in scene.arm_world.items():
         if key in _REASONS and _differs(default, key, value):
             raise InputError(f"a world with this key cannot be closed: {_REASONS[key]}", file=file,

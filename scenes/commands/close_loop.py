@@ -28,7 +28,7 @@ def command(
     from scenes.commands.common import show_table
     from scenes.diagnosis.page import summary
     from scenes.options import chosen
-    from scenes.outputs import check_outputs
+    from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
     from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
@@ -37,10 +37,10 @@ def command(
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual)
     folder = out or Path("out") / loaded.name
     check_outputs({"--out": folder}, json=json)
-    with progress_bar(f"{loaded.name}") as progress:
+    with folders_held(), progress_bar(f"{loaded.name}") as progress:
         result = close_scene(loaded, measured=measured, out=folder, progress=progress)
-    if json is not None:
-        write_json(json, result.json())
+        if json is not None:
+            write_json(json, result.json())
     if rows := result.ladder():
         show_table("what was tried", ["round", "change of the model", "stays", result.tried_by, "why not"], rows)
     show_table("before and after", list(result.columns), result.table())

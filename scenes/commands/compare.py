@@ -28,7 +28,7 @@ def command(
     from scenes.commands.common import show_table
     from scenes.kind import kind_of
     from scenes.options import chosen
-    from scenes.outputs import check_outputs
+    from scenes.outputs import check_outputs, folders_held
     from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
@@ -37,10 +37,10 @@ def command(
                     world=world)
     folder = out or Path("out") / f"compare_{loaded.name}"
     check_outputs({"--out": folder}, json=json)
-    with progress_bar(f"{loaded.name}") as progress:
+    with folders_held(), progress_bar(f"{loaded.name}") as progress:
         result = kind_of(loaded).compare(loaded, out=folder, progress=progress)
-    if json is not None:
-        write_json(json, result.json())
+        if json is not None:
+            write_json(json, result.json())
     columns, rows = result.table()
     show_table(f"{loaded.title}", columns, rows)
     if result.report is not None:

@@ -38,7 +38,7 @@ def command(
     from ideal_robot.robots.robot import Robot
     from scenes.commands.common import show_table
     from scenes.identification.plan import plan, play_plan
-    from scenes.outputs import check_outputs, whole_folder
+    from scenes.outputs import check_outputs, folders_held, whole_folder
     from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
 
@@ -53,13 +53,14 @@ def command(
         content = planned.json()
         recording = play_plan(planned, arm, seed,
                               lambda share: progress(0.2 + 0.8 * share, "playing")) if play else None
-        with whole_folder(out) as new:
-            files = [out / file.name for file in planned.write(new)]
-            if recording is not None:
-                files.append(out / recording.write(new / "recording.parquet").name)
-                content["recording"] = str(files[-1])
-    if json is not None:
-        write_json(json, content)
+        with folders_held():
+            with whole_folder(out) as new:
+                files = [out / file.name for file in planned.write(new)]
+                if recording is not None:
+                    files.append(out / recording.write(new / "recording.parquet").name)
+                    content["recording"] = str(files[-1])
+            if json is not None:
+                write_json(json, content)
     show_table(f"identification motion of {arm.name}", ["figure", "value"],
                [[key, value] for key, value in content.items() if isinstance(value, (int, float, str))])
     for path in files:

@@ -32,13 +32,14 @@ def command(
     Example: `ideal-robot run line --tolerance 0.2mm`
     """
     from ideal_robot.errors import InputError
+    from ideal_robot.whole_file import whole_files
     from scenes.commands.common import closed, length
     from scenes.kind import kind_of
     from scenes.line.fastest import fastest
     from scenes.line.result import LineResult
     from scenes.line.scene import LineScene
     from scenes.options import chosen
-    from scenes.outputs import check_outputs
+    from scenes.outputs import check_outputs, folders_held
     from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.report.video import check_video, write_video
@@ -59,7 +60,7 @@ def command(
         check_video(video)
         if kind.replay is None:
             raise InputError(f"scenes of kind {loaded.kind} have nothing that moves", field="--video", value=str(video))
-    with progress_bar(f"{loaded.name}") as progress:
+    with folders_held(), progress_bar(f"{loaded.name}") as progress:
         found = None
         if allowed is not None and isinstance(loaded, LineScene):
             found = fastest(loaded, allowed, method=method, progress=part_of(progress, 0.0, 0.5))
@@ -67,10 +68,11 @@ def command(
         played = part_of(progress, 0.0, 1.0 if video is None else 0.5)
         result = kind.run(loaded, method=method, out=folder, progress=played)
         replay = None if video is None or kind.replay is None else kind.replay(result)
-        if video is not None and replay is not None:
-            write_video(replay, video, progress=part_of(progress, 0.5, 0.5))
-    if json is not None:
-        write_json(json, {**result.json(), **({} if found is None else {"fastest": found.json()})})
+        with whole_files(video, json) as (film, figures):
+            if replay is not None:
+                write_video(replay, film, progress=part_of(progress, 0.5, 0.5))
+            if figures is not None:
+                write_json(figures, {**result.json(), **({} if found is None else {"fastest": found.json()})})
     if found is not None and isinstance(result, LineResult):
         typer.echo(f"fastest speed within {1e3 * found.tolerance:g} mm: {found.speed:.2f} m/s; 95 % predicted "
                    f"{1e3 * found.predicted:.3f} mm, reached {1e3 * result.control_error.p95:.3f} mm")

@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from ideal_robot.whole_file import OutputError, write_text
+from ideal_robot.whole_file import OutputError, make_folder, remove_empty, write_text
 
 ROWS, META = "journal.rows", "journal.json"
 _QUANTITIES = ("q_d", "q_c", "q", "tau")
@@ -34,7 +34,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path, robot: Robot, meta: dict[str, Any]) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
+        self._made = make_folder(folder)
         self._folder, self._robot = folder, robot
         meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
                 "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta}
@@ -76,8 +76,11 @@ class Journal:
         return _recording(values.reshape(-1, len(self._row)), dict(self._meta))
 
     def close(self) -> None:
-        """No more rows; the file stays."""
+        """No more rows; the file stays, unless there is none in it: a run to which no arm came leaves nothing."""
         self._file.close()
+        if not self._rows:
+            remove(self._folder)
+            remove_empty(self._made)
 
 
 def lies_there(folder: Path) -> bool:

@@ -18,12 +18,14 @@ class Case:
         words: of the command line.
         files: name → bytes, in the working folder.
         must_fail: whether exit code 0 would be wrong: a required column is lost.
+        interrupted: time by the clock after which Ctrl-C is pressed [s]; None for never.
     """
 
     name: str
     words: list[str]
     files: dict[str, bytes] = field(default_factory=dict)
     must_fail: bool = False
+    interrupted: float | None = None
 
 
 Maker = Callable[[np.random.Generator, Path], Case]

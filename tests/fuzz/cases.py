@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz import mutate_table, mutate_text, originals, set_key
+from tests.fuzz import closing_cases, device_cases, mutate_table, mutate_text, originals, set_key
 from tests.fuzz.case import Case, Maker
+from tests.fuzz.closing_cases import CLOSING
+from tests.fuzz.device_cases import DEVICES
 from tests.fuzz.further_cases import FURTHER
+from tests.fuzz.option_cases import OPTIONS
 
 ARM = ("arm.urdf", "arm.toml")
 QUESTIONS = (b'{"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2", "indistinguishable_from": '
@@ -175,7 +178,7 @@ MAKERS: dict[str, tuple[Maker, float]] = {
     "rsi": (_rsi, 1.0), "rsi_arm": (_rsi_arm, 1.0), "plan": (_plan, 1.0), "questions": (_questions, 1.0),
     "scene": (_scene, 4.0), "scenes": (_view, 1.0), "words": (_words, 2.0), "diagnose": (_diagnose, 1.0),
     "diagnose_model": (_diagnose_model, 1.0), "key": (_key, 3.0),
-    "model_value": (_model_value, 2.0), **FURTHER,
+    "model_value": (_model_value, 2.0), **FURTHER, **CLOSING, **DEVICES, **OPTIONS,
 }
 """Kinds of cases: what makes one, and how often it is drawn in comparison."""
 
@@ -218,4 +221,5 @@ def sound(folder: Path) -> list[Case]:
              arm),
         *(Case(f"run {kind}", ["run", "s.toml", "--out", "o", "--json", "j.json"], {"s.toml": text})
           for kind, text in originals.SCENES.items()),
+        *closing_cases.sound(), *device_cases.sound(),
     ]

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import patch
 
 from tests.fuzz.case import Case
 
@@ -25,6 +26,8 @@ PATIENCE = 5.0
 """How many times as long by the clock, where other processes share the cores; what takes longer hangs."""
 BYTES = 2 * 1024**3
 """Memory a case may take beside what the loaded program maps [bytes]."""
+CACHE = "IDEAL_ROBOT_CACHE"
+"""Environment variable of the folder of prepared models; a case has its own."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,8 @@ def warm_up(cases: Sequence[Case] = ()) -> None:
     scenes.cli._register()
     home, arguments = Path.cwd(), sys.argv
     for case in cases:
-        with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, open(os.devnull, "w") as nowhere:
+        with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, open(os.devnull, "w") as nowhere, \
+                patch.dict(os.environ, {CACHE: "kept"}):
             _write(case, Path(folder))
             os.chdir(folder)
             sys.argv = ["ideal-robot", *case.words]
@@ -95,6 +99,7 @@ def play(case: Case, seconds: float = SECONDS) -> Played:
 
 def _write(case: Case, folder: Path) -> None:
     for name, raw in case.files.items():
+        (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(raw)
 
 
@@ -104,13 +109,16 @@ def _forked(case: Case, folder: Path, seconds: float) -> tuple[int, int, float]:
     child = os.fork()
     if child == 0:
         _child(case, folder, seconds)
-    deadline = time.monotonic() + PATIENCE * seconds
+    begun, pressed = time.monotonic(), False
     while True:
         done, status, usage = os.wait4(child, os.WNOHANG)
         if done:
             used = usage.ru_utime + usage.ru_stime
             return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss, used
-        if time.monotonic() > deadline:
+        if case.interrupted is not None and not pressed and time.monotonic() > begun + case.interrupted:
+            os.kill(child, signal.SIGINT)
+            pressed = True
+        if time.monotonic() > begun + PATIENCE * seconds:
             os.killpg(child, signal.SIGKILL)
             _, status, usage = os.wait4(child, 0)
             return os.waitstatus_to_exitcode(status), 1024 * usage.ru_maxrss, math.inf
@@ -129,7 +137,7 @@ def _child(case: Case, folder: Path, seconds: float) -> None:
         mapped = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (mapped + BYTES, mapped + BYTES))
         resource.setrlimit(resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds) + 2))
-        os.environ["IDEAL_ROBOT_DEBUG"] = "1"
+        os.environ |= {"IDEAL_ROBOT_DEBUG": "1", CACHE: "kept"}
         sys.argv = ["ideal-robot", *case.words]
         import scenes.cli
 
@@ -171,7 +179,7 @@ def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: st
         places = re.findall(r'File "[^"]*/((?:ideal_robot|scenes|sensing|planning|sim)/[^"]*)", line (\d+)', err)
         last = [line for line in err.strip().splitlines() if line.strip()][-1]
         return f"traceback at {':'.join(places[-1]) if places else '?'}: {last[:160]}"
-    if code not in (0, 1, 2):
+    if code not in (0, 1, 2) and not (case.interrupted and code == 130):
         return f"exit code {code}"
     if code == 0 and case.must_fail:
         return "exit code 0 without a required column"
@@ -180,7 +188,11 @@ def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: st
     lines = [line for line in err.splitlines() if line.strip()]
     if code == 2 and "Usage:" not in err and len(lines) != 1:
         return f"{len(lines)} lines on standard error"
-    left = {path.name for path in folder.iterdir()} - set(case.files) - {".out", ".err"}
+    left = {path.name for path in folder.iterdir()} - {Path(name).parts[0] for name in case.files} \
+        - {".out", ".err"}
+    if code and "kept" in left and list((folder / "kept").glob("*.json")):
+        # A model that was prepared is not lost with the scene for which it was.
+        left.remove("kept")
     if code == 1 and "j.json" in left and left <= {"j.json", "o", "t.csv"} and _says_why(folder / "j.json"):
         return None
     if code and left:

@@ -9,7 +9,9 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -19,8 +21,8 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
 from scenes.cli import main
-from scenes.outputs import check_outputs, whole_folder
-from tests.fuzz import mutate_table, originals
+from scenes.outputs import check_outputs, folders_held, whole_folder
+from tests.fuzz import closing_cases, mutate_table, originals
 
 WRITER = """
 import sys
@@ -244,6 +246,62 @@ def test_a_recording_is_written_by_its_ending_and_read_again_the_same(ending: st
     if ending == "csv":
         assert pd.read_csv(path).shape == (50, 3)
     assert Recording.read(path).hash == recording.hash
+
+
+@pytest.mark.parametrize("failing", [False, True])
+def test_a_folder_waits_for_the_file_that_is_written_after_it(failing: bool, tmp_path: Path) -> None:
+    folder = tmp_path / "deep" / "run"
+    with suppress(KeyError), folders_held():
+        with whole_folder(folder) as new:
+            (new / "a").write_text("new")
+        assert not folder.exists()
+        if failing:
+            raise KeyError
+    assert folder.exists() != failing
+    assert _visible(tmp_path) == ([] if failing else ["deep"])
+
+
+def test_folders_that_were_made_for_a_result_go_with_it(tmp_path: Path) -> None:
+    for write in (whole_file, whole_folder):
+        with suppress(KeyError), write(tmp_path / "kept" / "models" / "m"):
+            raise KeyError
+        assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("place", ["a\udcffb", "a\udcffb/c"])
+def test_a_name_that_is_no_text_is_refused_before_work_begins(place: str, tmp_path: Path) -> None:
+    for folders, file in (({"--out": tmp_path / place}, None), ({}, tmp_path / place)):
+        with pytest.raises(InputError, match="cannot be written"):
+            check_outputs(folders, json=file)
+
+
+@pytest.mark.parametrize("verb", ["run", "compare", "close-loop", "plan-identification"])
+def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, tmp_path: Path,
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the file of figures, which is written last, the folder knew nothing: it was the new one already."""
+    originals.arm(tmp_path)
+    (tmp_path / "path.toml").write_bytes(originals.PATH)
+    (tmp_path / "clamped.toml").write_bytes(originals.CLAMPED)
+    (tmp_path / "close.toml").write_bytes(closing_cases.CLOSE_CLAMPED)
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "report.html").write_text("previous")
+    words = {"run": ["path.toml"], "compare": ["clamped.toml"], "close-loop": ["close.toml"],
+             "plan-identification": ["--urdf", "arm.urdf", "--period", "2", "--z-min", "-5"]}[verb]
+    before = sorted(tmp_path.rglob("*"))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ideal-robot", verb, *words, "--out", "o", "--json", "j.json"])
+    monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
+
+    def full(path: Path, content: dict[str, Any]) -> None:
+        if path.name != "report.json":
+            raise OutputError("j.json: cannot be written (No space left on device)")
+
+    monkeypatch.setattr("scenes.report.page.write_json", full)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert sorted(tmp_path.rglob("*")) == before
+    assert (tmp_path / "o" / "report.html").read_text() == "previous"
 
 
 @pytest.mark.parametrize("verb", ["identify", "run"])

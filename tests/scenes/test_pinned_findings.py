@@ -16,11 +16,15 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
+from scenes import cli
 from scenes.cycle import CycleLog, CycleSettings, play_cycles
+from scenes.data_sets import fetch
 from scenes.detection.sources import pictures
 from scenes.model_files import model_at
 from scenes.result import silent
 from scenes.scene_file import load_scene
+from scenes.undeclared import undeclared_effects
+from tests.fuzz import originals
 
 LONG = "x" * 300
 
@@ -111,3 +115,28 @@ def test_a_plan_of_numbers_that_are_none_ends_in_a_stop_on_the_path() -> None:
 def test_a_rate_of_as_good_as_nothing_is_refused(scene: str, table: str) -> None:
     with pytest.raises(InputError, match=f"{table}.rate"):
         load_scene(scene).changed(**{table: {"rate": 1e-320}})
+
+
+def test_a_world_that_cannot_be_is_refused_before_it_is_compared_with_the_model(tmp_path: Path) -> None:
+    place = tmp_path / "s.toml"
+    place.write_bytes(originals.PATH + b'[world]\nstiffness = "/dev/zero"\n')
+    with pytest.raises(InputError, match="stiffness"):
+        undeclared_effects(load_scene(place), 6)
+
+
+def test_an_interrupt_before_a_verb_has_begun_ends_without_a_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted() -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "_register", interrupted)
+    monkeypatch.setattr(cli.signal, "signal", lambda number, handler: None)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 130
+
+
+def test_a_matlab_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
+    place = tmp_path / "emps.mat"
+    place.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\x00\x00\x00\xff\x00\x00\x00")
+    with pytest.raises(InputError, match="not readable as mat"):
+        fetch("emps", tmp_path, file=place)

@@ -189,6 +189,11 @@ def test_rows_that_a_full_disk_takes_in_part_are_missing_and_spoil_no_other(tmp_
     assert arm.controller_time == found.t[-1]
 
 
+def test_a_run_to_which_no_arm_came_leaves_nothing(tmp_path: Path) -> None:
+    Journal(tmp_path / "deep" / "run", Tame().robot, {}).close()
+    assert list(tmp_path.iterdir()) == []
+
+
 class Handmade:
     """A ``WrenchSource`` that gives what it is handed."""
 
