@@ -163,7 +163,7 @@ def test_a_stream_of_another_clock_is_translated_without_any_delay_given() -> No
         camera.close()
     assert (camera.width, camera.height, camera.rate) == (64, 48, 50.0)
     assert len(ages) > 30
-    # A busy machine lets single fields wait, and the first questions to the clock; the soonest of the later ones tell it.
+    # A busy machine lets single fields wait, and the first questions to the clock; the soonest of the later ones tell.
     assert min(ages[len(ages) // 2:]) == pytest.approx(0.040, abs=0.003)
 
 
