@@ -19,6 +19,8 @@ from scenes.view.viewer import GHOST, Viewer
 
 SILENT = 1.0
 """Time without a new cycle after which the page says so [s]."""
+_SHORTEST = 1e-4
+"""No interpolation cycle is shorter [s]."""
 _RECENT = 5000
 """Cycles that are read: of a long run the last ones."""
 _SHOWN = 400
@@ -54,6 +56,9 @@ class LiveView:
             if size != self._size and count:
                 begun = float(journal_rows(self._folder, 0, 1)[0][0, 1])
                 rows, meta = journal_rows(self._folder, max(count - _RECENT, 0))
+                period = float(meta["cycle_time"])
+                if rows.shape[1] != 2 + 4 * self.viewer.robot.n or not _SHORTEST <= period <= SILENT:
+                    raise ValueError("the journal of another arm, or none")
         except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
             self._ended()
             return
@@ -65,11 +70,11 @@ class LiveView:
             return
         self._size, self._grown = size, time.monotonic()
         if count:
-            self._show(rows, meta, count, begun)
+            self._show(rows, meta, period, count, begun)
 
-    def _show(self, rows: Array, meta: dict[str, Any], count: int, begun: float) -> None:
-        """The last rows of a run of ``count`` cycles that began at ``begun`` [s]."""
-        n, T = self.viewer.robot.n, float(meta["cycle_time"])
+    def _show(self, rows: Array, meta: dict[str, Any], T: float, count: int, begun: float) -> None:
+        """The last rows of a run of ``count`` cycles of ``T`` [s] that began at ``begun`` [s]."""
+        n = self.viewer.robot.n
         q_d, q_c, q = (rows[:, 2 + i * n : 2 + (i + 1) * n] for i in range(3))
         self.viewer.show(q[-1])
         self.viewer.show(q_c[-1], GHOST)

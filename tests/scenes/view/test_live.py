@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -49,6 +50,23 @@ def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> N
             {"scene": "seam", "method": "ideal", "failure": "stopped by the user", "cycles": 140, "report": "r.html"}))
         page.update()
         assert "stopped by the user" in page.state
+    finally:
+        page.viewer.server.stop()
+
+
+@pytest.mark.parametrize("change", [{"cycle_time": {"a": 1}}, {"cycle_time": 1e-320}, {"cycle_time": 0},
+                                    {"gain": [1.0] * 3}])
+def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any], tmp_path: Path) -> None:
+    from scenes.view.live import watch
+
+    journal = Journal(tmp_path, ROBOT, {"scene": "seam", "method": "ideal"})
+    ran(journal, range(100))
+    meta = json.loads((tmp_path / "journal.json").read_text())
+    (tmp_path / "journal.json").write_text(json.dumps({**meta, **change}))
+    page = watch(ROBOT, tmp_path, 8092, {})
+    try:
+        page.update()
+        assert "waiting" in page.state
     finally:
         page.viewer.server.stop()
 
