@@ -23,6 +23,7 @@ from ideal_robot.diagnosis.search.comparison import (
     rivals_of,
 )
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
+from ideal_robot.diagnosis.search.one_sided_pull import OneSidedPull
 from ideal_robot.diagnosis.search.pool import candidates
 from ideal_robot.diagnosis.search.present_model import PresentModel
 from ideal_robot.diagnosis.search.scoring import Scoring
@@ -86,7 +87,7 @@ class Search:
             self.progress(round_ / (round_ + 4.0), f"round {round_ + 1}")
             choice = self._next()
             if choice is None:
-                if not self._with_needed_form():
+                if not self._with_needed_form() and not self._without_a_law_like_a_pull():
                     break
                 continue
             self.model.take(choice)
@@ -217,6 +218,40 @@ class Search:
                     self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
                     return True
         return False
+
+    def _without_a_law_like_a_pull(self) -> bool:
+        """Takes out a law that bends to nearly any curve where a pull on one side of an angle says as much.
+
+        A hose that is slack up to some angle has as many numbers, and what of it gravity's parameters leave bends as
+        such a law does. Of the two the one holds that takes away more of the blocks left out, with everything else
+        in the model. Where that is the pull, the law is not tried again, a curve over the angle takes its place if it
+        is needed, and what came beside it at its joint is looked for anew.
+
+        Returns:
+            Whether any was taken out.
+        """
+        for choice in self.model.choices:
+            law = choice.candidate
+            if not law.effect.flexible or self._exceeds_any_pull(choice):
+                continue
+            self.pool = [starts for starts in self.pool
+                         if (starts[0].effect.key, starts[0].joint) != (law.effect.key, law.joint)]
+            self.model.replace([c for c in self.model.choices if c.candidate.joint != law.joint])
+            curve = self.curves.over_angle(self.model.fit(), law.joint)
+            if curve is not None:
+                self.model.take(curve)
+            return True
+        return False
+
+    def _exceeds_any_pull(self, choice: Choice) -> bool:
+        """Whether a law takes away more than the one-sided pull that explains most in its place."""
+        joint, fit = choice.candidate.joint, self.model.fit(choice)
+        pulls = [[Candidate(pull, joint, theta) for theta in pull.starts(self.scoring.signals, joint)]
+                 for pull in (OneSidedPull(1.0), OneSidedPull(-1.0))]
+        laws = [starts for starts in self.pool if starts[0].place == choice.candidate.place]
+        tried, own = ([self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)] for pool in (pulls, laws))
+        law = max([self.scoring.tested(fit, choice.candidate), *own], key=lambda s: s.test.total)
+        return all(law.test.total > s.test.total for s in tried)
 
     def _retune(self, newest: Candidate) -> None:
         """Theta of each effect once more, where the newest acts on the same channels: they were found without it.

@@ -56,6 +56,32 @@ class LearnedCurves:
         s = max(scored, key=lambda s: s.test.total)
         if best is not None and best.candidate.effect.flexible and not self._refutes(s, best.candidate):
             return None
+        return self._chosen(s)
+
+    def over_angle(self, fit: Fit, joint: int) -> Choice | None:
+        """The curve over a joint's own angle, if blocks left out need it.
+
+        For a torque that a law of that angle explained: in what parameters leave of it, once they take what they can,
+        the angle need not stand out before the curve is fitted together with them.
+
+        Args:
+            fit: of the present model.
+            joint: from 1.
+        """
+        residual, problem = self.model.residual(fit)[:, joint - 1], self.model.problem
+        selecting = problem.blocks.selecting[problem.blocks.of_samples()]
+        use = problem.products.use[:, joint - 1] & selecting
+        curves = [term for term in self._terms(joint - 1, False)
+                  if term.depends_on == (f"q_{joint}",) and not term.directed]
+        scored = []
+        for term in curves:
+            candidate = Candidate(term, joint, (), len(curves))
+            self.model.add_columns(candidate)
+            scored.append(self.scoring.tested(fit, candidate, self.dependence.test(residual, use, joint - 1, term)))
+        scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)]
+        return self._chosen(max(scored, key=lambda s: s.test.total)) if scored else None
+
+    def _chosen(self, s: Scored) -> Choice:
         return Choice(s.candidate, s.p_value, (), s.share, s.dependence, self.scoring.smallest_share(s.candidate))
 
     def _margin(self, best: Choice) -> float:

@@ -11,10 +11,11 @@ from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Search
+from ideal_robot.diagnosis.search.one_sided_pull import OneSidedPull
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.effects import MOTOR_TORQUE, library
+from ideal_robot.effects import MOTOR_TORQUE, Signals, library
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
@@ -72,6 +73,38 @@ def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):
     problem = problem_with(tmp_path, lambda q: 4.0 * np.maximum(q - 0.3, 0.0))
     found = searched(problem)
     assert [c.candidate.effect.learned for c in found] == [True]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("start", [(), (BALANCER,)], ids=["nothing", "balancer"])
+def test_a_hose_that_is_slack_up_to_an_angle_is_no_balancer(tmp_path, side, start):
+    def hose(q):
+        x = np.maximum(side * (q - 0.2), 0.0)
+        return 3.0 * side * (x + 2.0 * x**2)
+
+    problem = problem_with(tmp_path, hose)
+    found = searched(problem, *start)
+    assert [c.candidate.effect.learned for c in found] == [True]
+    assert found[0].candidate.effect.depends_on == ("q_1",)
+
+
+@pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
+def test_a_weak_balancer_is_not_taken_for_a_pull(tmp_path, phi):
+    problem = problem_with(tmp_path, lambda q: balancer(q, 5.0, phi, 0.4))
+    assert [c.candidate.effect.name for c in searched(problem)] == ["gravity_spring"]
+
+
+def test_a_pull_is_slack_up_to_its_angle_and_pulls_back_beyond_it():
+    q = np.linspace(-1.0, 1.0, 201)[:, None]
+    signals = Signals(np.arange(201.0), q, 0.0 * q, 0.0 * q, 0.0 * q, 0.0 * q, 0.0 * q)
+    for side in (1.0, -1.0):
+        pull = OneSidedPull(side)
+        torque = pull.columns(signals, 1, (0.2 * side,))[:, 0] @ np.array([2.0, 1.0, 0.5])
+        slack = side * q[:, 0] <= 0.2
+        assert not torque[slack].any()
+        assert (side * torque[~slack] > 0.0).all()
+        assert pull.plausible(np.array([2.0, 1.0, 0.5]), (0.2 * side,), signals, 1)
+        assert not pull.plausible(np.array([-2.0, -1.0, -0.5]), (0.2 * side,), signals, 1)
 
 
 def test_over_little_of_a_turn_a_balancer_is_gravity_and_a_cable():
