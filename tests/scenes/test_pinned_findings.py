@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ from scenes.model_files import model_at
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.undeclared import undeclared_effects
-from tests.fuzz import originals
+from tests.fuzz import mutate_table, originals
 
 LONG = "x" * 300
 
@@ -140,3 +141,21 @@ def test_a_matlab_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     place.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\x00\x00\x00\xff\x00\x00\x00")
     with pytest.raises(InputError, match="not readable as mat"):
         fetch("emps", tmp_path, file=place)
+
+
+def test_of_an_only_joint_no_cause_with_a_partner_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    t = 0.01 * np.arange(300)
+    columns = {name: np.sin(3.0 * t) + 0.2 * np.sin(17.0 * t) for name in ("q_1", "q_c_1", "tau_1")}
+    (tmp_path / "r.csv").write_bytes(mutate_table._csv({"t": t, **columns}))
+    links, _, rest = originals.URDF.partition(b'<link name="lower"')
+    joint = rest[rest.index(b'<joint name="first"') : rest.index(b'<joint name="second"')]
+    (tmp_path / "arm.urdf").write_bytes(links + joint + b"</robot>")
+    (tmp_path / "d.json").write_text('{"effects": [], "undecided": [{"joint": 1, "reason": "rests"}]}')
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("IDEAL_ROBOT_DEBUG", "1")
+    monkeypatch.setattr(sys, "argv", ["ideal-robot", "plan-diagnosis", "r.csv", "--urdf", "arm.urdf", "--result",
+                                      "d.json", "--length", "4", "--z-min", "-5", "--out", "m.csv"])
+    monkeypatch.setattr(cli.signal, "signal", lambda number, handler: None)
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code in (0, 2)

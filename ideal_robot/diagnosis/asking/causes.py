@@ -127,6 +127,8 @@ def undecided_joints(problem: Problem, robot: Robot, joints: Sequence[int]) -> l
             if joint not in set(effect.joints(signals)):
                 continue
             starts = effect.starts(signals, joint)
+            if not starts:
+                continue  # of a partner axis where there is no other joint
             theta = starts[len(starts) // 2]
             cause = Cause(Candidate(effect, joint, theta), np.ones(len(effect.coefficient_names)), (theta,))
             asked.append(Asked(MOTOR_TORQUE, Pair(cause, None, (), 1.0 / level**2, 1.0, None), joint))
