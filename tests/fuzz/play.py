@@ -130,6 +130,8 @@ def _child(case: Case, folder: Path, seconds: float) -> None:
     try:
         os.setsid()
         os.chdir(folder)
+        # A shell that starts the whole in the background has it ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         for number, name in ((1, ".out"), (2, ".err")):
             os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
         # Not those of who watches the tests.
