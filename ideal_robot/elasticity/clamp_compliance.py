@@ -34,9 +34,12 @@ def without_clamp_give(signals: Sequence[ClampedSignals], robot: Robot) -> tuple
         robot: geometry.
 
     Raises:
-        InputError: a wrench component is missing, or too few samples under load.
+        InputError: not six joints, a wrench component is missing, or too few samples under load.
     """
     n = robot.n
+    if n != 6:
+        raise InputError("the give of clamp and links is told apart from that of six joints only; leave --clamp out",
+                         field="robot", value=f"{robot.name}, {n} joints")
     blocks = [_block(one, robot) for one in signals]
     weight = np.ones(n)
     for _ in range(3):

@@ -104,7 +104,7 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         robot: geometry and data-sheet drive gains.
         method: ``motor``, ``wrench`` or ``both``.
         clamp: estimate the give of clamp and links, too; None: where the recordings allow it (two or more clamped
-            configurations with all six wrench components).
+            configurations with all six wrench components, of an arm of six joints).
         drive_gain: relative standard deviation of the data sheet's drive gains.
 
     Raises:
@@ -121,7 +121,7 @@ def analyse_stiffness(recordings: Recording | Sequence[Recording], robot: Robot,
         # Both where both are recorded: a robot without a force sensor still gets its stiffnesses.
         wanted = [one for one in wanted if all(_allows(signal, one) for signal in signals)]
     if clamp is None:
-        clamp = len(signals) > 1 and all(len(signal.measured) == 6 for signal in signals)
+        clamp = robot.n == 6 and len(signals) > 1 and all(len(signal.measured) == 6 for signal in signals)
     joints: list[JointStiffness] = []
     if signals and not wanted:
         raise InputError("the recordings share no method: some lack currents, others the wrench", field="recordings")

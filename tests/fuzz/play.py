@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
@@ -172,6 +173,12 @@ def _says_why(figures: Path) -> bool:
     return bool(found.get("failure"))
 
 
+def _rows_say_why(table: Path) -> bool:
+    """Whether each run of a sweep's table failed and says why."""
+    with table.open(encoding="utf-8", newline="") as file:
+        return all(row["failure"] for row in csv.DictReader(file))
+
+
 def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: str, seconds: float) -> str | None:
     if code < 0:
         return "over time" if took >= 0.98 * seconds else f"killed by signal {-code}"
@@ -197,6 +204,9 @@ def _broken(case: Case, folder: Path, code: int, took: float, peak: int, err: st
         left.remove("kept")
     if code == 1 and "j.json" in left and left <= {"j.json", "o", "t.csv"} and _says_why(folder / "j.json"):
         return None
+    if code == 1 and case.words[0] == "sweep" and "--csv" in case.words:
+        table = folder / case.words[case.words.index("--csv") + 1]
+        left -= {table.name} if table.is_file() and _rows_say_why(table) else set()
     if code and left:
         return f"left {', '.join(sorted(left))} after a failure"
     if any(name.startswith(".") for name in left):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
+from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import design_excitation
 from ideal_robot.model.model import Model
@@ -159,3 +160,13 @@ def test_of_an_only_joint_no_cause_with_a_partner_is_asked(tmp_path: Path, monke
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code in (0, 2)
+
+
+def test_the_give_of_a_clamp_is_asked_of_six_joints_only(tmp_path: Path) -> None:
+    """By default it is left out where it cannot be told apart; asked for, it is refused."""
+    arm = originals.arm(tmp_path)
+    pushed = [Recording(originals.pushes(tmp_path)) for _ in range(2)]
+    found = analyse_stiffness(pushed, arm)
+    assert {one.joint for one in found.joints} <= {1, 2}
+    with pytest.raises(InputError, match="six joints"):
+        analyse_stiffness(pushed, arm, clamp=True)
