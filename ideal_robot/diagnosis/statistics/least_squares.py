@@ -187,12 +187,9 @@ class Fit:
         return max(float(np.median(np.diag(self.covariance()) / np.maximum(np.diag(self.inverse), 1e-300))), 1.0)
 
     def p_value(self, key: str) -> float:
-        """Of one more group that the prior may absorb, by the likelihood ratio in sample.
-
-        Columns that show nothing of their own, as moments about axes that a body never turns about, are no freedom.
-        """
+        """Of one more group that the prior may absorb, by the likelihood ratio in sample."""
         gain, coefficients = self.gain(key)
-        return float(stats.chi2.sf(gain / self.inflation, max(np.count_nonzero(coefficients), 1)))
+        return float(stats.chi2.sf(gain / self.inflation, len(coefficients)))
 
     def share_with_prior(self, key: str) -> float:
         """Share that one more group takes away, in sample, of the squares of the residual and of the prior together.

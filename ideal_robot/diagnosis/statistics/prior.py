@@ -9,9 +9,6 @@ from ideal_robot.diagnosis.statistics.least_squares import Fit, weights_of_chann
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.model.model import Model
 
-_ROUNDING = 1e-18
-"""Squares of a parameter's derivative over the largest below which it is rounding."""
-
 
 def prior_precision(model: Model, problem: Problem) -> Array:
     """Precision of the model's parameters ``(P, P)``, in the units of the weighted squares.
@@ -31,16 +28,14 @@ def prior_precision(model: Model, problem: Problem) -> Array:
 def prior_covariance(model: Model, problem: Problem) -> Array:
     """Covariance of the model's parameters ``(P, P)``.
 
-    The model's own, never taken for better than two percent of a friction coefficient or, of all parameters of a torque
-    together, than what moves it by a five-hundredth of its size.
+    The model's own, never taken for better than two percent of a friction coefficient or, of any parameter, than what
+    moves a torque by a five-hundredth of its size.
     """
     products = problem.products
     squares = np.einsum("bcii->ci", problem.design().cross("W", "W")[problem.blocks.selecting])
     torque = (problem.regression.measured**2 * products.use).sum(axis=0)
-    # Forty parameters, each free to move a torque by as much, would leave six times as much of it open.
-    together = np.count_nonzero(squares > _ROUNDING * squares.max(axis=1, keepdims=True), axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        moves = 0.002 * np.sqrt(torque[:, None] / (squares * together[:, None]))
+        moves = 0.002 * np.sqrt(torque[:, None] / squares)
         visible = np.min(np.where(squares > 0, moves, np.inf), axis=0)
     # Friction changes from day to day, bodies do not.
     friction = np.abs(np.concatenate([np.concatenate([law.coefficients[:, 0] for law in model.friction.laws]),

@@ -108,7 +108,6 @@ def test_a_lag_that_differs_from_none_by_less_than_two_deviations_is_none() -> N
     pytest.param(738099, id="a surplus of friction that is flat at standstill is no curve nobody knows the cause of"),
     pytest.param(738139, id="what slow motion does not say as well is no arm that swings behind its gear"),
     pytest.param(740295, id="friction over speed is found where another cause sets the arm swinging"),
-    pytest.param(740094, marks=pytest.mark.slow, id="what forty parameters leave open hides no payload"),
     pytest.param(721023, id="an inner link whose inertia alone is another is no load beside elastic gears"),
 ])
 def test_what_was_once_wrong(seed: int) -> None:
