@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import warnings
+from functools import cache
 from importlib import metadata
 from typing import Annotated
 
@@ -81,6 +82,7 @@ class Verb(TyperCommand):
         return rest
 
 
+@cache
 def _register() -> None:
     for verb, module in VERBS.items():
         app.command(verb, cls=Verb)(importlib.import_module(f"scenes.commands.{module}").command)

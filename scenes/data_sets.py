@@ -162,7 +162,7 @@ def _unpacked(one: DataSet, content: bytes, source: str) -> bytes:
             if found is None or found.file_size > _LARGEST:
                 raise InputError(f"a zip without {one.member}; get it from {one.page}", file=source)
             return packed.read(found)
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, RuntimeError) as error:
         raise InputError(f"a broken zip ({error}); get it from {one.page}", file=source) from error
 
 
@@ -185,7 +185,7 @@ def _columns(one: DataSet, content: bytes, source: str) -> dict[str, Array]:
         else:
             table = pd.read_csv(io.BytesIO(content), header=None, usecols=range(len(one.columns)))
             columns = {ours: table.iloc[:, i].to_numpy(float) for i, ours in enumerate(one.columns)}
-    except (ValueError, KeyError, TypeError, NotImplementedError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"not readable as {one.format} with {len(one.columns)} columns ({type(error).__name__}: "
                          f"{error}); download the file from {one.page} and give it with --file", file=source) from error
     columns["t"] = columns["t"] - columns["t"][0]

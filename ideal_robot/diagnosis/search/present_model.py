@@ -89,7 +89,7 @@ class PresentModel:
     def mean_squares(self) -> float:
         """Geometric mean over channels of the mean squares on blocks left out."""
         selecting, count = self.problem.blocks.selecting, self.problem.products.count
-        squares = self.fit().held_out_squares()[selecting].sum(axis=0)
+        squares = self.fit().held_out_squares[selecting].sum(axis=0)
         samples = count[selecting].sum(axis=0)
         kept = samples > 0
         return float(np.exp(np.mean(np.log(np.maximum(squares[kept], 1e-300) / samples[kept]))))

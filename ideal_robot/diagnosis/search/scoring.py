@@ -62,7 +62,7 @@ class Scoring:
         """
         test = fit.held_out_test(candidate.key)
         selecting = self.model.problem.blocks.selecting
-        squares = (fit.held_out_squares()[selecting] * self.model.weights).sum(axis=0)
+        squares = (fit.held_out_squares[selecting] * self.model.weights).sum(axis=0)
         share = float(np.max(test.reduction_by_channel / np.maximum(squares, 1e-300)))
         return Scored(candidate, test, min(1.0, test.p_value * candidate.tries), share, found)
 

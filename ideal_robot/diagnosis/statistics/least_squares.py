@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import linalg, stats
@@ -135,14 +136,23 @@ class Fit:
         v = np.append(-(self.beta if beta is None else beta), 1.0)
         return np.maximum(_quadratic(self.G, v), 0.0)
 
+    @cached_property
     def held_out_squares(self) -> Array:
         """As ``squares``, each block predicted by the fit without its fold; report blocks by the fit on all others."""
         result = self.squares()
+        for mine, _, squares in self._left_out:
+            result[mine] = np.maximum(squares, 0.0)
+        return result
+
+    @cached_property
+    def _left_out(self) -> list[tuple[np.ndarray, Array, Array]]:
+        """For each fold its blocks, their cross-products, and the squares that the fit without it leaves there."""
+        folds = []
         for k in range(self.folds):
             mine = self.fold == k
-            v = np.append(-self._beta[k + 1], 1.0)
-            result[mine] = np.maximum(_quadratic(self.G[mine], v), 0.0)
-        return result
+            G = self.G[mine]
+            folds.append((mine, G, _quadratic(G, np.append(-self._beta[k + 1], 1.0))))
+        return folds
 
     def refitted_weights(self) -> Array:
         """1/σ² of each channel from the squares that this fit leaves ``(c,)``; zero for an empty channel."""
@@ -202,31 +212,30 @@ class Fit:
 
     def gain(self, key: str) -> tuple[float, Array]:
         """In-sample gain and coefficients of one more group."""
-        CX, Cy, CC = self._candidate(key)
-        return self._joined(0, CX, Cy, CC, self.design.groups[key])[:2]
+        group = self.design.groups[key]
+        return self._joined(0, *self._weighted(self._products(key), list(group.channels)), group)[:2]
 
     def held_out_test(self, key: str) -> HeldOutTest:
         """Held-out gain of one more group, everything refitted without each fold in turn."""
-        full = (self.design.gram([key], self.keys), self.design.cross(key, "y"), self.design.cross(key, key))
-        CX, Cy, CC = self._candidate(key)
         group = self.design.groups[key]
+        channels = list(group.channels)
+        of_blocks = self._products(key)
+        CX, Cy, CC = self._weighted(of_blocks, channels)
         gain, coefficients = self._joined(0, CX, Cy, CC, group)[:2]
         B, c = self.G.shape[:2]
         reduction, score, left = np.full((B, c), np.nan), np.full(B, np.nan), np.full(B, np.nan)
-        for k in range(self.folds):
+        for k, (mine, G, L0) in enumerate(self._left_out):
             _, gamma, beta = self._joined(k + 1, CX, Cy, CC, group)
-            mine = self.fold == k
-            G = self.G[mine]
-            before = np.append(-self._beta[k + 1], 1.0)
             after = np.append(-beta, 1.0)
             step = np.append(beta - self._beta[k + 1], 0.0)
-            CX_gamma = np.swapaxes(full[0][mine], 2, 3) @ gamma
-            Cy_gamma = full[1][mine][..., 0] @ gamma
-            CC_gamma = _quadratic(full[2][mine], gamma)
-            L0 = _quadratic(G, before)
+            CX_block, Cy_block, CC_block = (part[mine] for part in of_blocks)
+            CX_gamma = np.swapaxes(CX_block, 2, 3) @ gamma
+            Cy_gamma = Cy_block[..., 0] @ gamma
+            CC_gamma = _quadratic(CC_block, gamma)
+            L1, size = _quadratic(G, after), _quadratic(G, step)
             # after = [-beta, 1] holds the sign of the subtraction: y - X beta - C gamma.
-            L1 = _quadratic(G, after) + 2.0 * CX_gamma @ beta - 2.0 * Cy_gamma + CC_gamma
-            size = _quadratic(G, step) + 2.0 * CX_gamma @ step[:-1] + CC_gamma
+            L1[:, channels] = L1[:, channels] + 2.0 * CX_gamma @ beta - 2.0 * Cy_gamma + CC_gamma
+            size[:, channels] = size[:, channels] + 2.0 * CX_gamma @ step[:-1] + CC_gamma
             reduction[mine] = (L0 - L1) * self.weights
             # With d the change of the prediction: d'r before and d'(r - d) after, r being the held-out residual.
             score[mine] = ((L0 - L1 + size) * self.weights).sum(axis=1) / 2.0
@@ -234,12 +243,17 @@ class Fit:
         return HeldOutTest(gain, coefficients, reduction.sum(axis=1), np.nansum(reduction, axis=0),
                            _one_sided(score, left))
 
-    def _candidate(self, key: str) -> tuple[Array, Array, Array]:
-        # Outside its channels a candidate is zero; most have one of many.
+    def _products(self, key: str) -> tuple[Array, Array, Array]:
+        """Cross-products of a candidate with the groups fitted, ``y`` and itself, on its channels ``(B, k, m, …)``.
+
+        Outside its channels a candidate is zero; most have one of many.
+        """
         channels = list(self.design.groups[key].channels)
         CX = np.concatenate([self.design.cross(key, other)[:, channels] for other in self.keys], axis=3)
-        parts = (CX, self.design.cross(key, "y")[:, channels], self.design.cross(key, key)[:, channels])
-        CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in parts)
+        return CX, self.design.cross(key, "y")[:, channels], self.design.cross(key, key)[:, channels]
+
+    def _weighted(self, products: tuple[Array, Array, Array], channels: list[int]) -> tuple[Array, Array, Array]:
+        CX, Cy, CC = (np.einsum("c,bcij->bij", self.weights[channels], part) for part in products)
         return CX, Cy, CC
 
     def _joined(self, k: int, CX: Array, Cy: Array, CC: Array, group: Columns) -> tuple[float, Array, Array]:

@@ -66,7 +66,7 @@ def test_a_spring_that_gravity_takes_nearly_all_of_is_not_lost_in_some_folds(tmp
     fit = Fit(problem.design([candidate]), ["W"], np.ones(1))
     test = fit.held_out_test(candidate.key)
     assert test.coefficients[1] == pytest.approx(1000.0, rel=0.02)
-    assert test.total > 0.95 * fit.held_out_squares()[problem.blocks.selecting].sum()
+    assert test.total > 0.95 * fit.held_out_squares[problem.blocks.selecting].sum()
 
 
 def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):

@@ -176,7 +176,7 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
     y = (50.0 * alone + rng.normal(size=count))[:, None]
     W = np.stack([alone, np.ones(count)], axis=1)[:, None, :]
     fit = Fit(Design(BlockProducts(y, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1))
-    assert fit.held_out_squares().sum() < 2.0 * fit.squares().sum()
+    assert fit.held_out_squares.sum() < 2.0 * fit.squares().sum()
 
 
 @pytest.mark.parametrize(("more", "less", "little"), [

@@ -42,6 +42,7 @@ def test_both_methods_of_the_paper(name: str, joint: int) -> None:
     assert 4 not in result.analysis.by("wrench")
 
 
+@pytest.mark.slow
 def test_six_joints_in_forty_runs(kr500: Robot) -> None:
     """Within 3 % (wrench) and within the drive-gain error + 3 % (motor); intervals cover the truth in ≥ 90 %."""
     scene = load_scene("clamped_kr500_six").changed(clamp={"hold": 0.8, "payloads": ()})

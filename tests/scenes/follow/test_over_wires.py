@@ -1,6 +1,6 @@
 """Follower and simulated cell as processes of their own: they do the job, and each may be killed, frozen, restarted.
 
-Everything here is in real time and takes minutes on a busy computer.
+Everything here is in real time, takes minutes, and fails on a computer that has something else to do.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import pytest
 from ideal_robot.signals.recording import Recording
 from tests.scenes.follow.pair import Cell, children, rows, served, wait_until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.real_time]
 MIDDLE = 150
 """Cycles after which the arm is on the line."""
 

@@ -101,6 +101,7 @@ def _small(**changes: object) -> PathScene:
     return scene
 
 
+@pytest.mark.slow
 def test_with_motor_angles_alone_the_path_never_becomes_worse() -> None:
     """The torque's idea of a soft gear once bent the path from 0.735 to 2.210 mm; what is refused has a reason."""
     result = close_loop(_small(), measured="motor", ask=False)
