@@ -60,9 +60,15 @@ class Design:
                 self._cross.setdefault(b, {})[a] = np.swapaxes(known[b], 2, 3)
         return known[b]
 
-    def gram(self, rows: list[str], columns: list[str]) -> Array:
-        """Cross-products of several groups side by side ``(B, c, m, m')``."""
-        return np.concatenate([np.concatenate([self.cross(a, b) for b in columns], axis=3) for a in rows], axis=2)
+    def gram(self, keys: list[str]) -> Array:
+        """Cross-products of several groups side by side with each other ``(B, c, m, m)``."""
+        ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
+        places = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        products = np.empty((self.data.blocks.count, self.data.c, ends[-1], ends[-1]))
+        for a, left in zip(keys, places, strict=True):
+            for b, right in zip(keys, places, strict=True):
+                products[:, :, left, right] = self.cross(a, b)
+        return products
 
 
 @dataclass(frozen=True)
@@ -103,7 +109,7 @@ class Fit:
         self.design, self.keys, self.weights = design, keys, weights
         blocks = design.data.blocks
         self.fold, self.folds = blocks.fold, blocks.folds
-        self.G = design.gram([*keys, "y"], [*keys, "y"])
+        self.G = design.gram([*keys, "y"])
         self.P = self.G.shape[2] - 1
         weighted = np.einsum("c,bcij->bij", weights, self.G)
         precision = np.zeros((self.P, self.P))

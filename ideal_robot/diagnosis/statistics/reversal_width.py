@@ -74,7 +74,7 @@ def _squares(design: Design, weights: Array, first: int, coefficients: Array) ->
     """
     keys = ["W", "reversal_width", "y"]
     selecting = design.data.blocks.selecting
-    G = np.einsum("c,bcij->ij", weights, design.gram(keys, keys)[selecting])
+    G = np.einsum("c,bcij->ij", weights, design.gram(keys)[selecting])
     m = len(coefficients)
     P = G.shape[0] - m - 1
     M = np.zeros((len(G), P + 1))
