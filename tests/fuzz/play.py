@@ -13,11 +13,14 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from unittest.mock import patch
+
+import typer.main
 
 from tests.fuzz.case import Case
 
@@ -60,9 +63,7 @@ def warm_up(cases: Sequence[Case] = ()) -> None:
     Raises:
         RuntimeError: one of them fails that need not.
     """
-    import scenes.cli
-
-    scenes.cli._register()
+    command = _command()
     home, arguments = Path.cwd(), sys.argv
     for case in cases:
         with tempfile.TemporaryDirectory(prefix="fuzz-") as folder, open(os.devnull, "w") as nowhere, \
@@ -72,13 +73,22 @@ def warm_up(cases: Sequence[Case] = ()) -> None:
             sys.argv = ["ideal-robot", *case.words]
             try:
                 with redirect_stdout(nowhere), redirect_stderr(nowhere):
-                    scenes.cli.app(standalone_mode=False)
+                    command(standalone_mode=False)
             except Exception as error:
                 if not case.must_fail:
                     raise RuntimeError(f"{case.name}: the sound call fails: {error}") from error
             finally:
                 os.chdir(home)
                 sys.argv = arguments
+
+
+@cache
+def _command() -> Callable[..., object]:
+    """The command line with all its verbs and options, made once."""
+    import scenes.cli
+
+    scenes.cli._register()
+    return typer.main.get_command(scenes.cli.app)
 
 
 def play(case: Case, seconds: float = SECONDS) -> Played:
@@ -145,7 +155,7 @@ def _child(case: Case, folder: Path, seconds: float) -> None:
         import scenes.cli
 
         try:
-            scenes.cli.app()
+            _command()()
         except SystemExit as ended:
             code = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
         except BaseException as error:
