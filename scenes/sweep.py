@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from ideal_robot.errors import IdealRobotError, InputError
-from scenes.kind import kind_of
+from scenes.kind import KINDS, kind_of
 from scenes.options import chosen
 from scenes.result import silent
 from scenes.scene import Scene
@@ -85,9 +85,10 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
         function: plays a job.
 
     Raises:
-        InputError: a scene cannot be used, or no scheduler answers at ``dask``.
+        InputError: a scene cannot be used, none of them knows a method, or no scheduler answers at ``dask``.
     """
     scenes = {job.scene: _scene(job.scene) for job in work if isinstance(job.scene, str)}
+    _check_methods(work, scenes)
     described = [_described(job, scenes) for job in work]
     known = {} if file is None else file.answers
     answers: list[dict[str, Any] | None] = [known.get(key_of(one)) for one in described]
@@ -137,6 +138,14 @@ def _named(job: Job) -> dict[str, Any]:
             "method": job.method if isinstance(job.method, str | None) else None, "speed_m_s": job.speed,
             "seed": job.seed, **({} if job.individual is None else {"individual": job.individual}),
             **({} if job.world is None else {"world": job.world}), "failure": None}
+
+
+def _check_methods(work: Sequence[Job], scenes: dict[str, Scene]) -> None:
+    kinds = {(job.scene if isinstance(job.scene, Scene) else scenes[job.scene]).kind for job in work}
+    known = sorted({key for kind in kinds for key in KINDS.get(kind).methods()})
+    for job in work:
+        if isinstance(job.method, str) and job.method not in known:
+            raise InputError(f"expected one of {', '.join(known)}", field="--methods", value=job.method)
 
 
 def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:

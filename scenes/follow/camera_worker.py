@@ -56,14 +56,16 @@ def work(address: str, least_delay: float, camera: CameraModel, detector: str, p
             raise InputError(f"its pictures have {source.width}×{source.height} px, the scene says "
                              f"{camera.width}×{camera.height}; set camera.width and camera.height", field="camera")
     except IdealRobotError as error:
-        pipe.send(("failed", str(error)))
+        with suppress(OSError):
+            pipe.send(("failed", str(error)))
         return
     if hasattr(os, "sched_setscheduler"):
         with suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    pipe.send(("opened", source.stamps))
-    threading.Thread(target=worker.read, args=(source,), daemon=True).start()
+    # Who has waited too long is no longer there.
     with suppress(EOFError, OSError):
+        pipe.send(("opened", source.stamps))
+        threading.Thread(target=worker.read, args=(source,), daemon=True).start()
         while True:
             worker.answer(*pipe.recv())
 

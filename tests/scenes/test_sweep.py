@@ -75,6 +75,15 @@ def test_a_scene_that_cannot_be_played_is_a_row_with_its_reason() -> None:
     assert "method" in row["failure"]
 
 
+def test_a_method_that_none_of_the_scenes_has_is_refused_before_anything_is_played() -> None:
+    with pytest.raises(InputError, match="expected one of") as refused:
+        sweep(jobs(["line", "iso9283_1"], methods=["ideal", "magic"]), function=_always_killed)  # type: ignore[arg-type]
+    assert refused.value.value == "magic"
+    # What one of them has is played: the others say that they do not have it.
+    rows = sweep(jobs(["line", "iso9283_1"], methods=["sensor_path"]), processes=1, function=answer)
+    assert len(rows) == 2
+
+
 def test_an_ended_sweep_goes_on_where_it_was(tmp_path: Path) -> None:
     path = tmp_path / "runs.jsonl"
     sweep(WORK[:3], function=answer, file=SweepFile(path, resume=False))

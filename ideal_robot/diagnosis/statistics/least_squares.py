@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy import linalg, stats
@@ -63,7 +64,7 @@ class Design:
     def gram(self, keys: list[str]) -> Array:
         """Cross-products of several groups side by side with each other ``(B, c, m, m)``."""
         ends = np.cumsum([0, *(self.groups[key].m for key in keys)])
-        places = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        places = [slice(a, b) for a, b in pairwise(ends)]
         products = np.empty((self.data.blocks.count, self.data.c, ends[-1], ends[-1]))
         for a, left in zip(keys, places, strict=True):
             for b, right in zip(keys, places, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import shutil
 import subprocess
@@ -11,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -21,6 +23,7 @@ from ideal_robot.whole_file import OutputError
 from scenes.camera_table import CameraTable, believed_camera
 from scenes.follow.camera_file import CalibratedCamera, calibrated_camera
 from scenes.follow.camera_messages import Header
+from scenes.follow.camera_worker import work
 from scenes.follow.held_command import holding_share
 from scenes.follow.journal import Journal, left_behind, rescue
 from scenes.follow.live_arm import FollowStoppedError, LiveArm, moves
@@ -265,6 +268,27 @@ def test_pictures_with_impossible_stamps_are_counted_and_a_gone_camera_stops(lin
     arm.cycle(link.robot.home)
     with pytest.raises(FollowStoppedError, match="camera's process"):
         arm.check(1.0)
+
+
+@pytest.mark.parametrize("film", ["film.avi", "none.avi"])
+def test_a_camera_that_is_ready_when_nobody_waits_any_more_ends_quietly(
+    film: str, tmp_path: Path, capfd: pytest.CaptureFixture[str],
+) -> None:
+    camera = believed_camera(CameraTable())
+    writer = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0,
+                             (camera.width, camera.height))
+    for _ in range(3):
+        writer.write(np.zeros((camera.height, camera.width, 3), np.uint8))
+    writer.release()
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=work, args=(f"file:{tmp_path / film}", 0.0, camera, "edge_pairs", theirs))
+    process.start()
+    theirs.close()
+    ours.close()
+    process.join(120.0)
+    assert process.exitcode == 0
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_a_calibration_is_kept_and_wrong_files_are_refused(tmp_path: Path) -> None:
