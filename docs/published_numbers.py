@@ -174,25 +174,24 @@ def typed(command: str) -> str:
     return command if command.startswith("python ") else f"ideal-robot {command}"
 
 
-def compare(numbers: Sequence[Published]) -> list[tuple[Published, float | None, str]]:
+def compare(numbers: Sequence[Published]) -> Iterator[tuple[Published, float | None, str]]:
     """Each number with the one made anew (None where it could not be made) and a word: same, differs, not made."""
-    answers: list[tuple[Published, float | None, str]] = []
     for command in dict.fromkeys(one.command for one in numbers):
         print(f"{typed(command)} …", file=sys.stderr, flush=True)
+        mine = [one for one in numbers if one.command == command]
         with tempfile.TemporaryDirectory() as folder:
             try:
                 content = made(command, Path(folder))
             except RuntimeError as error:
                 print(error, file=sys.stderr)
-                answers += [(one, None, "failed") for one in numbers if one.command == command]
+                yield from ((one, None, "failed") for one in mine)
                 continue
-        for one in (one for one in numbers if one.command == command):
+        for one in mine:
             if content is None:
-                answers.append((one, None, "not made: measured data are missing"))
+                yield one, None, "not made: measured data are missing"
                 continue
             found = one.factor * value_of(content, one.value)
-            answers.append((one, found, "same" if one.holds(found) else "DIFFERS"))
-    return answers
+            yield one, found, "same" if one.holds(found) else "DIFFERS"
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -208,12 +207,12 @@ def main(words: Sequence[str] | None = None) -> int:
         for one in numbers:
             print(f"{one.page}: {one.what}: {one.text}  ({typed(one.command)})")
         return 0
-    answers = compare(numbers)
-    for one, found, word in answers:
+    wrong = 0
+    for one, found, word in compare(numbers):
         print(f"{word:8} {one.page}: {one.what}: published {one.text}, now "
-              + ("–" if found is None else f"{found:.4g}") + f"  ({typed(one.command)})")
-    wrong = sum(word in ("DIFFERS", "failed") for *_, word in answers)
-    print(f"{len(answers)} numbers, {wrong} differ")
+              + ("–" if found is None else f"{found:.4g}") + f"  ({typed(one.command)})", flush=True)
+        wrong += word in ("DIFFERS", "failed")
+    print(f"{len(numbers)} numbers, {wrong} differ")
     return int(wrong > 0)
 
 
