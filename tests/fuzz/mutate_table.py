@@ -104,7 +104,7 @@ def _times(columns: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     k = int(rng.integers(1, len(t)))
     t = (lambda: np.concatenate([t[:k], t[k:] - 2.0]), lambda: np.concatenate([t[:k], t[k:] + 3600.0]),
          lambda: np.concatenate([t[:k], t[k:] + 172_800.0]), lambda: t[::-1].copy(), lambda: 1e3 * t, lambda: 1e-3 * t,
-         lambda: 0.0 * t, lambda: t + 1.7e9, lambda: np.round(t, 1), lambda: np.sort(rng.uniform(0, t[-1], len(t))),
+         lambda: 0.0 * t, lambda: t + 1.7e9, lambda: np.round(t, 1), lambda: np.sort(t[-1] * rng.random(len(t))),
          lambda: np.concatenate([t[:k], t[k:] + 30.0]), lambda: t * rng.choice([0.01, 20.0, 1e9]))[rng.integers(12)]()
     return {**columns, "t": t}
 

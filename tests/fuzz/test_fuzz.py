@@ -114,3 +114,12 @@ def test_a_verb_keeps_its_promises(seed: int, sound: Path) -> None:
     warm_up()
     case = drawn(seed, sound, ("stiffness", "precorrect_model", "rsi_arm", "robot"))
     assert play(case).broken is None, f"{case.words}"
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_table_whose_stamps_are_no_numbers_can_be_mutated_further() -> None:
+    """It ended a long run of the fuzzing after some thousand cases."""
+    for seed in range(50):
+        for last in (np.inf, np.nan, 1e308):
+            changed = mutate_table._times({"t": np.array([0.0, 1.0, 2.0, 3.0, last])}, np.random.default_rng(seed))
+            assert len(changed["t"]) >= 4
