@@ -3,13 +3,12 @@ r"""The model of one arm from that of another of its type and one motion of this
 Arms of a type have the same gears and controllers, but castings of other weight, and motors that are mounted with their
 ripple at another angle. Both show in the torques of any motion:
 
-.. math:: \tau - \tau_{model} = Y \Delta p + F(0) z \left(\theta_1 + \theta_2 \sqrt{|\dot q| / v_{max}}\right)
-          + \sum_k a_k \cos(k q) + b_k \sin(k q)
+.. math:: \tau - \tau_{model} = Y \Delta p + F(0) z \sum_k c_k \phi_k(|\dot q|) + \sum_k a_k \cos(k q) + b_k \sin(k q)
 
-with Y the regressor of the links, rotors and offsets [G] (6) and the ripple's orders k those of the model. It is least
-squares with a prior: links are as heavy as the model's within some percent, and a ripple is as large as the model's, at
-any angle. What the motion does not tell stays as it was. What friction is wrong by is taken out, not kept: it changes
-while the arm works, and adaptation follows it.
+with Y the regressor of the links, rotors and offsets [G] (6), a curve over speed as in ``friction_curve``, and the
+ripple's orders k those of the model. It is least squares with a prior: links are as heavy as the model's within some
+percent, rotors nearly so, and a ripple is as large as the model's, at any angle. What the motion does not tell stays
+as it was. What friction is wrong by is taken out, not kept: it changes while the arm works, and adaptation follows it.
 
 Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
 very arm leaves that the model was identified from, friction explains as well, and its model stays what it is.
@@ -20,12 +19,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.friction_curve import SPEEDS, between_nodes, likeness
 from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -35,10 +36,10 @@ from ideal_robot.signals.recording import Recording
 RIPPLE = "torque_ripple"
 CUTOFF = 20.0
 """Of the low-pass on positions [Hz]. Decimated torques are slow enough for the controller to answer ripple fully."""
-LINK, SHAPE, ROTOR = 0.1, 0.03, 0.1
+LINK, SHAPE, ROTOR = 0.1, 0.03, 0.03
 """Standard deviations of a link's weight, of single parameters of it over a body's of that size, and of a rotor."""
 OFFSET, FRICTION = 0.1, 0.3
-"""Of the offset and of the friction factors, over dry friction."""
+"""Of the offset and of what friction is wrong by at any speed, over dry friction."""
 NOISE = 0.2
 """Standard deviation of a torque over dry friction: neighbouring ones share what is wrong besides."""
 
@@ -75,12 +76,12 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
         s.decimate(_friction(s, dry, robot)), s.decimate(_waves(s, ripple))], axis=2), believed)
     root = _root(model, dry, ripple)
     whitened = columns @ root
-    of_this_arm = slice(count - model.n, count + 2 * model.n)
+    of_this_arm = slice(count - model.n, count + len(SPEEDS) * model.n)
     if _evidence(whitened[:, of_this_arm], left[0]) >= _evidence(whitened, left[1]):
         return model
     covariance = root @ np.linalg.inv(np.eye(root.shape[1]) + whitened.T @ whitened) @ root.T
     found = covariance @ (columns.T @ left[1])
-    base, waves = model.base, found[count + 2 * model.n :].reshape(-1, 2)
+    base, waves = model.base, found[count + len(SPEEDS) * model.n :].reshape(-1, 2)
     values = model.base_values + base.of(found[:count])
     try:
         full = consistent_parameters(base, values, base.grouping @ covariance[:count, :count] @ base.grouping.T,
@@ -104,13 +105,13 @@ def _rows(values: Array, believed: Array) -> Array:
 
 
 def _friction(s: FilteredSignals, dry: Array, robot: Robot) -> Array:
-    """What friction factors count ``(N, n, 2 n)`` [N m]."""
+    """What friction's curves count ``(N, n, K n)`` [N m]."""
     n = len(dry)
-    columns = np.zeros((len(s.qd), n, n, 2))
-    at = np.arange(n)
-    columns[:, at, at, 0] = np.sign(s.qd) * dry
-    columns[:, at, at, 1] = columns[:, at, at, 0] * np.sqrt(np.abs(s.qd) / largest_speeds(robot.v_max))
-    return columns.reshape(len(s.qd), n, 2 * n)
+    columns = np.zeros((len(s.qd), n, n, len(SPEEDS)))
+    v_max = largest_speeds(robot.v_max)
+    for i in range(n):
+        columns[:, i, i] = dry[i] * np.sign(s.qd[:, i, None]) * between_nodes(np.abs(s.qd[:, i]) / v_max[i])
+    return columns.reshape(len(s.qd), n, len(SPEEDS) * n)
 
 
 def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
@@ -124,15 +125,16 @@ def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
 
 
 def _root(model: Model, dry: Array, ripple: tuple[FittedEffect, ...]) -> Array:
-    """A root of the prior covariance ``(P, R)``: links, rotors, offsets, friction factors, ripple."""
+    """A root of the prior covariance ``(P, R)``: links, rotors, offsets, friction's curves, ripple."""
     n, full = model.n, np.array(model.consistent)
     bodies = np.zeros((12 * n, n))
     for i in range(n):
         bodies[10 * i : 10 * i + 10, i] = LINK * full[10 * i : 10 * i + 10]
     waves = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
-    single = np.concatenate([SHAPE * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry,
-                             np.full(2 * n, FRICTION), waves])
-    return np.hstack([np.diag(single), np.vstack([bodies, np.zeros((len(single) - 12 * n, n))])])
+    single = np.concatenate([SHAPE * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
+    curve = FRICTION * np.linalg.cholesky(likeness() + 1e-9 * np.eye(len(SPEEDS)))
+    each = linalg.block_diag(np.diag(single), *[curve] * n, np.diag(waves))
+    return np.hstack([each, np.vstack([bodies, np.zeros((len(each) - 12 * n, n))])])
 
 
 def _evidence(columns: Array, left: Array) -> float:

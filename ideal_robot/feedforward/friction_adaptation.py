@@ -277,12 +277,12 @@ class AdaptedIdeal(Feedforward):
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
         change = adapted(self.ideal.loop, factors.theta)
-        curve = state.curve
+        curve, inertia = state.curve, None
         if self.curve is not None and curve is not None:
             change["friction_torque"] = change["friction_torque"] + self.curve.torque(curve)
-            change["rotor_inertia"] = self.ideal.loop.rotor_inertia + self.curve.inertia(curve)
+            inertia = self.curve.inertia(curve)
         drives = self.ideal.drives._replace(**change)
-        q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried)
+        q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried, inertia)
         if self.curve is not None and curve is not None:
             curve = self.curve.planned(curve, inner)
         return q_c, AdaptedState(inner, factors, curve,

@@ -10,11 +10,14 @@ the joint controller [G] (16), (17) gives a torque beyond the planned one,
 which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. For
 each joint a Kalman filter learns a curve over speed, linear between nodes and smooth over the logarithm of speed:
 
-.. math:: \Delta\tau = F(0) \left(o + z \sum_k (c_k - c_k') \phi_k(|\dot q_m|)\right) + (J - J') \ddot q_m
+.. math::
+
+    \Delta\tau_i = F_i(0) \left(o_i + z_i \sum_k (c_{ik} - c_{ik}') \phi_k(|\dot q_{m,i}|)\right)
+                   + \sum_j (J_{ij} - J_{ij}') \ddot q_{m,j}
 
 with F(0) the dry friction, z the direction of sliding, between -1 and 1 after a reversal, J the inertia that the drive
-feels beyond the model's, :math:`c'` and :math:`J'` what the plan had used, and an offset o that wanders: weight, load,
-what was planned wrong besides.
+feels beyond the model's, its own and that of links which other joints accelerate, :math:`c'` and :math:`J'` what the
+plan had used, and an offset o that wanders: weight, load, what was planned wrong besides.
 
 The torque for acceleration is planned wrong where rotors and links were identified wrong, and where the gain
 :math:`k_p` was, by which the plan turns it into a command. It is the same on any motion about the path and does not
@@ -39,12 +42,13 @@ LENGTH = 1.2
 """Logarithm of speed over which the curve becomes another."""
 SHAPE, DRIFT = 0.15, 0.05
 """The curve at first, and how far it wanders in a second: standard deviations over dry friction."""
-OFFSET, WANDERS = 0.3, 0.2
+OFFSET, WANDERS = 0.3, 0.1
 """The same of the offset."""
-INERTIA = 0.1
-"""Standard deviation of the inertia at first, over ``k_p T``, which is about what a drive feels."""
+INERTIA, COUPLED = 0.1, 0.05
+"""Standard deviations at first of a joint's inertia over ``k_p T``, which is about what a drive feels, and of that
+between two joints over the root of both joints' ``k_p T``."""
 HEAVIEST = 0.3
-"""Bound of the inertia over ``k_p T``."""
+"""Bound of either."""
 NOISE = 0.2
 """Standard deviation of a measurement over dry friction: neighbouring ones share what is wrong besides."""
 LARGEST = 0.5
@@ -72,8 +76,9 @@ class CurveState:
     """What is known of the curves.
 
     Attributes:
-        x: of each joint offset over dry friction, inertia over ``k_p T``, curve over dry friction ``(n, 2 + K)``.
-        covariance: of them ``(n, 2 + K, 2 + K)``.
+        x: of each joint offset over dry friction, inertia for every joint's acceleration over the root of both joints'
+            ``k_p T``, curve over dry friction ``(n, 1 + n + K)``.
+        covariance: of them ``(n, 1 + n + K, 1 + n + K)``.
         plans: cycles whose measurement has not come yet, oldest first, behind the last one whose has.
         error: following error of the last cycle ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
@@ -88,7 +93,7 @@ class CurveState:
     @property
     def curve(self) -> Array:
         """Friction beyond the model's, over dry friction, at the nodes ``(n, K)``."""
-        return self.x[:, 2:]
+        return self.x[:, 1 + len(self.x) :]
 
 
 class FrictionCurve:
@@ -102,19 +107,24 @@ class FrictionCurve:
         self.loop = loop
         self._v_max = largest_speeds(loop.v_max)
         self._dry = np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6)
-        self._unit = loop.k_p * loop.t_ipo
-        alike = likeness()
-        count = 2 + len(SPEEDS)
-        prior, drift = np.zeros((count, count)), np.zeros((count, count))
-        prior[0, 0], prior[1, 1], prior[2:, 2:] = OFFSET**2, INERTIA**2, SHAPE**2 * alike
-        drift[0, 0], drift[2:, 2:] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
-        self._prior, self._drift = np.tile(prior, (loop.n, 1, 1)), drift
+        root = np.sqrt(loop.k_p * loop.t_ipo)
+        self._unit = np.outer(root, root)
+        alike, n = likeness(), loop.n
+        # Places of the inertias and of the curve among a joint's parameters, behind the offset.
+        self._masses, self._shape = slice(1, 1 + n), slice(1 + n, None)
+        count, at = 1 + n + len(SPEEDS), np.arange(n)
+        prior, drift = np.zeros((n, count, count)), np.zeros((count, count))
+        prior[:, 0, 0], prior[:, self._shape, self._shape] = OFFSET**2, SHAPE**2 * alike
+        prior[:, 1 + at, 1 + at] = COUPLED**2
+        prior[at, 1 + at, 1 + at] = INERTIA**2
+        drift[0, 0], drift[self._shape, self._shape] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
+        self._prior, self._drift = prior, drift
         self._table = np.stack([between_nodes(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(loop.n)])
 
     def init(self, known: CurveState | None = None) -> CurveState:
         """Nothing known, or what is known from another motion; of that motion's following error nothing stays."""
-        n, count = self.loop.n, 2 + len(SPEEDS)
-        x = np.zeros((n, count))
+        n = self.loop.n
+        x = np.zeros((n, 1 + n + len(SPEEDS)))
         if known is None:
             return CurveState(x, self._prior, (), None, np.zeros(n))
         x[:, 1:] = known.x[:, 1:]
@@ -126,7 +136,8 @@ class FrictionCurve:
         """What a motion tells of any other: the inertia. Friction's shape is unknown again."""
         begun = self.init()
         x, covariance = begun.x.copy(), begun.covariance.copy()
-        x[:, 1], covariance[:, 1, 1] = state.x[:, 1], state.covariance[:, 1, 1]
+        x[:, self._masses] = state.x[:, self._masses]
+        covariance[:, self._masses, self._masses] = state.covariance[:, self._masses, self._masses]
         return replace(begun, x=x, covariance=covariance)
 
     def torque(self, state: CurveState) -> Array:
@@ -134,8 +145,8 @@ class FrictionCurve:
         return np.asarray(np.matmul(self._table, state.curve[:, :, None])[:, :, 0].T * self._dry)
 
     def inertia(self, state: CurveState) -> Array:
-        """What the drives feel beyond the model's rotors and links ``(n,)`` [kg m²]."""
-        return np.asarray(state.x[:, 1] * self._unit)
+        """What the drives feel of the joints' accelerations beyond the model's rotors and links ``(n, n)`` [kg m²]."""
+        return np.asarray(state.x[:, self._masses] * self._unit)
 
     def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
         """Takes note of what the ideal robot planned in a cycle with what this state knows."""
@@ -156,8 +167,8 @@ class FrictionCurve:
         step = state.error - error - 0.5 * loop.t_ipo * loop.k_v * (state.error + error)
         torque = loop.k_p * step / loop.t_ipo + state.integral + 0.5 * loop.k_i * step
         h = np.ones_like(state.x)
-        h[:, 1] = self._unit / self._dry * (plan.v - before.v) / loop.t_ipo
-        h[:, 2:] = plan.turned[:, None] * between_nodes(np.abs(plan.v) / self._v_max)
+        h[:, self._masses] = self._unit / self._dry[:, None] * (plan.v - before.v) / loop.t_ipo
+        h[:, self._shape] = plan.turned[:, None] * between_nodes(np.abs(plan.v) / self._v_max)
         covariance = state.covariance + self._drift
         said = np.matmul(covariance, h[:, :, None])[:, :, 0]
         S = np.sum(h * said, axis=1) + NOISE**2
@@ -166,8 +177,8 @@ class FrictionCurve:
         counts = slides & (innovation**2 < GATE**2 * S)
         gain = np.where(counts, 1.0 / S, 0.0)[:, None] * said
         x = state.x + gain * innovation[:, None]
-        x[:, 1] = np.clip(x[:, 1], -HEAVIEST, HEAVIEST)
-        x[:, 2:] = np.clip(x[:, 2:], -LARGEST, LARGEST)
+        x[:, self._masses] = np.clip(x[:, self._masses], -HEAVIEST, HEAVIEST)
+        x[:, self._shape] = np.clip(x[:, self._shape], -LARGEST, LARGEST)
         # Of a joint that stands nothing is learned, and nothing forgotten.
         covariance = np.where(counts[:, None, None], covariance - gain[:, :, None] * said[:, None], state.covariance)
         return CurveState(x, covariance, state.plans, error, state.integral + loop.k_i * step)

@@ -143,7 +143,7 @@ class IdealRobot(Feedforward):
         return self.step_with(self.drives, state, q_d, tau_ext_d)
 
     def step_with(self, drives: Drives, state: IdealState, q_d: Array, tau_ext_d: Array | None = None,
-                  carried: Chain | None = None) -> tuple[Array, IdealState]:
+                  carried: Chain | None = None, inertia: Array | None = None) -> tuple[Array, IdealState]:
         """``step`` with other drives than the identified ones, for adaptation.
 
         Args:
@@ -152,6 +152,7 @@ class IdealRobot(Feedforward):
             q_d: horizon ``(n_d, n)`` [rad].
             tau_ext_d: expected joint torque of contact ``(n_d, n)`` [N m].
             carried: bodies that the motors carry beyond the model's. How far they bend the gears is left out.
+            inertia: what the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
         """
         loop = self.loop
         q_d = np.asarray(q_d, dtype=float)
@@ -186,6 +187,8 @@ class IdealRobot(Feedforward):
             q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
             v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
         smooth = reflected + drives.rotor_inertia * a_m + loop.offset
+        if inertia is not None:
+            smooth = smooth + a_m @ inertia.T
         if carried is not None:
             smooth = smooth + self._torque[0] @ inverse_dynamics(carried, q, qd, qdd)
         friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
