@@ -82,7 +82,6 @@ class CorrectedArm:
                 row += J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), error)
         return result
 
-
     def as_drawn(self, q: Array) -> Array:
         """Angles ``(n,)`` [rad] at which the drawn arm's tool is where this arm's is at ``q (n,)``; undoes ``joints``.
 
