@@ -15,8 +15,6 @@ from typing import Annotated
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
-# What FFmpeg says of a broken film would stand beside our one line, in the camera's own process, too.
-os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 import typer  # noqa: E402
 from typer.core import TyperCommand  # noqa: E402

@@ -32,9 +32,10 @@ def command(
     wanted = {option: (path, writer) for option, (path, writer) in writers.items() if path is not None}
     if not wanted:
         raise InputError(f"say which format: {', '.join(writers)}", field="export")
-    for option, (path, _) in wanted.items():
-        if option in ("--csv", "--parquet") and path is not None and path.suffix != f".{option[2:]}":
-            raise InputError(f"expected a name ending in .{option[2:]}", field=option, value=str(path))
+    for option, path, ending in (("--mcap", mcap, ".mcap"), ("--rerun", rerun, ".rrd"), ("--csv", csv, ".csv"),
+                                 ("--parquet", parquet, ".parquet")):
+        if path is not None and path.suffix != ending:
+            raise InputError(f"expected a name ending in {ending}", field=option, value=str(path))
     if rosbag2 is not None and rosbag2.exists():
         raise InputError("a bag is a new folder; choose a name that does not exist", field="--rosbag2",
                          value=str(rosbag2))

@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from ideal_robot.captured_stderr import kept_words
 from ideal_robot.errors import InputError
 from sensing.camera.frame_source import Frame
 from sensing.clock.clock_relation import ClockRelation
@@ -35,7 +36,9 @@ class VideoCapture:
 
     def __init__(self, source: int | str, least_delay: float = 0.0, *, pace: bool = False) -> None:
         self._source, self._pace = source, pace
-        self._capture = cv2.VideoCapture(source)
+        # What OpenCV and FFmpeg say of a broken film would stand beside our one line.
+        with kept_words():
+            self._capture = cv2.VideoCapture(source)
         # Old pictures are of no use; not every driver obeys.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         if not self._capture.isOpened():

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -19,7 +16,6 @@ from scenes.commands.detect import command
 from scenes.detection.sources import pictures
 from tests.sensing.camera.pictures import drawn_line
 
-ROOT = Path(__file__).resolve().parents[3]
 app = typer.Typer()
 app.command()(command)
 
@@ -71,23 +67,6 @@ def test_what_cannot_be_read_is_said(source: str, tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"no picture at all")
     with pytest.raises(InputError):
         list(pictures(str(tmp_path / source)))
-
-
-def test_what_the_library_says_of_a_broken_film_does_not_stand_beside_our_one_line(tmp_path: Path) -> None:
-    """In the camera's own process, too, which inherits the environment that the command line sets."""
-    film = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (160, 120))
-    writer.write(np.zeros((120, 160, 3), np.uint8))
-    writer.release()
-    raw = film.read_bytes()
-    at = raw.find(b"JUNK")
-    film.write_bytes(raw[:at] + b"\0\0\0L\xff\xff\xff\xf0" + raw[at + 8 :])
-    opened = "import cv2; assert cv2.VideoCapture('film.avi').isOpened()"
-    said = [subprocess.run([sys.executable, "-c", words + opened], cwd=tmp_path, capture_output=True, text=True,
-                           env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True).stderr
-            for words in ("", "import scenes.cli; ")]
-    assert said[0]
-    assert not said[1]
 
 
 def test_a_small_file_of_a_huge_picture_is_refused_before_it_is_unpacked(tmp_path: Path,

@@ -36,8 +36,11 @@ def test_several_formats_at_once(recording: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(Recording.read(tmp_path / name).joints("q"), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("words", [[], ["--csv", "o.txt"], ["--rerun", "o.txt"], ["--mcap", "o.bag"]])
-def test_no_format_or_another_ending_is_refused(words: list[str], recording: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("words", [[], ["--csv", "o.txt"], ["--rerun", "o.txt"], ["--mcap", "o.bag"],
+                                   ["--csv", "o.csv", "--rosbag2", "o", "--rerun", "o.txt"]])
+def test_no_format_or_another_ending_is_refused(words: list[str], recording: Path, tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(app, [str(recording), *words])
     assert isinstance(done.exception, InputError)
     assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]

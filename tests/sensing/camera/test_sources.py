@@ -209,3 +209,21 @@ def test_a_force_sensor_is_no_camera() -> None:
     hello = package(3, 0.0, struct.pack(">d", 250.0))
     with device(hello, lambda k: package(4, 0.0, b"")) as (host, port), pytest.raises(InputError, match="camera"):
         StreamCamera(host, port, patience=0.5)
+
+
+def test_what_opencv_says_of_a_broken_film_does_not_stand_beside_our_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str],
+) -> None:
+    """FFmpeg's complaint about the header, and that of OpenCV's own reader about a film of nothing."""
+    film = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (160, 120))
+    writer.write(np.zeros((120, 160, 3), np.uint8))
+    writer.release()
+    raw = film.read_bytes()
+    at = raw.find(b"JUNK")
+    film.write_bytes(raw[:at] + b"\0\0\0L\xff\xff\xff\xf0" + raw[at + 8 :])
+    VideoCapture(str(film)).close()
+    film.write_bytes(raw[:12] + bytes(200))
+    with pytest.raises(InputError):
+        VideoCapture(str(film))
+    assert capfd.readouterr().err == ""
