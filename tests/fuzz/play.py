@@ -158,6 +158,9 @@ def _child(case: Case, folder: Path, seconds: float) -> None:
             _command()()
         except SystemExit as ended:
             code = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
+        except KeyboardInterrupt:
+            # As the entry point answers it where no verb is under way.
+            code = 130
         except BaseException as error:
             code = scenes.cli.ended_by(error)
     except BaseException:
