@@ -95,4 +95,8 @@ def _scaled(inertia: pin.Inertia, mass_factor: float, extension: Array) -> pin.I
     second = 0.5 * np.trace(about_centre) * np.eye(3) - about_centre
     stretch = np.diag(extension)
     second = mass_factor * stretch @ second @ stretch
-    return pin.Inertia(mass_factor * mass, stretch @ lever, np.trace(second) * np.eye(3) - second)
+    stretched = np.trace(second) * np.eye(3) - second
+    if np.linalg.eigvalsh(stretched)[0] < -1e-12 * np.trace(second):
+        # Moments that no body has cannot be stretched: more mass is all that can be drawn.
+        return pin.Inertia.FromDynamicParameters(mass_factor * inertia.toDynamicParameters())
+    return pin.Inertia(mass_factor * mass, stretch @ lever, stretched)

@@ -26,6 +26,8 @@ from scenes.model_files import model_at
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.undeclared import undeclared_effects
+from sim.arm.specimen import draw_specimen
+from sim.arm.world import World
 from tests.fuzz import mutate_table, originals
 
 LONG = "x" * 300
@@ -170,3 +172,15 @@ def test_the_give_of_a_clamp_is_asked_of_six_joints_only(tmp_path: Path) -> None
     assert {one.joint for one in found.joints} <= {1, 2}
     with pytest.raises(InputError, match="six joints"):
         analyse_stiffness(pushed, arm, clamp=True)
+
+
+def test_an_arm_whose_file_has_moments_of_no_body_can_be_drawn(tmp_path: Path) -> None:
+    """Stretched, they were negative (seed 679723)."""
+    drawn = []
+    for ixx in (b'"0.1"', b'"100000.0"'):
+        (tmp_path / "arm.urdf").write_bytes(originals.URDF.replace(b'ixx="0.1"', b"ixx=" + ixx))
+        robot = Robot.load(tmp_path / "arm.urdf")
+        drawn.append(draw_specimen(robot, World.from_table(robot, {"inertia_tolerance": 0.15, "individual": 2})))
+    masses = [one.model.inertias[2].mass for one in drawn]
+    assert masses[0] == pytest.approx(masses[1])
+    assert masses[0] != pytest.approx(3.0)
