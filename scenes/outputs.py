@@ -167,7 +167,7 @@ def _take_place(new: Path, folder: Path) -> None:
                     entry.replace(folder / entry.name)
             return
         except FileNotFoundError:
-            pass  # another run exchanged the folder under our eyes
+            continue  # another run exchanged the folder under our eyes
         except OSError:
             break  # a system that cannot link or exchange
         finally:

@@ -13,6 +13,7 @@ import pandas as pd
 
 from ideal_robot.errors import IdealRobotError, InputError
 from scenes.kind import KINDS, kind_of
+from scenes.methods import method_of
 from scenes.options import chosen
 from scenes.result import silent
 from scenes.scene import Scene
@@ -144,8 +145,8 @@ def _check_methods(work: Sequence[Job], scenes: dict[str, Scene]) -> None:
     kinds = {(job.scene if isinstance(job.scene, Scene) else scenes[job.scene]).kind for job in work}
     known = sorted({key for kind in kinds for key in KINDS.get(kind).methods()})
     for job in work:
-        if isinstance(job.method, str) and job.method not in known:
-            raise InputError(f"expected one of {', '.join(known)}", field="--methods", value=job.method)
+        if isinstance(job.method, str):
+            method_of(job.method, known)
 
 
 def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:

@@ -179,8 +179,7 @@ def test_a_controller_that_falls_silent_ends_the_run_and_keeps_the_recording(tmp
 def _app() -> Typer:
     from scenes.cli import _register, app
 
-    if "rsi" not in {command.name for command in app.registered_commands}:
-        _register()
+    _register()
     return app
 
 
