@@ -47,6 +47,11 @@ class SceneMethod:
         """Whether the play may use the arm's model: for the commands, the gears' deflection, the camera's latency."""
         return self.key not in (NONE, DIRECT, SENSOR_PATH)
 
+    @property
+    def adapts(self) -> bool:
+        """Whether what the arm showed before the job is learned from."""
+        return self.key.removesuffix("_delay") == ADAPTED
+
     def feedforward(self, setting: Setting) -> Feedforward:
         """Makes the feedforward.
 

@@ -9,6 +9,8 @@ with Y the regressor of the links, rotors and offsets [G] (6), a curve over spee
 ripple's orders k those of the model. It is least squares with a prior: links are as heavy as the model's within some
 percent, rotors nearly so, and a ripple is as large as the model's, at any angle. What the motion does not tell stays
 as it was. What friction is wrong by is taken out, not kept: it changes while the arm works, and adaptation follows it.
+A joint that rests, or has just turned round, is held by friction of any size up to the dry one: its torque tells
+nothing. Links move as the arm does, behind its gears.
 
 Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
 very arm leaves that the model was identified from, friction explains as well, and its model stays what it is.
@@ -26,22 +28,24 @@ from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.feedforward.friction_curve import SPEEDS, between_nodes, likeness
+from ideal_robot.feedforward.friction_curve import SLIDES, SPEEDS, between_nodes, likeness
 from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import FilteredSignals, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 
 RIPPLE = "torque_ripple"
 CUTOFF = 20.0
 """Of the low-pass on positions [Hz]. Decimated torques are slow enough for the controller to answer ripple fully."""
-LINK, SHAPE, ROTOR = 0.1, 0.03, 0.03
+LINK, SHAPE, ROTOR = 0.1, 0.1, 0.03
 """Standard deviations of a link's weight, of single parameters of it over a body's of that size, and of a rotor."""
-OFFSET, FRICTION = 0.1, 0.3
-"""Of the offset and of what friction is wrong by at any speed, over dry friction."""
-NOISE = 0.2
-"""Standard deviation of a torque over dry friction: neighbouring ones share what is wrong besides."""
+OFFSET, FRICTION = 0.03, 0.3
+"""Of the offset and of what friction is wrong by at any speed, over dry friction. An offset that may be large takes
+what is weight, which bends the gears."""
+NOISE, DOUBT = 0.05, 0.15
+"""Standard deviations of a torque over dry friction: of one, and where it is asked whose torques they are. Neighbouring
+ones share what any model of the very arm is wrong by, and all of them together must not count for another arm."""
 
 
 def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
@@ -67,30 +71,52 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     ripple = tuple(effect for effect in model.effects if effect.name == RIPPLE)
     bare = replace(model, effects=tuple(effect for effect in model.effects if effect.name != RIPPLE))
     dry = _dry(model)
-    believed = np.maximum(NOISE * dry, model.noise_std)
-    left = [_rows(s.decimate(s.tau - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])), believed)
+    turned = model.friction.sliding(s.q, s.qd)
+    slides = np.abs(s.decimate(turned)) > SLIDES
+    believed, doubted = (np.broadcast_to(np.maximum(share * dry, model.noise_std), slides.shape)[slides]
+                         for share in (NOISE, DOUBT))
+    arm = _behind_gears(s, model, turned * dry)
+    bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
+    left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides]
             for one in (model, bare)]
     count = 12 * model.n
-    columns = _rows(np.concatenate([
-        s.decimate_motion(lambda rows: full_regressor(model.kinematics, s.q[rows], s.qd[rows], s.qdd[rows])),
-        s.decimate(_friction(s, dry, robot)), s.decimate(_waves(s, ripple))], axis=2), believed)
     root = _root(model, dry, ripple)
-    whitened = columns @ root
-    of_this_arm = slice(count - model.n, count + len(SPEEDS) * model.n)
-    if _evidence(whitened[:, of_this_arm], left[0]) >= _evidence(whitened, left[1]):
+    columns = np.concatenate([s.decimate_motion(lambda rows: _bodies(s, model, arm, rows)),
+                              s.decimate(_friction(s, turned, dry, robot)), s.decimate(_waves(s, ripple))],
+                             axis=2)[slides] @ root
+    offsets_and_friction = slice(count - model.n, count + len(SPEEDS) * model.n)
+    if (_evidence(columns[:, offsets_and_friction] / doubted[:, None], left[0] / doubted)
+            >= _evidence(columns / doubted[:, None], left[1] / doubted)):
         return model
-    covariance = root @ np.linalg.inv(np.eye(root.shape[1]) + whitened.T @ whitened) @ root.T
-    found = covariance @ (columns.T @ left[1])
+    whitened = columns / believed[:, None]
+    spread = np.linalg.inv(np.eye(root.shape[1]) + whitened.T @ whitened)
+    likely = spread @ (whitened.T @ (left[1] / believed))
+    found, covariance = root @ likely, root @ spread @ root.T
     base, waves = model.base, found[count + len(SPEEDS) * model.n :].reshape(-1, 2)
     values = model.base_values + base.of(found[:count])
     try:
         full = consistent_parameters(base, values, base.grouping @ covariance[:count, :count] @ base.grouping.T,
-                                     np.array(model.consistent)).full
+                                     _nearby(model, found[:count], likely[-model.n :])).full
     except IdealRobotError:  # no bodies that can be: torques of something else
         return model
-    turned = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
-                   for effect, (a, b) in zip(ripple, waves, strict=True))
-    return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *turned))
+    turned_ripple = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
+                          for effect, (a, b) in zip(ripple, waves, strict=True))
+    return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *turned_ripple))
+
+
+def _nearby(model: Model, found: Array, heavier: Array) -> Array:
+    """Possible full parameters ``(12 n,)`` for what no motion tells, such as how a rotor and a link share an inertia.
+
+    Args:
+        model: of an arm of the type.
+        found: likely differences from it ``(12 n,)``.
+        heavier: what of them is a link's weight, over its standard deviation ``(n,)``.
+    """
+    n, full = model.n, np.array(model.consistent)
+    full[: 10 * n] *= np.repeat(np.maximum(1.0 + LINK * heavier, 0.1), 10)
+    full[10 * n :] += found[10 * n :]
+    full[10 * n : 11 * n] = np.maximum(full[10 * n : 11 * n], 0.0)
+    return full
 
 
 def _dry(model: Model) -> Array:
@@ -99,18 +125,33 @@ def _dry(model: Model) -> Array:
     return np.asarray(np.maximum(0.5 * (model.friction.torque(slow) - model.friction.torque(-slow))[0], 1e-6))
 
 
-def _rows(values: Array, believed: Array) -> Array:
-    """Torques ``(M, n, …)`` over the standard deviations that they are ``believed (n,)`` to, one after the other."""
-    return np.asarray((values / believed.reshape(1, -1, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:]))
+def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> tuple[Array, Array, Array]:
+    """Position, velocity and acceleration of the arm, each ``(N, n)``, behind its gears as in ``smoothed_window``."""
+    if model.stiffness is None:
+        return s.q, s.qd, s.qdd
+    transmitted = lowpass(s.tau, s.dt, s.cutoff) - model.rotor_inertia * s.qdd - model.offset - friction
+    q = s.q - transmitted / model.stiffness
+    qd = np.gradient(q, s.dt, axis=0)
+    return q, qd, np.gradient(qd, s.dt, axis=0)
 
 
-def _friction(s: FilteredSignals, dry: Array, robot: Robot) -> Array:
-    """What friction's curves count ``(N, n, K n)`` [N m]."""
+def _bodies(s: FilteredSignals, model: Model, arm: tuple[Array, Array, Array], rows: slice) -> Array:
+    """What links, which move as the arm does, rotors and offsets count ``(k, n, 12 n)`` [N m]."""
+    n = model.n
+    q, qd, qdd = arm
+    counts = full_regressor(model.kinematics, q[rows], qd[rows], qdd[rows])
+    joint = np.arange(n)
+    counts[:, joint, 10 * n + joint] = s.qdd[rows]
+    return counts
+
+
+def _friction(s: FilteredSignals, turned: Array, dry: Array, robot: Robot) -> Array:
+    """What friction's curves count ``(N, n, K n)`` [N m]; it is ``turned (N, n)``, -1 to 1."""
     n = len(dry)
     columns = np.zeros((len(s.qd), n, n, len(SPEEDS)))
     v_max = largest_speeds(robot.v_max)
     for i in range(n):
-        columns[:, i, i] = dry[i] * np.sign(s.qd[:, i, None]) * between_nodes(np.abs(s.qd[:, i]) / v_max[i])
+        columns[:, i, i] = dry[i] * turned[:, i, None] * between_nodes(np.abs(s.qd[:, i]) / v_max[i])
     return columns.reshape(len(s.qd), n, len(SPEEDS) * n)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.signals.recording import Recording
 from scenes.camera_table import believed_camera, true_camera
 from scenes.camera_world import camera_settings
 from scenes.drawn_line import Geometry, geometry
@@ -103,6 +104,8 @@ class Prepared:
     """A camera to be believed in place of the one that was mounted by hand."""
     moved: tuple[RobotState, ...] = ()
     """What the controller reported while the camera was calibrated, cycle by cycle."""
+    recorded: Recording | None = None
+    """What it logged meanwhile, several times a cycle."""
     warning: str = ""
     """Why there are no looks or no calibration although one was wanted; the run then goes on with the usual line, the
     camera as mounted by hand."""
@@ -154,6 +157,7 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
     """What looking at the line and moving over it gives."""
     detection, hand_eye, reasons = DetectionSettings(), None, []
     moved: list[RobotState] = []
+    recorded: Recording | None = None
     span = span_of(scene, cell.reference)
     model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
     with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
@@ -167,6 +171,8 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
                 hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera,
                                                GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
                                                cell.detector, moved)
+                recorded = arm.recording()
             except (SceneError, SensingError) as error:
                 reasons.append(str(error))
-    return Prepared(camera, detection, hand_eye, moved=tuple(moved), warning="; ".join(reasons))
+    return Prepared(camera, detection, hand_eye, moved=tuple(moved), recorded=recorded,
+                    warning="; ".join(reasons))

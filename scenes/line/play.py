@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.feedforward.registry import method as registered
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_world import knock_of
@@ -72,6 +73,8 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         camera = CarriedCamera(shared.camera, arm, knock_of(scene.camera))
         mounted(sensors, LineWorld(arm, cell.line))
         model = model_for(scene, cell.robot) if method.knows_model else None
+        if model is not None and method.adapts and shared.recorded is not None:
+            model = arm_of_its_type(shared.recorded, model, cell.robot)
         task = LineTask(cell, method, camera, model, gains, log, sensors, shared.detection, shared.moved)
         started = time.perf_counter()
         play_cycles(EquippedArm(arm, [camera]), cell.robot, task, log,

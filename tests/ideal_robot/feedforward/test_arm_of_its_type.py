@@ -75,6 +75,22 @@ def test_the_model_of_the_very_arm_stays(model: Model, friction: float) -> None:
     assert arm_of_its_type(recorded(model, friction), model, ROBOT) is model
 
 
+def test_what_holds_a_joint_at_rest_is_not_taken_for_weight(model: Model) -> None:
+    """Friction at rest is whatever balances the rest, up to the dry one: taken for weight it was 1.8 % of that here."""
+    true = other_arm(model)
+    moving = recorded(true)
+    dry = true.friction.torque(np.full((1, true.n), 1e-9))[0]
+    _, _, qd, _ = moved()
+    at_rest = np.all(np.abs(qd) < 1e-9, axis=1)
+    assert 300 < at_rest.sum() < 0.3 * len(qd)
+    held = Recording.from_arrays(moving.t, q=moving.joints("q"),
+                                 tau=moving.joints("tau") + 0.5 * dry * at_rest[:, None])
+    _, *motion_ = moved(scale=0.8)
+    told, found = (arm_of_its_type(one, model, ROBOT).rigid_body(*motion_) for one in (moving, held))
+    off = np.sqrt(np.mean((found - told) ** 2, axis=0))
+    assert np.all(off < 0.01 * dry), off / dry
+
+
 def test_bodies_stay_possible(model: Model) -> None:
     found = arm_of_its_type(recorded(other_arm(model)), model, ROBOT)
     assert np.all(found.rotor_inertia >= 0.0)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
+from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.line.cell import prepared, set_up
 from scenes.line.kind import run
+from scenes.models import model_for
 from scenes.options import chosen
 from scenes.prepared_model import prepared_model
 from scenes.scene import OWN
@@ -139,6 +143,26 @@ def test_a_cold_arm_is_learned_while_the_camera_is_calibrated() -> None:
     with prepared(scene) as shared:
         fixed, adapted = (run(scene, method=key, shared=shared).control_error.mean for key in ("ideal", "adapted"))
     assert adapted < 0.92 * fixed
+
+
+def test_the_arm_of_another_model_is_learned_while_the_camera_is_calibrated() -> None:
+    """Its masses and ripple: before, an arm with another's model was followed no better adapted than not."""
+    scene = load_scene("line").changed(world={"base": "bench", "individual": 4})
+    with prepared(scene) as shared:
+        fixed, adapted = (run(scene, method=key, shared=shared).control_error.mean for key in ("ideal", "adapted"))
+    assert adapted < 0.6 * fixed
+
+
+def test_the_model_of_the_very_arm_stays_where_its_links_swing_behind_their_gears() -> None:
+    """Moved from pose to pose in tenths of a second; motors alone show another arm."""
+    scene = load_scene("line").changed(world="bench")
+    cell = set_up(scene)
+    model = model_for(scene, cell.robot)
+    with prepared(scene) as shared:
+        assert shared.recorded is not None
+        assert arm_of_its_type(shared.recorded, model, cell.robot) is model
+        rigid = replace(model, stiffness=None)
+        assert arm_of_its_type(shared.recorded, rigid, cell.robot) is not rigid
 
 
 @pytest.mark.slow
