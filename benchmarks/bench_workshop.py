@@ -24,18 +24,21 @@ def main() -> None:
     options = parser.parse_args()
     workshop = load_scene("line")
     line, wear = workshop.changed(world="bench"), workshop.workshop["wear"]
+    camera = workshop.workshop["camera"]
     causes: dict[str, dict[str, Any]] = {
         "none (`bench`)": {},
         "kinematic errors, 0.3 mm and 0.02°": {"world": workshop.arm_world},
         "surface off by 3 mm": {"displacement": {"height_mm": 3.0}},
         "surface tilted by 1°": {"displacement": {"tilt_deg": 1.0}},
-        "flat, rendered": {"camera": {"renderer": "bullet"}},
-        "surface bent by 1 mm, rendered": {"displacement": {"bow_mm": 1.0}, "camera": {"renderer": "bullet"}},
+        "rendered, tool and hose in the picture": {"camera": {"renderer": "bullet"}},
+        "the same, surface bent by 1 mm": {"displacement": {"bow_mm": 1.0}, "camera": {"renderer": "bullet"}},
         "width and ink of the line": {"wear": {key: wear[key] for key in ("width_percent", "fade_percent")}},
         "gaps": {"wear": {"gaps": wear["gaps"]}},
         "scratch and crossing": {"wear": {key: wear[key] for key in ("scratches", "crossings")}},
         "glare and shade": {"wear": {key: wear[key] for key in ("glares", "shades")}},
-        "fields jittered and lost": {"camera": workshop.workshop["camera"]},
+        "lamp: falloff, the arm's shadow, mirror image": {"light": workshop.workshop["light"]},
+        "exposure that lags": {"camera": {"auto_exposure": camera["auto_exposure"]}},
+        "fields jittered, lost and doubled": {"camera": {key: camera[key] for key in ("jitter", "loss", "doubled")}},
     }
     print(f"| cause | mean mm, seeds 1 to {options.seeds} | largest mm | fields used, least |")
     print("| --- | --- | --- | --- |")

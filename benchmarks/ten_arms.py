@@ -1,22 +1,32 @@
 """The line in the workshop, ten arms, each with the model of its own identification motions, beside what is wanted.
 
     python benchmarks/ten_arms.py runs.jsonl [--individuals 1-10] [--seeds 1-3] [--speeds 0.7,1.5,2] [--processes 2]
+    python benchmarks/ten_arms.py --models [--individuals 1-10] [--seeds 1-3]   # and with the model of the next arm
 
 Answers go to the file as they come; started again with the same file, it goes on where it was. About 20 s of processor
-time for an arm's model (kept in the user's cache folder) and 3 s for a run.
+time for an arm's model (kept in the user's cache folder) and 3 s for a run. With ``--models`` each arm is played at the
+scene's speed with its own model and with a stranger's, that of the next individual, by ``ideal`` and by ``adapted``.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ideal_robot.robots.robot import Robot
+from scenes import load_scene
 from scenes.commands.common import numbers, whole_numbers
+from scenes.line.kind import run
+from scenes.methods import ADAPTED, IDEAL
+from scenes.options import chosen
+from scenes.prepared_model import prepared_model
 from scenes.sweep import jobs, sweep
 from scenes.sweep_file import SweepFile
+from sim.arm.world import World
 
 WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.2}, 2.0: {"mean": 0.3}}
 """Bounds by speed [mm]: of the mean over all runs, of the worst run's mean, of each run's 95 %."""
@@ -24,17 +34,23 @@ WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("lines", type=Path)
+    parser.add_argument("lines", type=Path, nargs="?")
+    parser.add_argument("--models", action="store_true", help="the own model and a stranger's, not adapted and adapted")
     parser.add_argument("--individuals", default="1-10")
     parser.add_argument("--seeds", default="1-3")
     parser.add_argument("--speeds", default="0.7,1.5,2")
     parser.add_argument("--scene", default="line")
     parser.add_argument("--processes", type=int, default=2)
     options = parser.parse_args()
+    seeds, individuals = whole_numbers(options.seeds, "--seeds"), whole_numbers(options.individuals, "--individuals")
+    if options.models:
+        models(options.scene, individuals, seeds)
+        return
+    if options.lines is None:
+        parser.error("give the file that the answers go to, or --models")
     # Arm by arm, so that what is finished early is a whole row; two processes would identify one arm twice.
     answers: list[dict[str, Any]] = []
-    speeds, seeds = numbers(options.speeds, "--speeds"), whole_numbers(options.seeds, "--seeds")
-    individuals = whole_numbers(options.individuals, "--individuals")
+    speeds = numbers(options.speeds, "--speeds")
     file = SweepFile(options.lines, resume=options.lines.exists())
     for individual in individuals:
         work = jobs([options.scene], speeds=speeds, seeds=seeds, individuals=[individual])
@@ -56,6 +72,28 @@ def main() -> None:
         failed = sum(bool(one["failure"]) for one in runs)
         print(f"| {speed:g} | {len(runs)} | {error['mean'].mean():.3f} | {error['mean'].max():.3f} | "
               f"{error['p95'].max():.3f} | {error['max'].max():.3f} | {failed} | {wanted} |")
+
+
+def models(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None:
+    """Mean error of each arm over the seeds with its own model and with that of the next individual."""
+    print("| individual | own, `ideal` | own, `adapted` | stranger's, `ideal` | stranger's, `adapted` |")
+    print("| --- | --- | --- | --- | --- |")
+    errors = np.empty((len(individuals), 4, len(seeds)))
+    largest = np.empty_like(errors)
+    for i, individual in enumerate(individuals):
+        scene, other = (chosen(load_scene(name), individual=which) for which in (individual, individual % 10 + 1))
+        own, strange = (str(prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, one.arm_world)).path)
+                        for one in (scene, other))
+        for k, seed in enumerate(seeds):
+            for j, (model, method) in enumerate((m, key) for m in (own, strange) for key in (IDEAL, ADAPTED)):
+                result = run(scene.changed(model=model, seed=seed), method=method)
+                error = result.control_error
+                errors[i, j, k] = np.nan if result.failure else 1e3 * error.mean
+                largest[i, j, k] = np.nan if result.failure else 1e3 * error.p95
+        print(f"| {individual} | {' | '.join(f'{value:.3f}' for value in errors[i].mean(axis=1))} |", flush=True)
+    for text, values in (("mean", errors.mean(axis=(0, 2))), ("worst run's mean", errors.max(axis=(0, 2))),
+                         ("worst run's 95 %", largest.max(axis=(0, 2)))):
+        print(f"| {text} | {' | '.join(f'{value:.3f}' for value in values)} |")
 
 
 def _cell(answer: dict[str, Any]) -> str:
