@@ -14,6 +14,7 @@ import numpy as np
 
 from scenes import load_scene
 from scenes.line.kind import run
+from scenes.line.result import LineResult
 from scenes.options import chosen
 
 
@@ -40,14 +41,25 @@ def main() -> None:
         "exposure that lags": {"camera": {"auto_exposure": camera["auto_exposure"]}},
         "fields jittered, lost and doubled": {"camera": {key: camera[key] for key in ("jitter", "loss", "doubled")}},
     }
-    print(f"| cause | mean mm, seeds 1 to {options.seeds} | largest mm | fields used, least |")
-    print("| --- | --- | --- | --- |")
+    print(f"| cause | mean mm, seeds 1 to {options.seeds} | largest mm | fields used, least | "
+          "constant beside the line mm | tool above the surface mm |")
+    print("| --- | --- | --- | --- | --- | --- |")
     scenes = {name: line.changed(**change) for name, change in causes.items()} | {"all (`workshop`)": workshop}
     for name, scene in scenes.items():
         runs = [run(chosen(scene, seed=seed, individual=options.individual)) for seed in range(1, options.seeds + 1)]
         means = ", ".join("failed" if one.failure else f"{1e3 * one.control_error.mean:.3f}" for one in runs)
+        constants = ", ".join(f"{1e3 * np.mean(one.control_error.lateral):.3f}" for one in runs)
+        heights = ", ".join(f"{1e3 * _height(one):.2f}" for one in runs)
         print(f"| {name} | {means} | {1e3 * np.max([one.control_error.max for one in runs]):.2f} | "
-              f"{min(one.fields_used for one in runs)} |", flush=True)
+              f"{min(one.fields_used for one in runs)} | {constants} | {heights} |", flush=True)
+
+
+def _height(result: LineResult) -> float:
+    """Mean height of the true tool above the even surface while the error counts [m]."""
+    columns, plane = result.recording.columns, result.geometry.plane
+    counts = np.isin(np.round(columns["t"], 6), np.round(result.control_error.t, 6))
+    tcp = np.column_stack([columns[axis][counts] for axis in "xyz"])
+    return float(np.mean((tcp - plane.translation) @ plane.rotation[:, 2]))
 
 
 if __name__ == "__main__":

@@ -75,11 +75,13 @@ def main() -> None:
 
 
 def models(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None:
-    """Mean error of each arm over the seeds with its own model and with that of the next individual."""
+    """Mean error of each arm over the seeds with its own model and with that of the next individual [mm].
+
+    A constant beside the line is the sensing's, not the arm's: what is left without each run's own stands apart.
+    """
     print("| individual | own, `ideal` | own, `adapted` | stranger's, `ideal` | stranger's, `adapted` |")
     print("| --- | --- | --- | --- | --- |")
-    errors = np.empty((len(individuals), 4, len(seeds)))
-    largest = np.empty_like(errors)
+    mean, p95, varying = (np.empty((len(individuals), 4, len(seeds))) for _ in range(3))
     for i, individual in enumerate(individuals):
         scene, other = (chosen(load_scene(name), individual=which) for which in (individual, individual % 10 + 1))
         own, strange = (str(prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, one.arm_world)).path)
@@ -87,13 +89,23 @@ def models(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None:
         for k, seed in enumerate(seeds):
             for j, (model, method) in enumerate((m, key) for m in (own, strange) for key in (IDEAL, ADAPTED)):
                 result = run(scene.changed(model=model, seed=seed), method=method)
-                error = result.control_error
-                errors[i, j, k] = np.nan if result.failure else 1e3 * error.mean
-                largest[i, j, k] = np.nan if result.failure else 1e3 * error.p95
-        print(f"| {individual} | {' | '.join(f'{value:.3f}' for value in errors[i].mean(axis=1))} |", flush=True)
-    for text, values in (("mean", errors.mean(axis=(0, 2))), ("worst run's mean", errors.max(axis=(0, 2))),
-                         ("worst run's 95 %", largest.max(axis=(0, 2)))):
-        print(f"| {text} | {' | '.join(f'{value:.3f}' for value in values)} |")
+                error, place = result.control_error, (i, j, k)
+                mean[place], p95[place] = error.mean, error.p95
+                varying[place] = np.mean(np.abs(error.lateral - np.mean(error.lateral)))
+                if result.failure:
+                    mean[place] = p95[place] = varying[place] = np.nan
+        print(_row(str(individual), mean[i].mean(axis=1)), flush=True)
+    print(_row("mean", mean.mean(axis=(0, 2))))
+    print(_row("worst run's mean", mean.max(axis=(0, 2))))
+    print(_row("worst run's 95 %", p95.max(axis=(0, 2))))
+    print(_row("mean without each run's constant", varying.mean(axis=(0, 2))))
+    by_arm = varying.mean(axis=2)
+    ratio = by_arm[:, 1] / by_arm[:, 0]
+    print(f"\nown, `adapted` over `ideal`, without each run's constant, by arm: {ratio.min():.2f} to {ratio.max():.2f}")
+
+
+def _row(title: str, values: np.ndarray) -> str:
+    return f"| {title} | {' | '.join(f'{1e3 * value:.3f}' for value in values)} |"
 
 
 def _cell(answer: dict[str, Any]) -> str:

@@ -18,17 +18,23 @@ def shipped_model(robot_name: str) -> Path:
     return Path(str(resources.files("scenes"))) / "models" / f"{robot_name}.json"
 
 
-def model_at(wanted: str, robot: Robot) -> Model:
+def model_at(wanted: str, robot: Robot, source: str | None = None) -> Model:
     """The model that a scene names by ``shipped`` or by its path.
+
+    Args:
+        wanted: the name or path.
+        robot: the arm.
+        source: the scene, for messages.
 
     Raises:
         InputError: no shipped model for that robot, no such file, or a model of another robot.
     """
     path = shipped_model(robot.name) if wanted == SHIPPED else Path(wanted)
     if not os.path.isfile(path):
-        raise InputError("no such model file" if wanted != SHIPPED else
-                         f"no model is shipped for {robot.name}; identify one and give its path", field="model",
-                         value=wanted)
+        raise InputError("no such model file; give the path of one that identify or prepare wrote, or shipped"
+                         if wanted != SHIPPED else
+                         f"no model is shipped for {robot.name}; identify one and give its path", file=source,
+                         field="model", value=wanted)
     model = _load(path, path.stat().st_mtime_ns)
     model.require_arm(robot, file=path)
     return model

@@ -25,6 +25,6 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
         InputError: no shipped model for that robot, no such file, or a model of another robot.
     """
     if scene.model != OWN:
-        return model_at(scene.model, robot)
+        return model_at(scene.model, robot, scene.source)
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
     return model_at(str(prepared_model(robot, world, progress).path), robot)

@@ -101,7 +101,7 @@ def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path |
     robot = scene.arm if isinstance(scene, LineScene) else Robot.load(scene.robot)
     if devices.cycle is not None:
         robot = at_cycle(robot, devices.cycle)
-    model = model_at(scene.model, robot)
+    model = model_at(scene.model, robot, scene.source)
     loop = loop_model(model, robot, delay=int(devices.delay))
     within = answers_within(loop, robot)
     if not isinstance(scene, LineScene | ForceScene):
