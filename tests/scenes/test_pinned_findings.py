@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
@@ -143,6 +145,18 @@ def test_a_matlab_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     place = tmp_path / "emps.mat"
     place.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\x00\x00\x00\xff\x00\x00\x00")
     with pytest.raises(InputError, match="not readable as mat"):
+        fetch("emps", tmp_path, file=place)
+
+
+def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) -> None:
+    """Numbers of no type end SciPy's compiled reader, and its process, by a segmentation fault."""
+    made, place = io.BytesIO(), tmp_path / "emps.mat"
+    savemat(made, {name: np.arange(200.0) for name in ("t", "qm", "qg", "vir")})
+    content = bytearray(made.getvalue())
+    assert content[176] == 9  # the first variable's numbers are doubles
+    content[176] = 0
+    place.write_bytes(content)
+    with pytest.raises(InputError, match="no reader survives it"):
         fetch("emps", tmp_path, file=place)
 
 
