@@ -137,10 +137,12 @@ def paint(line: DrawnLine, resolution: float = 0.00025, margin: float = 0.2) -> 
         raise InputError("must be positive", field="surface.resolution", value=resolution)
     xy = line.plane_points
     low, high = xy.min(axis=0) - margin, xy.max(axis=0) + margin
-    columns, rows = (int(n) for n in np.ceil((high - low) / resolution))
-    if columns * rows > MAX_TEXELS:
-        raise InputError(f"the surface would need {columns} × {rows} texels; take a coarser one or a smaller line",
-                         field="surface.resolution", value=resolution)
+    with np.errstate(over="ignore"):
+        across, down = np.ceil((high - low) / resolution)
+    if not across * down <= MAX_TEXELS:
+        raise InputError(f"the surface would need {across:.6g} × {down:.6g} texels; take a coarser one or a smaller "
+                         "line", field="surface.resolution", value=resolution)
+    columns, rows = int(across), int(down)
     canvas = _Canvas(low[0], high[1], rows, columns, resolution, line.background)
     drawn = np.ones(len(xy) - 1, dtype=bool)
     middle = 0.5 * (line.s[1:] + line.s[:-1])

@@ -99,5 +99,7 @@ def test_wrong_lines_are_refused() -> None:
         DrawnLine.from_plane_points(XY, PLANE, width=-1.0)
     with pytest.raises(InputError, match="texels"):
         paint(DrawnLine.from_plane_points(XY, PLANE), resolution=1e-5)
+    with pytest.raises(InputError, match="inf × inf texels"):
+        paint(DrawnLine.from_plane_points(XY, PLANE), resolution=1e-320)
     with pytest.raises(InputError, match="resolution"):
         paint(DrawnLine.from_plane_points(XY, PLANE), resolution=0.0)
