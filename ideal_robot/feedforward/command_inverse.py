@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.loop.loop_model import LoopModel
@@ -56,10 +57,9 @@ def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> C
     wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
     second = np.diff(np.eye(cycles + 2), 2, axis=0)
     for i in range(n):
-        response = np.zeros((fine, fine))
-        for lag, tap in enumerate(taps[:, i]):
-            if lag < fine:
-                response += tap * np.eye(fine, k=-lag)
+        answer = np.zeros(fine)
+        answer[: len(taps)] = taps[:fine, i]
+        response = linalg.toeplitz(answer, np.zeros(fine))
         # Before the oldest knot the command counts as constant.
         response[:, 0] += 1.0 - response.sum(axis=1)
         position = response @ interpolation

@@ -13,6 +13,8 @@ from ideal_robot.model.controller_model import ControllerModel
 
 _SYMBOLS = 12
 """Full parameters a joint: ten of its link, its rotor inertia, its torque offset."""
+_SLOWEST_FILTER = 0.1
+"""Of commands, each stage's time constant [s]: path planners smooth over less, and what is inverted grows with it."""
 
 
 def require_consistent(model: Any, file: Path | str | None = None) -> None:
@@ -87,8 +89,9 @@ def _controller(controller: ControllerModel, n: int, file: Path | str | None) ->
         if not isinstance(array, np.ndarray):
             raise InputError(f"expected {n} numbers", file=file, field=f"controller.{key}")
         _array(array, (n,), f"controller.{key}", file, finite=True)
-    if np.any(controller.filter_time < 0) or np.any(controller.filter_time > 10):
-        raise InputError("expected times of 0 to 10 s", file=file, field="controller.filter_time")
+    if np.any(controller.filter_time < 0) or np.any(controller.filter_time > _SLOWEST_FILTER):
+        raise InputError(f"expected times of 0 to {_SLOWEST_FILTER} s", file=file, field="controller.filter_time",
+                         value=controller.filter_time.tolist())
     for key, low, high in (("t_cycle", 1e-5, 1.0), ("delay", 0.0, 10.0), ("filter_order", 1, 10)):
         value = getattr(controller, key)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:

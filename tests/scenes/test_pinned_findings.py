@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import sys
 from pathlib import Path
@@ -24,7 +25,7 @@ from scenes import cli
 from scenes.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.data_sets import fetch
 from scenes.detection.sources import pictures
-from scenes.model_files import model_at
+from scenes.model_files import model_at, shipped_model
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.undeclared import undeclared_effects
@@ -146,6 +147,16 @@ def test_a_matlab_file_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     place.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + b"\x0e\x00\x00\x00\xff\x00\x00\x00")
     with pytest.raises(InputError, match="not readable as mat"):
         fetch("emps", tmp_path, file=place)
+
+
+def test_a_command_filter_of_a_second_is_refused_before_its_inverse_takes_minutes(tmp_path: Path) -> None:
+    values = json.loads(shipped_model("kr6").read_text(encoding="utf-8"))
+    values["controller"]["filter_time"][5] = True
+    place = tmp_path / "m.json"
+    place.write_text(json.dumps(values))
+    with pytest.raises(InputError, match=r"times of 0 to 0.1 s") as refused:
+        Model.load(place)
+    assert refused.value.field == "controller.filter_time"
 
 
 def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) -> None:
