@@ -52,7 +52,7 @@ class SweepFile:
             try:
                 entry = json.loads(line)
                 self.answers[key_of(entry["job"])] = _checked(entry["answer"])
-            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 raise InputError(f"line {number} is none of a sweep; remove it, and its run is played again",
                                  file=self.path, field="--lines") from error
         if len(whole) < len(raw):

@@ -100,7 +100,7 @@ def left_behind(folder: Path) -> Recording | None:
         return None
     try:
         found = _recording(*journal_rows(folder))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return found if len(found.t) else None
 

@@ -75,7 +75,7 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
                           pictures=pictures, enlarged=float(words["enlarged"]))
     except InputError as error:
         raise InputError(f"not a readable replay ({error}); delete it to see the recording alone", file=path) from error
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, SyntaxError, RecursionError, zlib.error,
-            RuntimeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, SyntaxError, OverflowError,
+            RecursionError, zlib.error, RuntimeError, zipfile.BadZipFile) as error:
         raise InputError(f"not a readable replay ({type(error).__name__}: {error}); delete it to see the "
                          "recording alone", file=path) from error

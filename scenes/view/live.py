@@ -59,7 +59,7 @@ class LiveView:
                 period = float(meta["cycle_time"])
                 if rows.shape[1] != 2 + 4 * self.viewer.robot.n or not _SHORTEST <= period <= SILENT:
                     raise ValueError("the journal of another arm, or none")
-        except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError):
+        except (OSError, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError):
             self._ended()
             return
         if size == self._size:

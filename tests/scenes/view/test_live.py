@@ -55,7 +55,7 @@ def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("change", [{"cycle_time": {"a": 1}}, {"cycle_time": 1e-320}, {"cycle_time": 0},
-                                    {"gain": [1.0] * 3}])
+                                    {"cycle_time": 10**400}, {"gain": [1.0] * 3}])
 def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any], tmp_path: Path) -> None:
     from scenes.view.live import watch
 
