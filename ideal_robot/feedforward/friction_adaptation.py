@@ -18,7 +18,13 @@ What other inertias are wrong by is counted to a sample's variance.
 
 Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
-What the law's shape lacks over speed can be learned beside it, from the following error (``friction_curve``).
+What the law's shape lacks over speed can be learned beside it: from the following error (``friction_curve``) or, where
+the path is planned anew all the time and following errors are not friction's alone, from the torques too, as
+
+    z F(0) Σ_k c_k φ_k(|q̇|)
+
+more on the right, a curve as there. A gear's friction falls with speed before it rises. Without the curve two factors
+explain what was measured at higher speeds at the cost of the friction that a reversal meets.
 
 Safe by construction: without measurements nothing changes; samples that are not finite, too slow or far from
 what is expected do not count; forgetting stops when the motion tells nothing; all that is learned is bounded.
@@ -30,11 +36,20 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, point_mass
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
+from ideal_robot.feedforward.friction_curve import (
+    LARGEST,
+    SHAPE,
+    SPEEDS,
+    CurveState,
+    FrictionCurve,
+    between_nodes,
+    likeness,
+)
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
 from ideal_robot.loop.further_torque import further_torque
@@ -67,7 +82,10 @@ class FrictionFactors:
         theta: factors on dry friction and on what rises with speed ``(n, 2)``.
         apparent: inertia that torques show beyond the model's, over ``k_p T`` ``(n,)``.
         mass: that the tool has beyond the model [kg].
-        covariance: of the factors, joint by joint, the apparent inertias and the mass ``(3 n + 1, 3 n + 1)``.
+        curve: friction beyond the factors', over dry friction, at the nodes ``SPEEDS`` of ``friction_curve``
+            ``(n, K)``; K = 0 where none is learned.
+        covariance: of the factors, joint by joint, the apparent inertias, the mass and the curves
+            ``(3 n + 1 + K n, 3 n + 1 + K n)``.
         q, tau: last measurements ``(m, n)`` with ``m`` up to the window, contact torque taken away.
         z: how far friction had turned then ``(m, n)``, -1 to 1.
         rejected: measurements in a row that did not count, per joint ``(n,)``.
@@ -77,6 +95,7 @@ class FrictionFactors:
     theta: Array
     apparent: Array
     mass: float
+    curve: Array
     covariance: Array
     q: Array
     tau: Array
@@ -86,7 +105,7 @@ class FrictionFactors:
 
 
 class FrictionAdaptation:
-    """Recursive least squares on the friction factors of every joint and the mass at the tool.
+    """Recursive least squares on the friction factors of every joint, the mass at the tool and, if wanted, a curve.
 
     Args:
         loop: the identified loop; its rigid body, rotors and friction are the reference.
@@ -98,20 +117,26 @@ class FrictionAdaptation:
             deviation.
         tool: where in the last joint's frame the mass is ``(3,)`` [m]; no mass is learned if None: on the axes of a
             wrist it hardly differs from what inertias may be wrong by.
+        curve: whether what the factors' law lacks over speed is learned from the torques.
     """
 
     def __init__(self, loop: LoopModel, *, memory: float = 20.0, bounds: tuple[float, float] = (0.3, 3.0),
                  noise: float = 0.15, gate: float = 4.0, drift: float = 0.02,
-                 tool: Array | None = None) -> None:
+                 tool: Array | None = None, curve: bool = False) -> None:
         self.loop, self.bounds, self.gate = loop, bounds, gate
+        self._nodes = len(SPEEDS) if curve else 0
         self._kilogram = point_mass(loop.chain, np.zeros(3) if tool is None else tool)
         self._forgetting = np.exp(-loop.t_ipo / memory)
         self._dry = loop.friction_torque[:, 0]
-        dry = np.maximum(self._dry.mean(axis=0), 1e-6)
+        self._mean_dry = dry = np.maximum(self._dry.mean(axis=0), 1e-6)
         self._mass = 0.0 if tool is None else float(_WEIGHT * dry.max() / _GRAVITY)
         # All joints ask for the mass's drift in every cycle.
-        self._drift = drift**2 * loop.t_ipo * np.concatenate([np.ones(2 * loop.n), np.zeros(loop.n),
-                                                              [self._mass**2 / loop.n]])
+        self._drift = drift**2 * loop.t_ipo * np.array([1.0, 1.0, self._mass**2 / loop.n])
+        self._alike = likeness()[: self._nodes, : self._nodes]
+        self._curve_drift = (SHAPE * drift) ** 2 * loop.t_ipo * self._alike
+        self._v_max = largest_speeds(loop.v_max)
+        self._table = np.stack([between_nodes(speed / most)[:, : self._nodes]
+                                for speed, most in zip(loop.friction_velocity.T, self._v_max, strict=True)])
         # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
         self._sigma = np.sqrt(3.0) * noise * dry
         # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
@@ -121,17 +146,27 @@ class FrictionAdaptation:
         self._grown = grown_friction(loop)
         self._window = SmoothedWindow(loop)
         most = np.concatenate([np.full(loop.n, _FARTHEST * _APPARENT), [_FARTHEST * self._mass]])
-        self._low = np.concatenate([np.full(2 * loop.n, bounds[0] - 1.0), -most])
-        self._high = np.concatenate([np.full(2 * loop.n, bounds[1] - 1.0), most])
+        largest = np.full(loop.n * self._nodes, LARGEST)
+        self._low = np.concatenate([np.full(2 * loop.n, bounds[0] - 1.0), -most, -largest])
+        self._high = np.concatenate([np.full(2 * loop.n, bounds[1] - 1.0), most, largest])
 
     def init(self) -> FrictionFactors:
-        """Factors 1, believed as far as friction changes, and no mass."""
+        """Factors 1, believed as far as friction changes, no mass, and curves of nothing."""
         n = self.loop.n
         shared, own = np.diag(np.square(_SHARED)), np.diag(np.square(_OWN))
-        covariance = np.diag(np.concatenate([np.zeros(2 * n), np.full(n, _APPARENT**2), [self._mass**2]]))
-        covariance[: 2 * n, : 2 * n] = np.kron(np.ones((n, n)), shared) + np.kron(np.eye(n), own)
-        return FrictionFactors(np.ones((n, 2)), np.zeros(n), 0.0, covariance, np.empty((0, n)), np.empty((0, n)),
-                               np.empty((0, n)), np.zeros(n), np.zeros(n))
+        covariance = linalg.block_diag(np.kron(np.ones((n, n)), shared) + np.kron(np.eye(n), own),
+                                       np.diag([*[_APPARENT**2] * n, self._mass**2]),
+                                       np.kron(np.eye(n), SHAPE**2 * self._alike))
+        return FrictionFactors(np.ones((n, 2)), np.zeros(n), 0.0, np.zeros((n, self._nodes)), covariance,
+                               np.empty((0, n)), np.empty((0, n)), np.empty((0, n)), np.zeros(n), np.zeros(n))
+
+    def friction(self, state: FrictionFactors) -> dict[str, Array]:
+        """Friction fields of the loop with what was learned applied."""
+        fields = adapted(self.loop, state.theta)
+        if self._nodes:
+            curve = np.matmul(self._table, state.curve[:, :, None])[:, :, 0].T * self._mean_dry
+            fields["friction_torque"] = np.maximum(fields["friction_torque"] + curve, 0.0)
+        return fields
 
     def carried(self, mass: float) -> Chain | None:
         """The tool's mass beyond the model's as a body; None for none."""
@@ -184,7 +219,8 @@ class FrictionAdaptation:
         left = (seen.tau - further) / loop.gain - steady - accelerating - loop.offset
         variance = self._sigma**2 + (_ACCELERATING * accelerating) ** 2
         per_kilogram = inverse_dynamics(self._kilogram, *at, seen.a[None])[0]
-        x = np.concatenate([(state.theta - 1.0).ravel(), state.apparent, [state.mass]])
+        x = np.concatenate([(state.theta - 1.0).ravel(), state.apparent, [state.mass], state.curve.ravel()])
+        at_nodes = between_nodes(np.abs(speed) / self._v_max) if self._nodes else np.empty((n, 0))
         covariance, rejected, used = state.covariance, state.rejected.copy(), state.used.copy()
         for i in range(n):
             v = speed[i]
@@ -195,10 +231,11 @@ class FrictionAdaptation:
             by_load = friction_of_load(loop.friction_load[i], loop.friction_driven[i], rigid[i], v)
             table = float(np.interp(abs(v), loop.friction_velocity[:, i], loop.friction_torque[side, :, i]))
             grown = float(np.interp(abs(v), loop.friction_velocity[:, i], self._grown[side, :, i]))
-            own, h = slice(2 * i, 2 * i + 2), np.zeros(len(x))
+            h, (own, curve) = np.zeros(len(x)), self._places(i)
             h[own] = z * np.array([self._dry[side, i] + by_load, grown])
-            h[2 * n + i], h[-1] = self._apparent[i] * seen.motor_a[i], per_kilogram[i]
-            P = self._aged(covariance, own)
+            h[2 * n + i], h[3 * n] = self._apparent[i] * seen.motor_a[i], per_kilogram[i]
+            h[curve] = z * self._mean_dry[i] * at_nodes[i]
+            P = self._aged(covariance, i)
             innovation, said = left[i] - z * (table + by_load) - h @ x, P @ h
             S = float(h @ said) + variance[i]
             if innovation**2 > self.gate**2 * S:
@@ -207,21 +244,28 @@ class FrictionAdaptation:
             x = np.clip(x + said / S * innovation, self._low, self._high)
             covariance = P - np.outer(said, said) / S
             rejected[i], used[i] = 0, used[i] + 1
-        return replace(state, theta=1.0 + x[: 2 * n].reshape(-1, 2), apparent=x[2 * n : -1], mass=float(x[-1]),
-                       covariance=covariance, rejected=rejected, used=used)
+        return replace(state, theta=1.0 + x[: 2 * n].reshape(-1, 2), apparent=x[2 * n : 3 * n],
+                       mass=float(x[3 * n]), curve=x[3 * n + 1 :].reshape(n, -1), covariance=covariance,
+                       rejected=rejected, used=used)
 
-    def _aged(self, covariance: Array, own: slice) -> Array:
-        """Covariance before the next measurement of a joint whose factors are ``own``: forgotten and wandered a little.
+    def _places(self, joint: int) -> tuple[slice, slice]:
+        """Where among the parameters a joint's two factors and its curve are."""
+        curve = 3 * self.loop.n + 1 + joint * self._nodes
+        return slice(2 * joint, 2 * joint + 2), slice(curve, curve + self._nodes)
 
-        The mass is not forgotten, as it does not change by itself.
+    def _aged(self, covariance: Array, joint: int) -> Array:
+        """Covariance before the next measurement of a joint: its factors forgotten and wandered a little.
+
+        The mass is not forgotten, as it does not change by itself, and the curve is not: a cold start is the factors'.
         """
-        P = covariance.copy()
+        P, (own, curve) = covariance.copy(), self._places(joint)
         # Without information forgetting would let the covariance grow for ever.
         scale = np.sqrt(min(1.0 / self._forgetting, 0.5 / float(np.trace(P[own, own]))))
         P[own] *= scale
         P[:, own] *= scale
-        at = np.r_[own, len(P) - 1]
-        P[at, at] += self._drift[at]
+        at = np.array([own.start, own.start + 1, 3 * self.loop.n])
+        P[at, at] += self._drift
+        P[curve, curve] += self._curve_drift
         return P
 
 
@@ -276,7 +320,7 @@ class AdaptedIdeal(Feedforward):
         if inner.cycle == 0:
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
-        change = adapted(self.ideal.loop, factors.theta)
+        change = self.adaptation.friction(factors)
         curve, inertia = state.curve, None
         if self.curve is not None and curve is not None:
             change["friction_torque"] = change["friction_torque"] + self.curve.torque(curve)

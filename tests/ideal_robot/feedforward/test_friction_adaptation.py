@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation, adapted
+from ideal_robot.feedforward.friction_curve import LARGEST
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.interface import RobotState
@@ -31,7 +32,12 @@ def fed(adaptation, measured):
 
 def sliding_ratio(loop, theta):
     """Adapted over identified friction at two speeds ``(2, n)``: the two factors trade, what counts is their sum."""
-    tables = adapted(loop, theta)["friction_torque"], loop.friction_torque
+    return table_ratio(loop, adapted(loop, theta)["friction_torque"])
+
+
+def table_ratio(loop, friction_torque):
+    """A table of friction over the loop's at two speeds ``(2, n)``."""
+    tables = friction_torque, loop.friction_torque
     return np.array([[np.interp(speed, loop.friction_velocity[:, i], tables[0][0, :, i])
                       / np.interp(speed, loop.friction_velocity[:, i], tables[1][0, :, i]) for i in range(loop.n)]
                      for speed in (0.3, 0.8)])
@@ -142,9 +148,58 @@ def test_noise_does_not_move_it_away_from_the_truth():
     np.testing.assert_allclose(sliding_ratio(loop, factors.theta), 1.0, atol=0.15)
 
 
-def test_without_a_recording_it_is_the_ideal_robot():
+@pytest.mark.parametrize("curve", [False, True])
+def test_without_a_recording_it_is_the_ideal_robot(curve):
     loop, q_d = plant(), motion()
-    np.testing.assert_array_equal(commands(AdaptedIdeal(IdealRobot(loop)), q_d), commands(IdealRobot(loop), q_d))
+    adapts = AdaptedIdeal(IdealRobot(loop), FrictionAdaptation(loop, tool=TOOL, curve=curve))
+    np.testing.assert_array_equal(commands(adapts, q_d), commands(IdealRobot(loop), q_d))
+
+
+def falling(loop, share=0.3):
+    """The loop with friction that falls by a share of the dry one before it rises."""
+    speed = loop.friction_velocity / loop.v_max
+    return loop.replace(friction_torque=loop.friction_torque - share * loop.friction_torque[:, :1]
+                        * (1.0 - np.exp(-((speed / 0.01) ** 2))))
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.3])
+def test_friction_that_falls_before_it_rises_is_found_in_the_torques(factor):
+    """At half a percent of the largest speed, where it falls, at three and at twenty."""
+    loop, slow = plant(), motion(0.05)
+    true = falling(plant(friction=factor))
+    missed = {}
+    for curve in (False, True):
+        adaptation = FrictionAdaptation(loop, curve=curve)
+        known = fed(adaptation, [*states(true, motion()), *states(true, slow)])
+        found = adaptation.friction(known)["friction_torque"]
+        missed[curve] = [np.abs([np.interp(share * loop.v_max[i], loop.friction_velocity[:, i],
+                                           (found - true.friction_torque)[0, :, i]) / true.friction_torque[0, 0, i]
+                                 for i in range(loop.n)]).max() for share in (0.005, 0.03, 0.2)]
+    assert np.all(np.array(missed[True]) < 0.75 * np.array(missed[False]))
+
+
+def test_an_arm_whose_friction_falls_before_it_rises_is_where_it_should_be():
+    """The two factors alone level what friction falls by, and leave it wrong at reversals."""
+    loop, q_d = plant(), motion()
+    true = falling(loop)
+    error = {}
+    for curve in (False, True):
+        adaptation = FrictionAdaptation(loop, curve=curve)
+        known = fed(adaptation, [*states(true, q_d), *states(true, motion(0.05))])
+        follows = AdaptedIdeal(IdealRobot(loop), adaptation, known)
+        error[curve] = rms(simulate(true, commands(follows, q_d)).q_a[40:-1] - q_d[40:])
+    fixed = rms(simulate(true, commands(IdealRobot(loop), q_d)).q_a[40:-1] - q_d[40:])
+    assert error[True] < 0.75 * error[False]
+    assert error[True] < 0.25 * fixed
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_curve_takes_nothing_away_from_a_heavier_tool(factor):
+    loop = plant()
+    adaptation = FrictionAdaptation(loop, tool=TOOL, curve=True)
+    known = fed(adaptation, states(loaded(plant(friction=factor)), motion()))
+    np.testing.assert_allclose(known.mass, 2.0, rtol=0.2)
+    np.testing.assert_allclose(table_ratio(loop, adaptation.friction(known)["friction_torque"]), factor, rtol=0.1)
 
 
 def poisons(kind, rng, n, k):
@@ -158,10 +213,11 @@ def poisons(kind, rng, n, k):
     }[kind]
 
 
+@pytest.mark.parametrize("curve", [False, True])
 @pytest.mark.parametrize("kind", ["nan", "huge", "stuck", "noise", "reversed", "short"])
-def test_a_poisoned_recording_leaves_it_bounded(kind):
+def test_a_poisoned_recording_leaves_it_bounded(kind, curve):
     loop, q_d = plant(), motion()
-    adaptation = FrictionAdaptation(loop)
+    adaptation = FrictionAdaptation(loop, curve=curve)
     rng = np.random.default_rng(9)
     state = adaptation.init()
     for k in range(800):
@@ -171,6 +227,7 @@ def test_a_poisoned_recording_leaves_it_bounded(kind):
     assert np.all((state.theta >= low) & (state.theta <= high))
     assert np.all(np.isfinite(state.covariance))
     assert np.isfinite(state.mass)
+    assert np.all(np.abs(state.curve) <= LARGEST)
     feedforward = AdaptedIdeal(IdealRobot(loop), adaptation)
     begun = feedforward.init(q_d[0], state)
     q_c = []
