@@ -13,7 +13,8 @@ A joint that rests, or has just turned round, is held by friction of any size up
 nothing. Links move as the arm does, behind its gears.
 
 Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
-very arm leaves that the model was identified from, friction explains as well, and its model stays what it is.
+very arm leaves that the model was identified from, friction and a heavier tool explain as well, and its model stays what
+it is: adaptation finds both.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 from scipy import linalg
 
 from ideal_robot.arrays import Array
@@ -28,6 +30,7 @@ from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.friction_adaptation import unknown_mass
 from ideal_robot.feedforward.friction_curve import SLIDES, SPEEDS, between_nodes, likeness
 from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.model.model import Model
@@ -83,9 +86,11 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     root = _root(model, dry, ripple)
     columns = np.concatenate([s.decimate_motion(lambda rows: _bodies(s, model, arm, rows)),
                               s.decimate(_friction(s, turned, dry, robot)), s.decimate(_waves(s, ripple))],
-                             axis=2)[slides] @ root
-    offsets_and_friction = slice(count - model.n, count + len(SPEEDS) * model.n)
-    if (_evidence(columns[:, offsets_and_friction] / doubted[:, None], left[0] / doubted)
+                             axis=2)[slides]
+    tool = columns[:, :count] @ _heavier_tool(model, dry, robot)
+    columns = columns @ root
+    offsets_and_friction = columns[:, count - model.n : count + len(SPEEDS) * model.n]
+    if (_evidence(np.column_stack([offsets_and_friction, tool]) / doubted[:, None], left[0] / doubted)
             >= _evidence(columns / doubted[:, None], left[1] / doubted)):
         return model
     whitened = columns / believed[:, None]
@@ -117,6 +122,14 @@ def _nearby(model: Model, found: Array, heavier: Array) -> Array:
     full[10 * n :] += found[10 * n :]
     full[10 * n : 11 * n] = np.maximum(full[10 * n : 11 * n], 0.0)
     return full
+
+
+def _heavier_tool(model: Model, dry: Array, robot: Robot) -> Array:
+    """What a heavier tool adds to the parameters of the bodies ``(12 n,)``: one standard deviation of its mass."""
+    place = robot.pinocchio.frames[robot.tool_id].placement.translation
+    parameters = np.zeros(12 * model.n)
+    parameters[10 * model.n - 10 : 10 * model.n] = pin.Inertia(1.0, place, np.zeros((3, 3))).toDynamicParameters()
+    return parameters * unknown_mass(dry)
 
 
 def _dry(model: Model) -> Array:

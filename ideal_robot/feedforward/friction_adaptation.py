@@ -129,7 +129,7 @@ class FrictionAdaptation:
         self._forgetting = np.exp(-loop.t_ipo / memory)
         self._dry = loop.friction_torque[:, 0]
         self._mean_dry = dry = np.maximum(self._dry.mean(axis=0), 1e-6)
-        self._mass = 0.0 if tool is None else float(_WEIGHT * dry.max() / _GRAVITY)
+        self._mass = 0.0 if tool is None else unknown_mass(dry)
         # All joints ask for the mass's drift in every cycle.
         self._drift = drift**2 * loop.t_ipo * np.array([1.0, 1.0, self._mass**2 / loop.n])
         self._alike = likeness()[: self._nodes, : self._nodes]
@@ -331,6 +331,15 @@ class AdaptedIdeal(Feedforward):
             curve = self.curve.planned(curve, inner)
         return q_c, AdaptedState(inner, factors, curve,
                                  None if tau_ext_d is None else np.array(tau_ext_d[0]))
+
+
+def unknown_mass(dry: Array) -> float:
+    """How heavy a tool may be beyond the model's before anything was measured: standard deviation [kg].
+
+    Args:
+        dry: dry friction ``(n,)`` [N m].
+    """
+    return float(_WEIGHT * dry.max() / _GRAVITY)
 
 
 def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:
