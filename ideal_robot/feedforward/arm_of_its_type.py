@@ -13,8 +13,8 @@ A joint that rests, or has just turned round, is held by friction of any size up
 nothing. Links move as the arm does, behind its gears.
 
 Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
-very arm leaves that the model was identified from, friction and a heavier tool explain as well, and its model stays what
-it is: adaptation finds both.
+very arm leaves that the model was identified from, friction and a heavier tool explain as well, and its model stays
+what it is: adaptation finds both.
 """
 
 from __future__ import annotations
