@@ -19,7 +19,7 @@ import numpy as np  # noqa: E402
 
 from ideal_robot.arrays import Array  # noqa: E402
 from ideal_robot.feedforward.base import Feedforward  # noqa: E402
-from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal  # noqa: E402
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation  # noqa: E402
 from ideal_robot.feedforward.friction_curve import FrictionCurve  # noqa: E402
 from ideal_robot.feedforward.ideal import IdealRobot  # noqa: E402
 from ideal_robot.feedforward.linear_inverse import LinearInverse  # noqa: E402
@@ -63,12 +63,14 @@ def main() -> None:
     loop = loop_model(model, robot, delay=1)
     t = 0.012 * np.arange(2000)
     q_d = robot.home + 0.2 * np.sin(np.outer(t, 2 * np.pi * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 0.8])))
+    tool = np.array(robot.pinocchio.frames[robot.tool_id].placement.translation)
     laws: dict[str, tuple[Feedforward, bool]] = {
         "linear": (LinearInverse(LinearLoop.of(loop, robot.home), N_D), False),
         "precorrected": (Precorrection.complete(model, robot, delay=1), False),
         "ideal": (IdealRobot(loop, N_D), False),
-        "adapted, observing": (AdaptedIdeal(IdealRobot(loop, N_D)), True),
-        "adapted, known path": (AdaptedIdeal(IdealRobot(loop, N_D), curve=FrictionCurve(loop)), True),
+        "adapted, a line": (AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool, curve=True)), True),
+        "adapted, known path": (AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool),
+                                              curve=FrictionCurve(loop)), True),
     }
     print(f"{cycles} cycles, six joints, n_d = {N_D}, a new horizon in every cycle; milliseconds.")
     print("Elapsed time includes what else runs on the machine, processor time does not.\n")

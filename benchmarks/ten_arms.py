@@ -2,10 +2,12 @@
 
     python benchmarks/ten_arms.py runs.jsonl [--individuals 1-10] [--seeds 1-3] [--speeds 0.7,1.5,2] [--processes 2]
     python benchmarks/ten_arms.py --models [--individuals 1-10] [--seeds 1-3]   # and with the model of the next arm
+    python benchmarks/ten_arms.py --adapted [--individuals 1-10] [--seeds 6-13] # with the own model alone
 
 Answers go to the file as they come; started again with the same file, it goes on where it was. About 20 s of processor
 time for an arm's model (kept in the user's cache folder) and 3 s for a run. With ``--models`` each arm is played at the
 scene's speed with its own model and with a stranger's, that of the next individual, by ``ideal`` and by ``adapted``.
+``--adapted`` asks how much worse adaptation may be where nothing is to be adapted: by arms, over more seeds.
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
+from scenes.line.scene import LineScene
 from scenes.methods import ADAPTED, IDEAL
 from scenes.options import chosen
 from scenes.prepared_model import prepared_model
@@ -36,6 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("lines", type=Path, nargs="?")
     parser.add_argument("--models", action="store_true", help="the own model and a stranger's, not adapted and adapted")
+    parser.add_argument("--adapted", action="store_true", help="the own model, adapted over not adapted, by arms")
     parser.add_argument("--individuals", default="1-10")
     parser.add_argument("--seeds", default="1-3")
     parser.add_argument("--speeds", default="0.7,1.5,2")
@@ -46,8 +51,11 @@ def main() -> None:
     if options.models:
         models(options.scene, individuals, seeds)
         return
+    if options.adapted:
+        adapted(options.scene, individuals, seeds)
+        return
     if options.lines is None:
-        parser.error("give the file that the answers go to, or --models")
+        parser.error("give the file that the answers go to, --models or --adapted")
     # Arm by arm, so that what is finished early is a whole row; two processes would identify one arm twice.
     answers: list[dict[str, Any]] = []
     speeds = numbers(options.speeds, "--speeds")
@@ -84,27 +92,63 @@ def models(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None:
     mean, p95, varying = (np.empty((len(individuals), 4, len(seeds))) for _ in range(3))
     for i, individual in enumerate(individuals):
         scene, other = (chosen(load_scene(name), individual=which) for which in (individual, individual % 10 + 1))
-        own, strange = (str(prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, one.arm_world)).path)
-                        for one in (scene, other))
-        for k, seed in enumerate(seeds):
-            for j, (model, method) in enumerate((m, key) for m in (own, strange) for key in (IDEAL, ADAPTED)):
-                result = run(scene.changed(model=model, seed=seed), method=method)
-                error, place = result.control_error, (i, j, k)
-                mean[place], p95[place] = error.mean, error.p95
-                varying[place] = np.mean(np.abs(error.lateral - np.mean(error.lateral)))
-                if result.failure:
-                    mean[place] = p95[place] = varying[place] = np.nan
+        for j, whose in enumerate((scene, other)):
+            mean[i, 2 * j : 2 * j + 2], p95[i, 2 * j : 2 * j + 2], varying[i, 2 * j : 2 * j + 2] = played(
+                scene.changed(model=model_of(whose)), seeds)
         print(_row(str(individual), mean[i].mean(axis=1)), flush=True)
     print(_row("mean", mean.mean(axis=(0, 2))))
     print(_row("worst run's mean", mean.max(axis=(0, 2))))
     print(_row("worst run's 95 %", p95.max(axis=(0, 2))))
     print(_row("mean without each run's constant", varying.mean(axis=(0, 2))))
-    by_arm = varying.mean(axis=2)
-    ratio = by_arm[:, 1] / by_arm[:, 0]
-    print(f"\nown, `adapted` over `ideal`, without each run's constant, by arm: {ratio.min():.2f} to {ratio.max():.2f}")
 
 
-def _row(title: str, values: np.ndarray) -> str:
+def adapted(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None:
+    """Each arm with its own model, ``adapted`` over ``ideal``, with the standard error over the seeds."""
+    print("| individual | `ideal`, mm | `adapted`, mm | `adapted` / `ideal` | the same without each run's constant |")
+    print("| --- | --- | --- | --- | --- |")
+    sums = []
+    for individual in individuals:
+        scene = chosen(load_scene(name), individual=individual)
+        mean, _, varying = played(scene.changed(model=model_of(scene)), seeds)
+        sums.append([*mean.mean(axis=1), *varying.mean(axis=1)])
+        print(f"| {individual} | {1e3 * sums[-1][0]:.3f} | {1e3 * sums[-1][1]:.3f} | {_ratio(*mean)} | "
+              f"{_ratio(*varying)} |", flush=True)
+    whole = np.mean(sums, axis=0)
+    print(f"| all | {1e3 * whole[0]:.3f} | {1e3 * whole[1]:.3f} | {whole[1] / whole[0]:.2f} | "
+          f"{whole[3] / whole[2]:.2f} |")
+
+
+def model_of(scene: LineScene) -> str:
+    """The model file of the arm that the scene plays."""
+    return str(prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, scene.arm_world)).path)
+
+
+def played(scene: LineScene, seeds: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Mean error, 95 %, and mean error less each run's constant, by ``ideal`` and ``adapted``, each ``(2, seeds)`` [m].
+
+    NaN where a run failed.
+    """
+    mean, p95, varying = (np.full((2, len(seeds)), np.nan) for _ in range(3))
+    for k, seed in enumerate(seeds):
+        for j, method in enumerate((IDEAL, ADAPTED)):
+            result = run(scene.changed(seed=seed), method=method)
+            if result.failure:
+                continue
+            error = result.control_error
+            mean[j, k], p95[j, k] = error.mean, error.p95
+            varying[j, k] = np.mean(np.abs(error.lateral - np.mean(error.lateral)))
+    return mean, p95, varying
+
+
+def _ratio(ideal: Array, adapted: Array) -> str:
+    """Ratio of the means over the seeds, with its standard error."""
+    ratio = adapted.mean() / ideal.mean()
+    if len(ideal) < 2:
+        return f"{ratio:.2f}"
+    return f"{ratio:.2f} ± {np.std(adapted - ratio * ideal, ddof=1) / np.sqrt(len(ideal)) / ideal.mean():.2f}"
+
+
+def _row(title: str, values: Array) -> str:
     return f"| {title} | {' | '.join(f'{1e3 * value:.3f}' for value in values)} |"
 
 
