@@ -27,7 +27,8 @@ def command(
     from scenes.outputs import check_outputs
     from scenes.progress_bar import progress_bar
 
-    writers = {"--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2), "--rerun": (rerun, write_rerun),
+    # The one that needs an extra comes first: where that is missing nothing has been written.
+    writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),
                "--csv": (csv, Recording.write), "--parquet": (parquet, Recording.write)}
     wanted = {option: (path, writer) for option, (path, writer) in writers.items() if path is not None}
     if not wanted:

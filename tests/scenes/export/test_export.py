@@ -46,6 +46,15 @@ def test_no_format_or_another_ending_is_refused(words: list[str], recording: Pat
     assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
 
 
+def test_without_the_extra_of_one_format_none_is_written(recording: Path, tmp_path: Path,
+                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    words = ["--mcap", str(tmp_path / "o.mcap"), "--csv", str(tmp_path / "o.csv"), "--rerun", str(tmp_path / "o.rrd")]
+    done = CliRunner().invoke(app, [str(recording), *words])
+    assert isinstance(done.exception, InputError)
+    assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
+
+
 def test_rerun_reads_its_file_back(recording: Path, tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="needs the optional package rerun-sdk")
     path = write_rerun(Recording.read(recording), tmp_path / "o.rrd")
