@@ -82,8 +82,8 @@ def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
         capture = cv2.VideoCapture(int(source) if source.isdigit() else source)
     try:
         if not capture.isOpened():
-            raise InputError("no picture, and no video or camera that can be opened; give a PNG or JPEG, a folder of them, a "
-                             "video, or a camera that is connected", field="source", value=source)
+            raise InputError("no picture, and no video or camera that can be opened; give a PNG or JPEG, a folder "
+                             "of them, a video, or a camera that is connected", field="source", value=source)
         index = taken = 0
         while taken < most:
             with kept_words():
