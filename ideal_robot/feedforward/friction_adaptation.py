@@ -109,7 +109,8 @@ class FrictionAdaptation:
 
     Args:
         loop: the identified loop; its rigid body, rotors and friction are the reference.
-        memory: time over which old measurements lose their weight [s] of informative motion.
+        memory: time over which old measurements lose their weight [s] of informative motion; with a curve they lose it
+            by drift alone.
         bounds: lowest and highest factor.
         noise: standard deviation of the torque residual relative to dry friction.
         gate: residuals beyond this many standard deviations do not count.
@@ -126,7 +127,8 @@ class FrictionAdaptation:
         self.loop, self.bounds, self.gate = loop, bounds, gate
         self._nodes = len(SPEEDS) if curve else 0
         self._kilogram = point_mass(loop.chain, np.zeros(3) if tool is None else tool)
-        self._forgetting = np.exp(-loop.t_ipo / memory)
+        # Factors and a curve hardly differ at any one speed: forgetting lets them wander off against each other.
+        self._forgetting = 1.0 if curve else np.exp(-loop.t_ipo / memory)
         self._dry = loop.friction_torque[:, 0]
         self._mean_dry = dry = np.maximum(self._dry.mean(axis=0), 1e-6)
         self._mass = 0.0 if tool is None else unknown_mass(dry)
@@ -256,7 +258,7 @@ class FrictionAdaptation:
     def _aged(self, covariance: Array, joint: int) -> Array:
         """Covariance before the next measurement of a joint: its factors forgotten and wandered a little.
 
-        The mass is not forgotten, as it does not change by itself, and the curve is not: a cold start is the factors'.
+        The mass is not forgotten, as it does not change by itself.
         """
         P, (own, curve) = covariance.copy(), self._places(joint)
         # Without information forgetting would let the covariance grow for ever.
