@@ -89,7 +89,9 @@ def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedId
     """The ideal robot that knows nothing beyond the model yet."""
     ideal, robot = _ideal(setting), setting.robot
     tool = robot.pinocchio.frames[robot.tool_id].placement.translation
-    return AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=np.array(tool), curve=curve is None), curve=curve)
+    adaptation = FrictionAdaptation(ideal.loop, tool=np.array(tool), curve=curve is None,
+                                    noise_std=setting.identified().noise_std)
+    return AdaptedIdeal(ideal, adaptation, curve=curve)
 
 
 def _model_learned(setting: Setting) -> Feedforward:

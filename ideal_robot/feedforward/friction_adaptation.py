@@ -119,11 +119,13 @@ class FrictionAdaptation:
         tool: where in the last joint's frame the mass is ``(3,)`` [m]; no mass is learned if None: on the axes of a
             wrist it hardly differs from what inertias may be wrong by.
         curve: whether what the factors' law lacks over speed is learned from the torques.
+        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]; a residual is at least
+            as uncertain. Where friction is small, it is not what torques are wrong by.
     """
 
     def __init__(self, loop: LoopModel, *, memory: float = 20.0, bounds: tuple[float, float] = (0.3, 3.0),
                  noise: float = 0.15, gate: float = 4.0, drift: float = 0.02,
-                 tool: Array | None = None, curve: bool = False) -> None:
+                 tool: Array | None = None, curve: bool = False, noise_std: Array | None = None) -> None:
         self.loop, self.bounds, self.gate = loop, bounds, gate
         self._nodes = len(SPEEDS) if curve else 0
         self._kilogram = point_mass(loop.chain, np.zeros(3) if tool is None else tool)
@@ -140,7 +142,7 @@ class FrictionAdaptation:
         self._table = np.stack([between_nodes(speed / most)[:, : self._nodes]
                                 for speed, most in zip(loop.friction_velocity.T, self._v_max, strict=True)])
         # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
-        self._sigma = np.sqrt(3.0) * noise * dry
+        self._sigma = np.sqrt(3.0) * np.maximum(noise * dry, 0.0 if noise_std is None else noise_std)
         # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
         # move on a path slide slowly all the time: what they say is all that is known of friction where they work.
         self._slow = 0.005 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)

@@ -14,6 +14,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward import arm_of_its_type as arm_of_its_type_module
 from ideal_robot.feedforward.arm_of_its_type import RIPPLE, arm_of_its_type
 from ideal_robot.feedforward.training_motion import training_motion
+from ideal_robot.friction.per_joint import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.feedforward.plant import ROBOT, motion
@@ -97,6 +98,24 @@ def test_another_arm_is_found_with_a_heavier_tool_too(model: Model) -> None:
     off = [np.sqrt(np.mean((one.rigid_body(q, qd, qdd) - true.rigid_body(q, qd, qdd)) ** 2, axis=0))
            for one in (model, found)]
     assert np.all(off[1][1:3] < 0.3 * off[0][1:3]), off
+
+
+def at_once(model: Model, joint: int) -> Model:
+    """The model with friction of one joint (from 1) that turns at once at a reversal."""
+    laws = list(model.friction.laws)
+    law = laws[joint - 1]
+    assert law.presliding
+    laws[joint - 1] = type(law)(law.coefficients, law.shape[:-1], presliding=False, loaded=law.loaded)
+    return replace(model, friction=PerJointFriction(laws))
+
+
+def test_a_joint_whose_friction_turns_at_once_counts_like_any_other(model: Model) -> None:
+    """Of its sliding the law says nothing; taken as that, no torque of the arm was a number."""
+    sudden = at_once(model, 2)
+    assert arm_of_its_type(recorded(sudden), sudden, ROBOT) is sudden
+    found = arm_of_its_type(recorded(other_arm(sudden)), sudden, ROBOT)
+    assert found is not sudden
+    assert np.isfinite(found.base_values).all()
 
 
 def test_what_holds_a_joint_at_rest_is_not_taken_for_weight(model: Model) -> None:

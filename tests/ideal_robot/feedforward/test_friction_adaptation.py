@@ -193,6 +193,15 @@ def test_an_arm_whose_friction_falls_before_it_rises_is_where_it_should_be():
     assert error[True] < 0.25 * fixed
 
 
+def test_where_the_model_leaves_more_than_friction_little_is_learned():
+    """A joint torque sensor behind the gear shows hardly any friction: what is left there is not friction's."""
+    loop = plant()
+    dry, rng = loop.friction_torque[0, 0], np.random.default_rng(5)
+    measured = [replace(one, tau=one.tau + 2.0 * dry * rng.standard_normal(loop.n)) for one in states(loop, motion())]
+    off = [np.abs(fed(FrictionAdaptation(loop, noise_std=floor), measured).theta - 1.0).max() for floor in (None, dry)]
+    assert off[1] < 0.5 * off[0]
+
+
 @pytest.mark.parametrize("factor", [0.7, 1.3])
 def test_a_curve_takes_nothing_away_from_a_heavier_tool(factor):
     loop = plant()
