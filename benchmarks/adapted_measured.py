@@ -1,12 +1,12 @@
-"""What adaptation learns of friction on measured arms, judged on motion that comes after it.
+"""What adaptation is worth on measured arms: torques predicted before they are seen.
 
     python -m benchmarks.adapted_measured DATA [--arms panda,ur5,ur10e,emps]
 
-DATA is the folder of the public recordings. A model is identified as in ``measured_arms.py``; adaptation is told the
-first half of what that leaves for judging, once an interpolation cycle, and what it has learned then is judged on the
-second half: std(residual) / std(torque) per joint [%], with the model alone, with two factors per joint, with the curve
-over speed besides. These recordings hold no commands, so no controller is known; adaptation needs one for the unit of
-apparent inertias alone, and is given a usual one.
+DATA is the folder of the public recordings. A model is identified as in ``measured_arms.py``. Along the motion that was
+left for judging adaptation is told positions and torques once an interpolation cycle, and what it knew before a cycle
+predicts that cycle's torque. On the second half of the motion counts std(residual) / std(torque) per joint [%]: by the
+model alone, with two factors per joint, with the curve over speed besides. These recordings hold no commands, so no
+controller is known; adaptation needs one for the unit of apparent inertias alone, and is given a usual one.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.measured_arms import ARMS, Arm, halves, recordings_of, row
+from benchmarks.measured_arms import ARMS, Arm, recordings_of, row
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
-from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation, FrictionFactors
+from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import identify
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import lowpass, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 
 
@@ -49,16 +50,13 @@ def played(name: str, arm: Arm, data: Path) -> list[str]:
     robot = Robot.load(data / arm.urdf)
     estimation, validation = recordings_of(arm, data)
     (validation,), _ = checked([validation], robot)
-    before, after = halves(validation)
     model = identify([estimation], robot).model
-    loop = loop_model(replace(model, controller=usual_controller(robot, before.joints("q")[0])), robot)
+    loop = loop_model(replace(model, controller=usual_controller(robot, validation.joints("q")[0])), robot)
     tool = np.array(robot.pinocchio.frames[robot.tool_id].placement.translation)
-    lines = []
-    for title, curve in (("model alone", None), ("two factors", False), ("and a curve", True)):
-        adaptation = FrictionAdaptation(loop, tool=tool, curve=bool(curve), noise_std=model.noise_std)
-        known = adaptation.init() if curve is None else adaptation.learned(before)
-        lines.append(row(f"{name}, {title}", judged(model, loop, adaptation, known, after, arm.band), arm))
-    return lines
+    factors, curve = (FrictionAdaptation(loop, tool=tool, curve=curve, noise_std=model.noise_std)
+                      for curve in (False, True))
+    return [row(f"{name}, {title}", judged(model, loop, adaptation, validation, arm.band), arm)
+            for title, adaptation in (("model alone", None), ("two factors", factors), ("and a curve", curve))]
 
 
 def usual_controller(robot: Robot, q: Array) -> ControllerModel:
@@ -68,24 +66,38 @@ def usual_controller(robot: Robot, q: Array) -> ControllerModel:
     return ControllerModel(robot.t_ipo, 15.0 * gain, gain, zero, zero, np.full(robot.n, 0.2), zero)
 
 
-def judged(model: Model, loop: LoopModel, adaptation: FrictionAdaptation, known: FrictionFactors, recording: Recording,
+def judged(model: Model, loop: LoopModel, adaptation: FrictionAdaptation | None, recording: Recording,
            band: tuple[float, float]) -> Array:
     """std(residual) / std(torque) per joint ``(n,)`` [%], positions and torques below the band's limits [Hz]."""
     s = preprocess(recording, cutoff=band[0])
-    learned = adaptation.friction(known)["friction_torque"] - loop.friction_torque
-    sliding, more = model.friction.sliding(s.q, s.qd), np.empty_like(s.q)
-    turned = np.where(np.isnan(sliding), np.sign(s.qd), sliding)
-    for i in range(model.n):
-        forward, backward = (np.interp(np.abs(s.qd[:, i]), loop.friction_velocity[:, i], side[:, i])
-                             for side in learned)
-        more[:, i] = turned[:, i] * np.where(s.qd[:, i] > 0.0, forward, backward)
-    carried = adaptation.carried(known.mass)
-    if carried is not None:
-        more += inverse_dynamics(carried, s.q, s.qd, s.qdd)
-    predicted = model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]) + more
+    predicted = model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
+    if adaptation is not None:
+        predicted = predicted + learned_on_the_way(model, loop, adaptation, recording, s)
     measured, predicted = (lowpass(values, s.dt, band[1]) for values in (s.tau, predicted))
-    inside = slice(round(1.0 / (s.dt * band[1])), -round(1.0 / (s.dt * band[1])))
-    return np.asarray(100.0 * np.std((measured - predicted)[inside], axis=0) / np.std(measured[inside], axis=0))
+    counts = slice(len(s.t) // 2, -round(1.0 / (s.dt * band[1])))
+    return np.asarray(100.0 * np.std((measured - predicted)[counts], axis=0) / np.std(measured[counts], axis=0))
+
+
+def learned_on_the_way(model: Model, loop: LoopModel, adaptation: FrictionAdaptation, recording: Recording,
+                       s: FilteredSignals) -> Array:
+    """Torque beyond the model's that was known before each cycle, between cycles by straight lines ``(N, n)`` [N m]."""
+    times = np.arange(recording.t[0], recording.t[-1], loop.t_ipo)
+    q, tau = (np.array([np.interp(times, recording.t, column) for column in recording.joints(name).T]).T
+              for name in ("q", "tau"))
+    sliding = model.friction.sliding(s.q, s.qd)
+    sliding = np.where(np.isnan(sliding), np.sign(s.qd), sliding)
+    moved = [np.array([np.interp(times, s.t, column) for column in values.T]).T
+             for values in (s.q, s.qd, s.qdd, sliding)]
+    more, state = np.zeros_like(q), adaptation.init()
+    for k, (at, v, a, turned) in enumerate(zip(*moved, strict=True)):
+        friction = adaptation.friction(state)["friction_torque"] - loop.friction_torque
+        more[k] = [z * np.interp(abs(speed), loop.friction_velocity[:, i], friction[int(speed < 0.0), :, i])
+                   for i, (z, speed) in enumerate(zip(turned, v, strict=True))]
+        carried = adaptation.carried(state.mass)
+        if carried is not None:
+            more[k] += inverse_dynamics(carried, at[None], v[None], a[None])[0]
+        state = adaptation.update(state, RobotState(float(times[k]), q[k], tau[k]))
+    return np.array([np.interp(s.t, times, column) for column in more.T]).T
 
 
 if __name__ == "__main__":

@@ -63,13 +63,8 @@ def recordings_of(arm: Arm, data: Path) -> tuple[Recording, Recording]:
     estimation = Recording.read(data / arm.estimation)
     if arm.validation != arm.estimation:
         return estimation, Recording.read(data / arm.validation)
-    return halves(estimation)
-
-
-def halves(recording: Recording) -> tuple[Recording, Recording]:
-    """What comes before its middle, and what comes after."""
-    middle = 0.5 * (recording.t[0] + recording.t[-1])
-    return _part(recording, recording.t <= middle), _part(recording, recording.t > middle)
+    middle = 0.5 * (estimation.t[0] + estimation.t[-1])
+    return _part(estimation, estimation.t <= middle), _part(estimation, estimation.t > middle)
 
 
 def _part(recording: Recording, rows: np.ndarray) -> Recording:

@@ -55,7 +55,6 @@ from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
 from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.signals.recording import Recording
 
 _GRAVITY = 9.81
 _SHARED, _OWN = (0.1, 0.3), (0.12, 0.15)
@@ -199,15 +198,6 @@ class FrictionAdaptation:
         if len(window_q) < CYCLES:
             return state
         return self._with_window(state)
-
-    def learned(self, recording: Recording) -> FrictionFactors:
-        """What a motion in free space tells that was recorded: ``t`` [s], ``q_i`` [rad], ``tau_i`` [N m]."""
-        every = max(1, round(self.loop.t_ipo / float(np.median(np.diff(recording.t)))))
-        state = self.init()
-        for t, q, tau in zip(recording.t[::every], recording.joints("q")[::every], recording.joints("tau")[::every],
-                             strict=True):
-            state = self.update(state, RobotState(float(t), q, tau))
-        return state
 
     def _with_window(self, state: FrictionFactors) -> FrictionFactors:
         loop, n = self.loop, self.loop.n
