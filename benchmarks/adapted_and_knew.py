@@ -19,10 +19,9 @@ from scenes import load_scene
 from scenes.line.kind import run
 from scenes.line.scene import LineScene
 from scenes.methods import ADAPTED, IDEAL
+from scenes.models import own_model
 from scenes.options import chosen
-from scenes.prepared_model import prepared_model
 from scenes.scene import OWN
-from sim.arm.world import World
 
 CHANGES: dict[str, dict[str, Any]] = {
     "nothing": {},
@@ -41,7 +40,7 @@ def main() -> None:
     parser.add_argument("--individual", type=int, default=1)
     options = parser.parse_args()
     line = chosen(load_scene("line"), individual=options.individual)
-    before = str(prepared_model(Robot.load(line.robot), World.from_table(line.robot, line.arm_world)).path)
+    before = own_model(line, Robot.load(line.robot))
     seeds = range(1, options.seeds + 1)
     print(f"| change | knew, mean mm, seeds 1 to {options.seeds} | adapted | adapted / knew | not adapted |")
     print("| --- | --- | --- | --- | --- |")

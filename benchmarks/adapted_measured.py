@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.measured_arms import ARMS, Arm, recordings_of, row
+from benchmarks.measured_arms import ARMS, Arm, recordings_of, row, share_left
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation
@@ -30,7 +30,7 @@ from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
 
@@ -52,11 +52,14 @@ def played(name: str, arm: Arm, data: Path) -> list[str]:
     (validation,), _ = checked([validation], robot)
     model = identify([estimation], robot).model
     loop = loop_model(replace(model, controller=usual_controller(robot, validation.joints("q")[0])), robot)
-    tool = np.array(robot.pinocchio.frames[robot.tool_id].placement.translation)
-    factors, curve = (FrictionAdaptation(loop, tool=tool, curve=curve, noise_std=model.noise_std)
-                      for curve in (False, True))
-    return [row(f"{name}, {title}", judged(model, loop, adaptation, validation, arm.band), arm)
-            for title, adaptation in (("model alone", None), ("two factors", factors), ("and a curve", curve))]
+    s = preprocess(validation, cutoff=arm.band[0])
+    alone = model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
+    predicted = {"model alone": alone}
+    for title, curve in (("two factors", False), ("and a curve", True)):
+        adaptation = FrictionAdaptation(loop, tool=robot.tool_place, curve=curve, noise_std=model.noise_std)
+        predicted[title] = alone + learned_on_the_way(model, loop, adaptation, validation, s)
+    return [row(f"{name}, {title}", share_left(s, torque, arm.band[1], len(s.t) // 2), arm)
+            for title, torque in predicted.items()]
 
 
 def usual_controller(robot: Robot, q: Array) -> ControllerModel:
@@ -66,28 +69,14 @@ def usual_controller(robot: Robot, q: Array) -> ControllerModel:
     return ControllerModel(robot.t_ipo, 15.0 * gain, gain, zero, zero, np.full(robot.n, 0.2), zero)
 
 
-def judged(model: Model, loop: LoopModel, adaptation: FrictionAdaptation | None, recording: Recording,
-           band: tuple[float, float]) -> Array:
-    """std(residual) / std(torque) per joint ``(n,)`` [%], positions and torques below the band's limits [Hz]."""
-    s = preprocess(recording, cutoff=band[0])
-    predicted = model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
-    if adaptation is not None:
-        predicted = predicted + learned_on_the_way(model, loop, adaptation, recording, s)
-    measured, predicted = (lowpass(values, s.dt, band[1]) for values in (s.tau, predicted))
-    counts = slice(len(s.t) // 2, -round(1.0 / (s.dt * band[1])))
-    return np.asarray(100.0 * np.std((measured - predicted)[counts], axis=0) / np.std(measured[counts], axis=0))
-
-
 def learned_on_the_way(model: Model, loop: LoopModel, adaptation: FrictionAdaptation, recording: Recording,
                        s: FilteredSignals) -> Array:
     """Torque beyond the model's that was known before each cycle, between cycles by straight lines ``(N, n)`` [N m]."""
     times = np.arange(recording.t[0], recording.t[-1], loop.t_ipo)
     q, tau = (np.array([np.interp(times, recording.t, column) for column in recording.joints(name).T]).T
               for name in ("q", "tau"))
-    sliding = model.friction.sliding(s.q, s.qd)
-    sliding = np.where(np.isnan(sliding), np.sign(s.qd), sliding)
     moved = [np.array([np.interp(times, s.t, column) for column in values.T]).T
-             for values in (s.q, s.qd, s.qdd, sliding)]
+             for values in (s.q, s.qd, s.qdd, model.friction.turned(s.q, s.qd))]
     more, state = np.zeros_like(q), adaptation.init()
     for k, (at, v, a, turned) in enumerate(zip(*moved, strict=True)):
         friction = adaptation.friction(state)["friction_torque"] - loop.friction_torque

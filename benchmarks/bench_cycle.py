@@ -63,7 +63,7 @@ def main() -> None:
     loop = loop_model(model, robot, delay=1)
     t = 0.012 * np.arange(2000)
     q_d = robot.home + 0.2 * np.sin(np.outer(t, 2 * np.pi * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 0.8])))
-    tool = np.array(robot.pinocchio.frames[robot.tool_id].placement.translation)
+    tool = robot.tool_place
     laws: dict[str, tuple[Feedforward, bool]] = {
         "linear": (LinearInverse(LinearLoop.of(loop, robot.home), N_D), False),
         "precorrected": (Precorrection.complete(model, robot, delay=1), False),

@@ -21,7 +21,7 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import Identification, identify
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.preprocess import lowpass, preprocess
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 
 CUTOFFS = (4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0)
@@ -74,11 +74,18 @@ def _part(recording: Recording, rows: np.ndarray) -> Recording:
 def judged(model: Model, recording: Recording, band: tuple[float, float]) -> Array:
     """std(residual) / std(torque) per joint ``(n,)`` [%], positions and torques below the band's limits [Hz]."""
     s = preprocess(recording, cutoff=band[0])
-    measured, predicted = (lowpass(values, s.dt, band[1])
-                           for values in (s.tau, model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])))
-    inside = slice(round(1.0 / (s.dt * band[1])), -round(1.0 / (s.dt * band[1])))
-    residual = (measured - predicted)[inside]
-    return np.asarray(100.0 * np.std(residual, axis=0) / np.std(measured[inside], axis=0))
+    return share_left(s, model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]), band[1])
+
+
+def share_left(s: FilteredSignals, predicted: Array, cutoff: float, begin: int = 0) -> Array:
+    """std(residual) / std(torque) per joint ``(n,)`` [%] below ``cutoff`` [Hz], from sample ``begin`` on.
+
+    A period of the cut-off at either end does not count.
+    """
+    measured, predicted = (lowpass(values, s.dt, cutoff) for values in (s.tau, predicted))
+    period = round(1.0 / (s.dt * cutoff))
+    counts = slice(max(begin, period), -period)
+    return np.asarray(100.0 * np.std((measured - predicted)[counts], axis=0) / np.std(measured[counts], axis=0))
 
 
 def row(name: str, values: Array, arm: Arm) -> str:

@@ -21,10 +21,9 @@ from scenes import load_scene
 from scenes.commands.common import whole_numbers
 from scenes.methods import ADAPTED, IDEAL, NONE
 from scenes.metrics import PathErrors
+from scenes.models import own_model
 from scenes.options import chosen
 from scenes.path.kind import run
-from scenes.prepared_model import prepared_model
-from sim.arm.world import World
 
 OFF: dict[str, dict[str, Any]] = {
     "nothing": {},
@@ -62,8 +61,7 @@ def main() -> None:
         for j, name in enumerate(names):
             scene = chosen(load_scene(name), individual=individual)
             other = chosen(load_scene(name), individual=individual % 10 + 1)
-            path = prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, other.arm_world)).path
-            stranger = scene.changed(model=str(path))
+            stranger = scene.changed(model=own_model(other, Robot.load(scene.robot)))
             before = run(scene, method=NONE).errors
             after = [run(one, method=method) for one in (scene, stranger) for method in (IDEAL, ADAPTED)]
             found[i, j] = [reduction(before, one.errors) for one in after]

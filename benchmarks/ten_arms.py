@@ -26,11 +26,10 @@ from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
 from scenes.line.scene import LineScene
 from scenes.methods import ADAPTED, IDEAL
+from scenes.models import own_model
 from scenes.options import chosen
-from scenes.prepared_model import prepared_model
 from scenes.sweep import jobs, sweep
 from scenes.sweep_file import SweepFile
-from sim.arm.world import World
 
 WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.2}, 2.0: {"mean": 0.3}}
 """Bounds by speed [mm]: of the mean over all runs, of the worst run's mean, of each run's 95 %."""
@@ -92,9 +91,10 @@ def models(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None:
     mean, p95, varying = (np.empty((len(individuals), 4, len(seeds))) for _ in range(3))
     for i, individual in enumerate(individuals):
         scene, other = (chosen(load_scene(name), individual=which) for which in (individual, individual % 10 + 1))
-        for j, whose in enumerate((scene, other)):
-            mean[i, 2 * j : 2 * j + 2], p95[i, 2 * j : 2 * j + 2], varying[i, 2 * j : 2 * j + 2] = played(
-                scene.changed(model=model_of(whose)), seeds)
+        robot = Robot.load(scene.robot)
+        for whose, columns in ((scene, slice(0, 2)), (other, slice(2, 4))):
+            mean[i, columns], p95[i, columns], varying[i, columns] = played(
+                scene.changed(model=own_model(whose, robot)), seeds)
         print(_row(str(individual), mean[i].mean(axis=1)), flush=True)
     print(_row("mean", mean.mean(axis=(0, 2))))
     print(_row("worst run's mean", mean.max(axis=(0, 2))))
@@ -109,18 +109,13 @@ def adapted(name: str, individuals: Sequence[int], seeds: Sequence[int]) -> None
     sums = []
     for individual in individuals:
         scene = chosen(load_scene(name), individual=individual)
-        mean, _, varying = played(scene.changed(model=model_of(scene)), seeds)
+        mean, _, varying = played(scene.changed(model=own_model(scene, Robot.load(scene.robot))), seeds)
         sums.append([*mean.mean(axis=1), *varying.mean(axis=1)])
         print(f"| {individual} | {1e3 * sums[-1][0]:.3f} | {1e3 * sums[-1][1]:.3f} | {_ratio(*mean)} | "
               f"{_ratio(*varying)} |", flush=True)
     whole = np.mean(sums, axis=0)
     print(f"| all | {1e3 * whole[0]:.3f} | {1e3 * whole[1]:.3f} | {whole[1] / whole[0]:.2f} | "
           f"{whole[3] / whole[2]:.2f} |")
-
-
-def model_of(scene: LineScene) -> str:
-    """The model file of the arm that the scene plays."""
-    return str(prepared_model(Robot.load(scene.robot), World.from_table(scene.robot, scene.arm_world)).path)
 
 
 def played(scene: LineScene, seeds: Sequence[int]) -> tuple[Array, Array, Array]:

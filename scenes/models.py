@@ -10,7 +10,7 @@ from scenes.result import Progress, silent
 from scenes.scene import OWN, Scene
 from sim.arm.world import World
 
-__all__ = ["model_for", "shipped_model"]
+__all__ = ["model_for", "own_model", "shipped_model"]
 
 
 def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
@@ -26,5 +26,16 @@ def model_for(scene: Scene, robot: Robot, progress: Progress = silent) -> Model:
     """
     if scene.model != OWN:
         return model_at(scene.model, robot, scene.source)
+    return model_at(own_model(scene, robot, progress), robot)
+
+
+def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
+    """Where the model lies that the own motions of the scene's arm give; identified now if that has not been done.
+
+    Args:
+        scene: says what the arm is like.
+        robot: the arm as its data sheet has it.
+        progress: called with the fraction of an identification done.
+    """
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
-    return model_at(str(prepared_model(robot, world, progress).path), robot)
+    return str(prepared_model(robot, world, progress).path)

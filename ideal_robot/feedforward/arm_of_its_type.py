@@ -74,7 +74,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     ripple = tuple(effect for effect in model.effects if effect.name == RIPPLE)
     bare = replace(model, effects=tuple(effect for effect in model.effects if effect.name != RIPPLE))
     dry = _dry(model)
-    turned = _turned(s, model)
+    turned = model.friction.turned(s.q, s.qd)
     slides = np.abs(s.decimate(turned)) > SLIDES
     believed, doubted = (np.broadcast_to(np.maximum(share * dry, model.noise_std), slides.shape)[slides]
                          for share in (NOISE, DOUBT))
@@ -126,9 +126,9 @@ def _nearby(model: Model, found: Array, heavier: Array) -> Array:
 
 def _heavier_tool(model: Model, dry: Array, robot: Robot) -> Array:
     """What a heavier tool adds to the parameters of the bodies ``(12 n,)``: one standard deviation of its mass."""
-    place = robot.pinocchio.frames[robot.tool_id].placement.translation
+    kilogram = pin.Inertia(1.0, robot.tool_place, np.zeros((3, 3)))
     parameters = np.zeros(12 * model.n)
-    parameters[10 * model.n - 10 : 10 * model.n] = pin.Inertia(1.0, place, np.zeros((3, 3))).toDynamicParameters()
+    parameters[10 * model.n - 10 : 10 * model.n] = kilogram.toDynamicParameters()
     return parameters * unknown_mass(dry)
 
 
@@ -136,12 +136,6 @@ def _dry(model: Model) -> Array:
     """Dry friction ``(n,)`` [N m]."""
     slow = np.full((1, model.n), 1e-9)
     return np.asarray(np.maximum(0.5 * (model.friction.torque(slow) - model.friction.torque(-slow))[0], 1e-6))
-
-
-def _turned(s: FilteredSignals, model: Model) -> Array:
-    """How far friction has turned ``(N, n)``, -1 to 1: at once in joints whose law knows no presliding."""
-    sliding = model.friction.sliding(s.q, s.qd)
-    return np.where(np.isnan(sliding), np.sign(s.qd), sliding)
 
 
 def _behind_gears(s: FilteredSignals, model: Model, friction: Array) -> tuple[Array, Array, Array]:

@@ -87,9 +87,8 @@ def _adapted(setting: Setting) -> Feedforward:
 
 def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedIdeal:
     """The ideal robot that knows nothing beyond the model yet."""
-    ideal, robot = _ideal(setting), setting.robot
-    tool = robot.pinocchio.frames[robot.tool_id].placement.translation
-    adaptation = FrictionAdaptation(ideal.loop, tool=np.array(tool), curve=curve is None,
+    ideal = _ideal(setting)
+    adaptation = FrictionAdaptation(ideal.loop, tool=setting.robot.tool_place, curve=curve is None,
                                     noise_std=setting.identified().noise_std)
     return AdaptedIdeal(ideal, adaptation, curve=curve)
 

@@ -49,6 +49,8 @@ from ideal_robot.feedforward.friction_curve import (
     FrictionCurve,
     between_nodes,
     likeness,
+    table_of,
+    tabled,
 )
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
@@ -138,8 +140,7 @@ class FrictionAdaptation:
         self._alike = likeness()[: self._nodes, : self._nodes]
         self._curve_drift = (SHAPE * drift) ** 2 * loop.t_ipo * self._alike
         self._v_max = largest_speeds(loop.v_max)
-        self._table = np.stack([between_nodes(speed / most)[:, : self._nodes]
-                                for speed, most in zip(loop.friction_velocity.T, self._v_max, strict=True)])
+        self._table = table_of(loop)
         # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
         self._sigma = np.sqrt(3.0) * np.maximum(noise * dry, 0.0 if noise_std is None else noise_std)
         # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
@@ -167,8 +168,8 @@ class FrictionAdaptation:
         """Friction fields of the loop with what was learned applied."""
         fields = adapted(self.loop, state.theta)
         if self._nodes:
-            curve = np.matmul(self._table, state.curve[:, :, None])[:, :, 0].T * self._mean_dry
-            fields["friction_torque"] = np.maximum(fields["friction_torque"] + curve, 0.0)
+            more = tabled(self._table, state.curve, self._mean_dry)
+            fields["friction_torque"] = np.maximum(fields["friction_torque"] + more, 0.0)
         return fields
 
     def carried(self, mass: float) -> Chain | None:

@@ -119,7 +119,7 @@ class FrictionCurve:
         prior[at, 1 + at, 1 + at] = INERTIA**2
         drift[0, 0], drift[self._shape, self._shape] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
         self._prior, self._drift = prior, drift
-        self._table = np.stack([between_nodes(loop.friction_velocity[:, i] / self._v_max[i]) for i in range(loop.n)])
+        self._table = table_of(loop)
 
     def init(self, known: CurveState | None = None) -> CurveState:
         """Nothing known, or what is known from another motion; of that motion's following error nothing stays."""
@@ -142,7 +142,7 @@ class FrictionCurve:
 
     def torque(self, state: CurveState) -> Array:
         """What the curves add to the loop's table of sliding friction ``(m, n)`` [N m]."""
-        return np.asarray(np.matmul(self._table, state.curve[:, :, None])[:, :, 0].T * self._dry)
+        return tabled(self._table, state.curve, self._dry)
 
     def inertia(self, state: CurveState) -> Array:
         """What the drives feel of the joints' accelerations beyond the model's rotors and links ``(n, n)`` [kg m²]."""
@@ -188,6 +188,23 @@ def likeness() -> Array:
     """Correlation of a curve's values at the nodes ``(K, K)``: it is smooth over the logarithm of speed."""
     place = np.log1p(SPEEDS / KNEE)
     return np.asarray(np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2))
+
+
+def table_of(loop: LoopModel) -> Array:
+    """Shares of the nodes ``(n, m, K)`` at the speeds of the loop's table of friction."""
+    return np.stack([between_nodes(speed / most)
+                     for speed, most in zip(loop.friction_velocity.T, largest_speeds(loop.v_max), strict=True)])
+
+
+def tabled(table: Array, curve: Array, dry: Array) -> Array:
+    """What curves add to the loop's table of friction ``(m, n)`` [N m].
+
+    Args:
+        table: shares of the nodes ``(n, m, K)``, as of ``table_of``.
+        curve: its values at the nodes, as a share of dry friction ``(n, K)``.
+        dry: dry friction ``(n,)`` [N m].
+    """
+    return np.asarray(np.matmul(table, curve[:, :, None])[:, :, 0].T * dry)
 
 
 def between_nodes(speed: Array) -> Array:

@@ -65,6 +65,16 @@ class PerJointFriction:
                 result[:, [j]] = sliding_direction(q[:, [j]], qd[:, [j]], law.shape[-1])
         return result
 
+    def turned(self, q: Array, qd: Array) -> Array:
+        """How far friction has turned ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints at once.
+
+        Args:
+            q: positions ``(N, n)`` [rad], consecutive in time.
+            qd: velocities ``(N, n)`` [rad/s].
+        """
+        sliding = self.sliding(q, qd)
+        return np.where(np.isnan(sliding), np.sign(qd), sliding)
+
     def to_dict(self) -> list[dict[str, Any]]:
         """Plain values for the model file, one entry per joint."""
         return [law.to_dict() for law in self.laws]

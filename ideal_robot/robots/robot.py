@@ -96,6 +96,11 @@ class Robot(Summarised):
         """Pinocchio's index of the TCP frame."""
         return int(self.pinocchio.getFrameId(self.tool_frame))
 
+    @property
+    def tool_place(self) -> NDArray[np.float64]:
+        """Where the TCP is in the last joint's frame ``(3,)`` [m]."""
+        return np.array(self.pinocchio.frames[self.tool_id].placement.translation)
+
     @classmethod
     def load(cls, name_or_urdf: str | Path, data: str | Path | None = None) -> Robot:
         """Loads a shipped robot by name, or any serial URDF by path.

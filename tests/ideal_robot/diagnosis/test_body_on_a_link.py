@@ -50,7 +50,7 @@ def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.
 def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
     # On the axis of the last joint it turns like a body on the link before.
     robot = Robot.load(name)
-    flange = robot.pinocchio.frames[robot.tool_id].placement.translation
+    flange = robot.tool_place
     problem, robot = carrying(name, robot.n, mass, np.asarray(flange))
     bodies = tuple((e.name, j) for e in library() if e.domain == MOTOR_TORQUE and e.name in ("payload", "link_load")
                    for j in e.joints(problem.regression.signals))
@@ -71,7 +71,7 @@ def test_a_body_on_an_inner_link_is_a_load_of_that_link():
 def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
     """Its mass hides in what the strong joints leave; a rotor or a filter of the wrist has no weight."""
     robot = Robot.load("kr15")
-    flange = np.asarray(robot.pinocchio.frames[robot.tool_id].placement.translation)
+    flange = robot.tool_place
     problem, _ = carrying("kr15", robot.n, 0.1, flange + np.array([0.02, -0.04, 0.05]), left=0.05)
     payload = Candidate(find("payload", "tau"), 0)
     final = problem.on_all_blocks().fit([payload], uncertainty=True)

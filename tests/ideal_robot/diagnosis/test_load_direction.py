@@ -51,7 +51,7 @@ def problem_of(*names: str) -> Problem:
     q, qd, qdd = harmonics(rng, t, robot.home, 0.3, (0.5, 3.0), 3)
     model = Model.nominal(robot)
     load = model.inverse_dynamics(q, qd, qdd) - robot.rotor_inertia * qdd
-    at = robot.pinocchio.frames[robot.tool_id].placement.translation
+    at = robot.tool_place
     body = regressor(robot.pinocchio, q, qd, qdd)[:, :, -10:] @ point_mass(1.0, at)
     tau = model.inverse_dynamics(q, qd, qdd) + sum(added(name, qd, load, body) for name in names)
     tau = tau + 0.005 * np.std(tau, axis=0) * rng.normal(size=q.shape)

@@ -39,7 +39,7 @@ def other_arm(model: Model) -> Model:
 
 def with_tool(model: Model, mass: float) -> Model:
     """The arm with a point mass [kg] 5 cm beside the middle of its tool."""
-    place = ROBOT.pinocchio.frames[ROBOT.tool_id].placement.translation + np.array([0.05, 0.0, 0.0])
+    place = ROBOT.tool_place + np.array([0.05, 0.0, 0.0])
     full, n = np.array(model.consistent), model.n
     full[10 * n - 10 : 10 * n] += pin.Inertia(mass, place, np.zeros((3, 3))).toDynamicParameters()
     return replace(model, consistent=full, base_values=model.base_values + model.base.of(full - model.consistent))

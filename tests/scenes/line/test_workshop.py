@@ -13,11 +13,9 @@ from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.line.cell import prepared, set_up
 from scenes.line.kind import run
-from scenes.models import model_for
+from scenes.models import model_for, own_model
 from scenes.options import chosen
-from scenes.prepared_model import prepared_model
 from scenes.scene import OWN
-from sim.arm.world import World
 from sim.camera.texture import paint
 from tests.scenes.line.test_line_following import CALIBRATED, short
 
@@ -191,7 +189,7 @@ def test_who_adapts_a_cold_arm_is_within_1_3_of_who_knew(seed: int) -> None:
     """Seeds 2 and 3 of `benchmarks/adapted_and_knew.py`, and not worse than without by more than 3 %: 1.3 and 1.5 times
     when torques of the ends of cycles were taken for friction."""
     line = chosen(load_scene("line"), individual=1)
-    before = str(prepared_model(Robot.load(line.robot), World.from_table(line.robot, line.arm_world)).path)
+    before = own_model(line, Robot.load(line.robot))
     cold = line.changed(seed=seed, world={"start_temperature": 20.0})
     knew = run(cold.changed(model=OWN), method="ideal").control_error.mean
     fixed, adapted = (run(cold.changed(model=before), method=key).control_error.mean for key in ("ideal", "adapted"))

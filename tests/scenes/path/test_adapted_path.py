@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from ideal_robot.feedforward.base import Feedforward
@@ -20,7 +19,7 @@ from scenes.path.kind import run
 def two_factors(setting: Setting) -> Feedforward:
     """What `adapted` would be without shape and inertia."""
     robot, ideal = setting.robot, IdealRobot(setting.loop(), setting.horizon(30))
-    tool = np.array(robot.pinocchio.frames[robot.tool_id].placement.translation)
+    tool = robot.tool_place
     start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=tool))
     practice = setting.plays()
     known = practice.play(start, practice.motion(setting.path())).state
