@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
@@ -15,14 +16,17 @@ from ideal_robot.robots.urdf import without_meshes
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sim.bullet import pybullet
-from sim.camera.lamp import half_sizes
+from sim.camera.lamp import half_sizes, joint_places
 
 LUMINANCE = np.array([0.299, 0.587, 0.114])
 """Shares of red, green and blue in a gray value."""
 SIDES = 12
 """Of a cylinder."""
-MARGIN = 0.05
-"""By which a window counts as wider, as tangent: the camera moves and turns during the exposure."""
+MARGIN, AROUND = 0.05, 0.002
+"""By which a window counts as wider, as tangent, and a shape as larger [m]: the camera turns and moves during the
+exposure."""
+CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+"""Of a box with half sides of 1."""
 
 
 def prism(radius: float, half: float) -> tuple[list[list[float]], list[int]]:
@@ -42,6 +46,35 @@ def prism(radius: float, half: float) -> tuple[list[list[float]], list[int]]:
     return corners.tolist(), np.vstack([sides, ends, SIDES + ends[:, ::-1]]).ravel().tolist()
 
 
+class Body:
+    """A body that is only seen, and taken out of the picture where no window shows it.
+
+    A renderer works through all triangles and pixels of what it is not told to leave out.
+
+    Args:
+        number: PyBullet's id of the body.
+        client: PyBullet's id of its physics client.
+        colour: red, green, blue, opaque.
+    """
+
+    def __init__(self, number: int, client: int, colour: Sequence[float]) -> None:
+        self.number, self._client = number, client
+        self._colours = [*colour[:3], 0.0], [*colour[:3], 1.0]
+        self._shown = True
+
+    def show(self, shown: bool) -> None:
+        """Puts it into the picture, or takes it out: the renderer leaves out what is wholly transparent."""
+        if shown != self._shown:
+            pybullet.changeVisualShape(self.number, -1, rgbaColor=self._colours[shown], physicsClientId=self._client)
+            self._shown = shown
+
+    def stand(self, place: pin.SE3) -> None:
+        """Moves it to a pose in the base frame."""
+        pybullet.resetBasePositionAndOrientation(self.number, place.translation.tolist(),
+                                                 pin.Quaternion(place.rotation).coeffs().tolist(),
+                                                 physicsClientId=self._client)
+
+
 class ArmBodies:
     """The arm's visible shapes in a camera's physics client.
 
@@ -54,7 +87,6 @@ class ArmBodies:
 
     Attributes:
         bodies: PyBullet's ids of the shapes that have been looked at, by their place in the URDF.
-        in_view: whether a window may show one of them now.
     """
 
     def __init__(self, robot: Robot, client: int, camera: CameraModel) -> None:
@@ -64,46 +96,52 @@ class ArmBodies:
         found = pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects
         sized = [(one, half) for one in found if (half := half_sizes(one.geometry)) is not None]
         self._shapes: list[Any] = [one for one, _ in sized]
+        self._parents = np.array([one.parentJoint for one in self._shapes], dtype=int)
         self._reach = np.array([np.linalg.norm(half) for _, half in sized])
-        self.bodies: dict[int, int] = {}
-        self.in_view = False
+        self._corners = np.array([[one.placement.act(corner * half) for corner in CORNERS] for one, half in sized]
+                                 ).reshape(-1, len(CORNERS), 3)
+        self.bodies: dict[int, Body] = {}
+        self._standing: set[int] = set()
 
-    def stand(self, q: Array, pose: pin.SE3, windows: Sequence[Window]) -> None:
-        """Puts the links where they are.
+    def stand(self, q: Array, pose: pin.SE3) -> None:
+        """Finds out where the links are; what a window shows of them is put there by ``shown``.
 
         Args:
             q: arm angles ``(n,)`` [rad].
             pose: of the TCP in the base frame.
-            windows: what is looked at.
         """
         pin.forwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
-        places = [self._data.oMi[one.parentJoint] * one.placement for one in self._shapes]
         eye = pose * self._camera.T_tool_camera
-        seen = (np.array([place.translation for place in places]) - eye.translation) @ eye.rotation
-        shown = np.flatnonzero(self._in_view(seen, windows)).tolist()
-        self.in_view = bool(shown)
-        for k in shown:
+        rotation, place = joint_places(self._data)
+        turned, moved = eye.rotation.T @ rotation, (place - eye.translation) @ eye.rotation
+        self._seen = self._corners @ turned[self._parents].transpose(0, 2, 1) + moved[self._parents, None]
+        self._standing.clear()
+
+    def shown(self, windows: Sequence[Window]) -> list[set[Body]]:
+        """What of the arm each window may show, standing where it is.
+
+        Args:
+            windows: what is looked at, none of them empty.
+        """
+        found = self._in_view(windows)
+        for k in np.flatnonzero(found.any(axis=0)).tolist():
             if k not in self.bodies:
                 self.bodies[k] = self._body(self._shapes[k])
-        for k, body in self.bodies.items():
-            quaternion = pin.Quaternion(places[k].rotation).coeffs().tolist()
-            pybullet.resetBasePositionAndOrientation(body, places[k].translation.tolist(), quaternion,
-                                                     physicsClientId=self._client)
+            if k not in self._standing:
+                shape = self._shapes[k]
+                self.bodies[k].stand(self._data.oMi[shape.parentJoint] * shape.placement)
+                self._standing.add(k)
+        return [{self.bodies[k] for k in np.flatnonzero(row).tolist()} for row in found]
 
-    def _in_view(self, seen: Array, windows: Sequence[Window]) -> NDArray[np.bool_]:
-        """Which of the shapes' balls about their middles ``(M, 3)`` in the camera's frame [m] a window may show."""
-        table = np.array([window for window in windows if window.width * window.height], dtype=float).reshape(-1, 4)
+    def _in_view(self, windows: Sequence[Window]) -> NDArray[np.bool_]:
+        """Which of the shapes each window may show ``(windows, M)``."""
+        table = np.array(windows, dtype=float).reshape(-1, 4)
         u, v = table[:, :1] + (table[:, 2:3] - 1.0) * [0, 1, 0, 1], table[:, 1:2] + (table[:, 3:] - 1.0) * [0, 0, 1, 1]
         rays = self._camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))[:, :2].reshape(-1, 4, 2)
         least, most = rays.min(axis=1) - MARGIN, rays.max(axis=1) + MARGIN
-        # Distances from the planes through the eye that bound each window, positive inside, (windows, M, 2).
-        across, ahead = seen[None, :, :2], seen[None, :, 2:]
-        low = (across - least[:, None] * ahead) / np.hypot(1.0, least)[:, None]
-        high = (most[:, None] * ahead - across) / np.hypot(1.0, most)[:, None]
-        inside = (np.minimum(low, high).min(axis=2) > -self._reach).any(axis=0)
-        return np.asarray(inside & (seen[:, 2] > -self._reach))
+        return np.asarray(in_front(self._seen, self._reach, least, most))
 
-    def _body(self, shape: Any) -> int:
+    def _body(self, shape: Any) -> Body:
         gray = float(LUMINANCE @ np.asarray(shape.meshColor[:3], dtype=float))
         colour, x, client = [gray, gray, gray, 1.0], shape.geometry, self._client
         if hasattr(x, "halfSide"):
@@ -113,4 +151,44 @@ class ArmBodies:
             corners, faces = prism(x.radius, x.halfLength)
             seen = pybullet.createVisualShape(pybullet.GEOM_MESH, vertices=corners, indices=faces, rgbaColor=colour,
                                               physicsClientId=client)
-        return int(pybullet.createMultiBody(0.0, -1, seen, physicsClientId=client))
+        return Body(int(pybullet.createMultiBody(0.0, -1, seen, physicsClientId=client)), client, colour)
+
+
+@njit(cache=True)
+def in_front(corners: Array, reach: Array, least: Array, most: Array) -> NDArray[np.bool_]:
+    """Which boxes may be seen through which windows ``(windows, M)``.
+
+    Those whose ball about their middle reaches in front of each of the four planes through the eye that bound the
+    window, and then not all of whose corners are behind the same one.
+
+    Args:
+        corners: of the boxes in the camera's frame ``(M, 8, 3)`` [m].
+        reach: from their middles to their corners ``(M,)`` [m].
+        least: tangents of the windows' sides to the left and above ``(windows, 2)``.
+        most: of those to the right and below ``(windows, 2)``.
+    """
+    seen = np.zeros((least.shape[0], corners.shape[0]), dtype=np.bool_)
+    for k in range(corners.shape[0]):
+        x, y, z, deepest = 0.0, 0.0, 0.0, -np.inf
+        for c in range(8):
+            x, y, z = x + corners[k, c, 0] / 8.0, y + corners[k, c, 1] / 8.0, z + corners[k, c, 2] / 8.0
+            deepest = max(deepest, corners[k, c, 2])
+        if deepest <= 0.0:
+            continue
+        for w in range(least.shape[0]):
+            inside = True
+            for side in range(4):
+                a = side % 2
+                sense, tangent = (1.0, least[w, a]) if side < 2 else (-1.0, most[w, a])
+                length = np.sqrt(1.0 + tangent * tangent)
+                if sense * ((y if a else x) - tangent * z) / length <= -reach[k]:
+                    inside = False
+                    break
+                front = -np.inf
+                for c in range(8):
+                    front = max(front, sense * (corners[k, c, a] - tangent * corners[k, c, 2]) / length)
+                if front <= -AROUND:
+                    inside = False
+                    break
+            seen[w, k] = inside
+    return seen

@@ -21,13 +21,13 @@ from ideal_robot.robots.robot import Robot
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sim.bullet import output_dropped, pybullet
-from sim.camera.arm_bodies import ArmBodies
+from sim.camera.arm_bodies import ArmBodies, Body
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.camera.lamp import Lamp
-from sim.camera.lens_sampling import add_samples, displacements, sample_rays
+from sim.camera.lens_sampling import add_samples, displacements, extent
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture
-from sim.camera.tool_mesh import TOOL_COLOUR, tool_mesh
+from sim.camera.tool_mesh import TOOL_COLOUR, outline, tool_mesh
 from sim.contact.contact import HeightSurface
 
 STRIP = 0.008
@@ -40,6 +40,11 @@ ROWS = 4
 # point of OpenCV's convention (pixel centres at integers) before it goes into the projection matrix.
 PIXEL_SHIFT_U, PIXEL_SHIFT_V = 0.0, 1.0
 NEAR, FAR = 0.02, 3.0
+BESIDE = 3.0
+"""Pixels around the tool's outline that count as the tool: the shift above, and where sub-exposures look."""
+STILL = ([0.0, 0.0], [[0.0, 0.0]])
+"""Displacements of a picture's only exposure, and the largest of them."""
+UPWARDS, WHITE = [0.0, 0.0, 1.0], [1.0, 1.0, 1.0]
 
 
 class BulletCamera(RenderedCamera):
@@ -65,15 +70,20 @@ class BulletCamera(RenderedCamera):
         super().__init__(model, surface, settings, rng, lamp=lamp)
         self._strips = strips
         self._relief = relief
-        self._offsets = displacements(settings.sub_exposures)
+        offsets = displacements(settings.sub_exposures)
+        self._offsets = np.abs(offsets).max(axis=0).tolist(), offsets.tolist()
         self._client = pybullet.connect(pybullet.DIRECT)
-        self._tool = -1
+        self._tool: Body | None = None
         self.arm = None if arm is None else ArmBodies(arm, self._client, model)
         with output_dropped(), temporary_folder() as folder:
             self._load_surface(self.texture, folder)
             if tool:
-                length = 0.0 if arm is None else arm.tool_length
-                self._tool = self._body(folder, "tool", tool_mesh(length), pin.SE3.Identity(), TOOL_COLOUR)
+                mesh = tool_mesh(0.0 if arm is None else arm.tool_length)
+                number = self._body(folder, "tool", mesh, pin.SE3.Identity(), TOOL_COLOUR)
+                self._tool = Body(number, self._client, TOOL_COLOUR)
+                self._outline = outline(mesh, model.T_tool_camera.inverse())
+                self._tool_within = [*self._outline[:2].min(axis=1, initial=np.inf).tolist(),
+                                     *self._outline[2:].max(axis=1, initial=-np.inf).tolist()]
 
     def close(self) -> None:
         """Frees the renderer."""
@@ -86,16 +96,19 @@ class BulletCamera(RenderedCamera):
         """See ``RenderedCamera.shows_arm``."""
         return self.arm is not None
 
-    def _stand(self, q: Array, pose: pin.SE3, windows: Sequence[Window]) -> None:
+    def _stand(self, q: Array, pose: pin.SE3) -> None:
         if self.arm is not None:
-            self.arm.stand(q, pose, windows)
+            self.arm.stand(q, pose)
 
     def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array | float]:
-        seen = [self._render(window, poses, n) for window in windows]
-        gray = np.concatenate([np.empty(0), *(one.ravel() for one, _ in seen)])
-        if self.arm is None or not self.arm.in_view:
-            return gray, 1.0
-        return gray, np.concatenate([np.empty(0), *(bare.ravel() for _, bare in seen)])
+        looked = [window for window in windows if window.width * window.height]
+        if not looked:
+            return np.empty(0), 1.0
+        views = [self._view(pose) for pose in poses]
+        arm = self.arm.shown(looked) if self.arm is not None else [set[Body]()] * len(looked)
+        seen = [self._render(*each, poses, views, n) for each in zip(looked, arm, strict=True)]
+        gray, bare = (np.concatenate([one.ravel() for one in part]) for part in zip(*seen, strict=True))
+        return gray, bare
 
     def _view(self, pose: pin.SE3) -> list[float]:
         """OpenGL view matrix, column-major: base frame → camera with y up and z backwards."""
@@ -105,36 +118,48 @@ class BulletCamera(RenderedCamera):
         V[1:3] *= -1.0
         return V.T.ravel().tolist()
 
-    def _render(self, window: Window, poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array]:
+    def _render(self, window: Window, arm: set[Body], poses: Sequence[pin.SE3], views: Sequence[list[float]], n: int
+                ) -> tuple[Array, Array]:
         """Mean gray values ``(height, width)`` of a window over the poses, ``n`` × ``n`` samples per pixel and pose.
 
-        Beside them the share of each pixel in which the surface is seen, where the arm may be before it.
+        Beside them the share of each pixel in which no arm hides the surface; the tool of a camera without an arm is
+        lit as the surface is. Of both only what the window may show is drawn: the renderer takes as long for what is
+        beside the picture.
         """
-        K, k = self.model.K, self.model.distortion
-        if window.width == 0 or window.height == 0:
-            return np.zeros((window.height, window.width)), np.zeros((window.height, window.width))
-        x, y = sample_rays(window.u, window.v, window.height, window.width, n, K, k)
-        scale = n * K[0, 0]
-        offsets = self._offsets if len(poses) > 1 else np.zeros((1, 2))
+        x, y = self._samples(window, n)
+        scale = n * self.model.K[0, 0]
+        (pad_u, pad_v), offsets = self._offsets if len(poses) > 1 else STILL
         # The smallest undistorted picture that covers all samples wherever a sub-exposure moves its grid.
-        pad_u, pad_v = np.abs(offsets).max(axis=0)
-        column0, row0 = pad_u - scale * x.min(), pad_v - scale * y.min()
-        width = int(scale * x.max() + column0 + pad_u) + 2
-        height = int(scale * y.max() + row0 + pad_v) + 2
-        total, bare = np.zeros((window.height, window.width)), np.zeros((window.height, window.width))
-        for pose, (du, dv) in zip(poses, offsets, strict=True):
-            self._carry_tool(pose)
+        left, top, right, bottom = extent(x, y)
+        column0, row0 = pad_u - scale * left, pad_v - scale * top
+        width = int(scale * right + column0 + pad_u) + 2
+        height = int(scale * bottom + row0 + pad_v) + 2
+        tool = self._tool if self._tool is not None and self._tool_in(-column0, -row0, width, height, scale) else None
+        shown = arm if tool is None else arm | {tool}
+        for body in self._before:
+            body.show(body in shown)
+        total, weight = np.zeros((window.height, window.width)), 1.0 / len(poses)
+        parted = self.arm is not None and bool(shown)
+        bare = np.zeros_like(total) if parted else np.ones_like(total)
+        for pose, view, (du, dv) in zip(poses, views, offsets, strict=True):
+            if tool is not None:
+                tool.stand(pose)
             # The samples stay where they are; the renderer's own grid moves below them, which averages its hard edges.
-            image, surface = self._picture(self._view(pose), width, height, scale, column0 + du, row0 + dv)
-            add_samples(total, image, x, y, scale, column0 + du, row0 + dv, 1.0 / len(poses))
-            if surface is not None:
-                add_samples(bare, surface, x, y, scale, column0 + du, row0 + dv, 1.0 / len(poses))
+            at = scale, column0 + du, row0 + dv
+            image, bodies = self._picture(view, width, height, *at, parted=parted)
+            add_samples(total, image, x, y, *at, weight)
+            if bodies is not None:
+                add_samples(bare, self._surface_in(bodies), x, y, *at, weight)
         return total, bare
 
-    def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float
-                 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8] | None]:
-        """Rendered picture ``(height, width, 4)``; if the arm may be there, which pixels are surface ``(…, 1)``."""
-        arm = self.arm is not None and self.arm.in_view
+    @property
+    def _before(self) -> list[Body]:
+        """All that may stand before the surface."""
+        return [*([] if self._tool is None else [self._tool]), *([] if self.arm is None else self.arm.bodies.values())]
+
+    def _picture(self, view: list[float], width: int, height: int, f: float, cx: float, cy: float, *, parted: bool
+                 ) -> tuple[NDArray[np.uint8], NDArray[np.int32] | None]:
+        """Rendered picture ``(height, width, 4)``; if asked for, the body that each pixel shows ``(height, width)``."""
         cx, cy = cx + PIXEL_SHIFT_U, cy + PIXEL_SHIFT_V
         projection = [
             2 * f / width, 0.0, 0.0, 0.0,
@@ -143,20 +168,33 @@ class BulletCamera(RenderedCamera):
             0.0, 0.0, -2 * FAR * NEAR / (FAR - NEAR), 0.0,
         ]  # fmt: skip
         picture: Any = pybullet.getCameraImage(
-            width, height, view, projection, lightDirection=[0, 0, 1], lightColor=[1, 1, 1], lightAmbientCoeff=1.0,
+            width, height, view, projection, lightDirection=UPWARDS, lightColor=WHITE, lightAmbientCoeff=1.0,
             lightDiffuseCoeff=0.0, lightSpecularCoeff=0.0, shadow=0, renderer=pybullet.ER_TINY_RENDERER,
-            flags=0 if arm else pybullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client,
+            flags=0 if parted else pybullet.ER_NO_SEGMENTATION_MASK, physicsClientId=self._client,
         )  # fmt: skip
-        if not arm:
-            return picture[2], None
-        bodies = np.asarray(picture[4])
-        return picture[2], ((bodies == self._ground) | (bodies < 0)).astype(np.uint8)[:, :, None]
+        return picture[2], np.asarray(picture[4]) if parted else None
 
-    def _carry_tool(self, pose: pin.SE3) -> None:
-        if self._tool >= 0:
-            pybullet.resetBasePositionAndOrientation(self._tool, pose.translation.tolist(),
-                                                     pin.Quaternion(pose.rotation).coeffs().tolist(),
-                                                     physicsClientId=self._client)
+    def _surface_in(self, bodies: NDArray[np.int32]) -> NDArray[np.uint8]:
+        """Which pixels show the surface, or nothing ``(height, width, 1)``, of the bodies that they show."""
+        return ((bodies == self._ground) | (bodies < 0)).astype(np.uint8)[:, :, None]
+
+    def _tool_in(self, left: float, top: float, width: int, height: int, scale: float) -> bool:
+        """Whether an undistorted picture may show the tool, which moves with the camera.
+
+        Args:
+            left: its first column, from the principal point [px].
+            top: its first row [px].
+            width: its columns [px].
+            height: its rows [px].
+            scale: its focal length [px].
+        """
+        u0, v0 = (left - BESIDE) / scale, (top - BESIDE) / scale
+        u1, v1 = (left + width + BESIDE) / scale, (top + height + BESIDE) / scale
+        least_u, least_v, most_u, most_v = self._tool_within
+        if least_u > u1 or most_u < u0 or least_v > v1 or most_v < v0:
+            return False
+        box = self._outline
+        return bool(((box[0] < u1) & (box[2] > u0) & (box[1] < v1) & (box[3] > v0)).any())
 
     def _load_surface(self, texture: Texture, folder: Path) -> None:
         x0, y1 = texture.x_min, texture.y_max

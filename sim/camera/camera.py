@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from types import TracebackType
 
 import numpy as np
@@ -20,7 +20,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Field, Gray, Window
 from sim.camera.camera_settings import CameraSettings
 from sim.camera.lamp import Lamp, covered, light, mirrored
-from sim.camera.lens_sampling import sample_rays
+from sim.camera.lens_sampling import on_plane, sample_rays
 from sim.camera.plane_sampling import sample_plane, texel_map
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture, paint
@@ -71,8 +71,9 @@ class RenderedCamera:
         self._key = int(rng.integers(2**63))
         self.restart()
         self.texture = paint(surface, settings.resolution) if texture is None else texture
-        self._stamp_noise = lru_cache(maxsize=256)(self._drawn_stamp_noise)
+        self._numbers = lru_cache(maxsize=256)(self._drawn)
         self._whole_rays: dict[int, Array] = {}
+        self._whole_samples: dict[int, tuple[Array, Array]] = {}
 
     def __enter__(self) -> RenderedCamera:
         return self
@@ -87,6 +88,7 @@ class RenderedCamera:
     def close(self) -> None:
         """Frees what the camera holds for its pictures."""
         self._whole_rays.clear()
+        self._whole_samples.clear()
 
     @property
     def shows_arm(self) -> bool:
@@ -107,7 +109,7 @@ class RenderedCamera:
             t = self.settings.phase + k / self.settings.rate
             if round((t + half - t1) * self.settings.rate, 6) >= 0.0:
                 break
-            if self.settings.loss == 0.0 or self._stream(k).random() >= self.settings.loss:
+            if self.settings.loss == 0.0 or self._numbers(k)[0] >= self.settings.loss:
                 times.append(t)
         return times
 
@@ -115,7 +117,7 @@ class RenderedCamera:
         """Controller time that the camera says of the field exposed at ``t_exposure`` [s], one of ``due``."""
         k = round((t_exposure - self.settings.phase) * self.settings.rate)
         wrong = self.settings.stamp_offset + self.settings.stamp_drift * t_exposure
-        return float(t_exposure + wrong + self.settings.stamp_noise * self._stamp_noise(k))
+        return float(t_exposure + wrong + self.settings.stamp_noise * self._numbers(k)[2])
 
     def comes_twice(self, t_exposure: float) -> bool:
         """Whether the field exposed at ``t_exposure`` [s] is sent once more, behind the first."""
@@ -143,7 +145,7 @@ class RenderedCamera:
             if not (inside and window.v + window.height <= self.model.height):
                 raise InputError(f"outside the image of {self.model.width}×{self.model.height} px", field="window",
                                  value=tuple(window))
-        s = self.settings
+        s, pose_at = self.settings, cache(pose_at)
         rng = self._stream(round((t_exposure - s.phase) * s.rate))
         rng.random()
         latency = max(s.latency + s.jitter * rng.standard_normal(), 0.5 * (s.exposure + s.rolling))
@@ -151,7 +153,7 @@ class RenderedCamera:
         t_stamp = self.stamp(t_exposure)
         n, gray = s.sub_exposures, np.empty(0)
         if q is not None:
-            self._stand(q, pose_at(t_exposure), windows)
+            self._stand(q, pose_at(t_exposure))
         for part, delay in self._in_time(windows):
             poses = [pose_at(t_exposure + delay + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
             seen, bare = self._sampled(part, poses, s.supersampling)
@@ -179,19 +181,18 @@ class RenderedCamera:
         # A fine image shows its line smooth enough with one sample a pixel, and takes long anyway.
         samples = 2 if whole.width * whole.height <= FINE else 1
         if q is not None:
-            self._stand(q, pose, [whole])
+            self._stand(q, pose)
         gray, bare = self._sampled([whole], [pose], samples)
         if self.lamp is not None:
             gray = self._lit(gray, bare, [whole], pose, shape) / self._brightness(self.lamp, pose, shape)
         return self._noisy(gray, noise_rng).reshape(whole.height, whole.width)
 
-    def _stand(self, q: Array, pose: pin.SE3, windows: Sequence[Window]) -> None:
+    def _stand(self, q: Array, pose: pin.SE3) -> None:
         """Puts the arm where it stands; here it stays out of the picture.
 
         Args:
             q: its angles ``(n,)`` [rad].
             pose: of the TCP.
-            windows: what is looked at.
         """
 
     def _in_time(self, windows: Sequence[Window]) -> list[tuple[Sequence[Window], float]]:
@@ -209,10 +210,10 @@ class RenderedCamera:
     def _stream(self, k: int) -> np.random.Generator:
         return np.random.Generator(np.random.Philox(key=[self._key, k + 2**32]))
 
-    def _drawn_stamp_noise(self, k: int) -> float:
+    def _drawn(self, k: int) -> tuple[float, float, float]:
+        """The first numbers of a field's stream: whether it is lost, its delay, its stamp's error."""
         rng = self._stream(k)
-        rng.random(), rng.standard_normal()
-        return float(rng.standard_normal())
+        return float(rng.random()), float(rng.standard_normal()), float(rng.standard_normal())
 
     def _noisy(self, gray: Array, rng: np.random.Generator | None) -> Gray:
         if rng is not None and self.settings.noise > 0.0:
@@ -233,8 +234,8 @@ class RenderedCamera:
         lamp = self.lamp
         if lamp is None or not len(gray):
             return gray
-        rays = np.concatenate([self._rays(w, 1).reshape(-1, 2) for w in windows if w.width * w.height])
-        points = self._on_plane(np.column_stack([rays, np.ones(len(rays))]), pose)
+        x, y = zip(*(self._samples(window, 1) for window in windows), strict=True)
+        points = self._on_plane(_in_one(x), _in_one(y), pose)
         up, eye = self.surface.plane.rotation[:, 2], (pose * self.model.T_tool_camera).translation
         hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape)) * bare
         lit = light(lamp, points, up, self._lit_at, hidden)
@@ -252,8 +253,7 @@ class RenderedCamera:
 
     def _brightness(self, lamp: Lamp, pose: pin.SE3, shape: Sequence[Array]) -> float:
         """Of the picture: the most light at a few places in it, so that it is not overexposed."""
-        u, v = np.meshgrid(self.model.width * np.array([0.2, 0.5, 0.8]), self.model.height * np.array([0.2, 0.5, 0.8]))
-        points = self._on_plane(self.model.rays(np.column_stack([u.ravel(), v.ravel()])), pose)
+        points = self._on_plane(*self._metered, pose)
         hidden = covered(points, lamp.place, lamp.radius, *_capsules(shape))
         return float(light(lamp, points, self.surface.plane.rotation[:, 2], self._lit_at, hidden).max())
 
@@ -262,13 +262,17 @@ class RenderedCamera:
         """Where the light is 1: the middle of the line."""
         return np.asarray(self.surface.at(np.array([0.5 * self.surface.length]))[0][0])
 
-    def _on_plane(self, rays: Array, pose: pin.SE3) -> Array:
-        """Where rays ``(N, 3)`` in the camera's frame meet the surface's plane ``(N, 3)`` [m]."""
-        T = pose * self.model.T_tool_camera
-        directions = rays @ T.rotation.T
-        up = self.surface.plane.rotation[:, 2]
-        depth = ((self.surface.plane.translation - T.translation) @ up) / (directions @ up)
-        return np.asarray(T.translation + depth[:, None] * directions)
+    @cached_property
+    def _metered(self) -> tuple[Array, Array]:
+        """Rays x, y ``(N,)`` of the places in the picture on which the automatic exposure looks."""
+        u, v = np.meshgrid(self.model.width * np.array([0.2, 0.5, 0.8]), self.model.height * np.array([0.2, 0.5, 0.8]))
+        x, y, _ = self.model.rays(np.column_stack([u.ravel(), v.ravel()])).T.copy()
+        return x, y
+
+    def _on_plane(self, x: Array, y: Array, pose: pin.SE3) -> Array:
+        """Where rays (x, y, 1), ``(N,)`` each in the camera's frame, meet the surface's plane ``(N, 3)`` [m]."""
+        T, plane = pose * self.model.T_tool_camera, self.surface.plane
+        return np.asarray(on_plane(x, y, T.rotation, T.translation, plane.rotation[:, 2], plane.translation))
 
     def _sampled(self, windows: Sequence[Window], poses: Sequence[pin.SE3], n: int) -> tuple[Array, Array | float]:
         """Mean gray values of all pixels of the windows, one after the other, over the TCP poses; shares of surface.
@@ -295,8 +299,22 @@ class RenderedCamera:
 
     def _rays(self, window: Window, n: int) -> Array:
         """Rays (x, y, 1) of ``n`` × ``n`` samples in each pixel, their x and y ``(height, width, n², 2)``."""
-        return np.stack(sample_rays(window.u, window.v, window.height, window.width, n, self.model.K,
-                                    self.model.distortion), axis=-1)
+        return np.stack(self._samples(window, n), axis=-1)
+
+    def _samples(self, window: Window, n: int) -> tuple[Array, Array]:
+        """X and y of ``_rays``, ``(height, width, n²)`` each; the lens is inverted once for all of a small image."""
+        lens = self.model.K, self.model.distortion
+        if self.model.width * self.model.height > FINE:
+            return sample_rays(window.u, window.v, window.height, window.width, n, *lens)
+        if n not in self._whole_samples:
+            self._whole_samples[n] = sample_rays(0, 0, self.model.height, self.model.width, n, *lens)
+        at = slice(window.v, window.v + window.height), slice(window.u, window.u + window.width)
+        x, y = self._whole_samples[n]
+        return np.ascontiguousarray(x[at]), np.ascontiguousarray(y[at])
+
+
+def _in_one(parts: Sequence[Array]) -> Array:
+    return np.concatenate([part.ravel() for part in parts])
 
 
 def _capsules(shape: Sequence[Array]) -> tuple[Array, Array]:

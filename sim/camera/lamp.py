@@ -19,6 +19,8 @@ from sim.camera.tool_mesh import TOOL_RADIUS
 
 SHINE = 240.0
 """How sharp the surface mirrors: exponent of the cosine between its normal and the middle of eye and lamp."""
+GROUP = 32
+"""Neighbouring places for which it is decided together what cannot stand in their light."""
 
 
 @dataclass(frozen=True)
@@ -70,15 +72,21 @@ class ArmShape:
         if tool.name == TOOL_TIP:
             flange = self._model.frames[tool.parentFrame].placement
             found.append((int(tool.parentJoint), flange.translation, tool.placement.translation, TOOL_RADIUS))
-        self._parents = [parent for parent, *_ in found]
+        self._parents = np.array([parent for parent, *_ in found])
         self._ends = np.array([[a, b] for _, a, b, _ in found])
         self.radii = np.array([radius for *_, radius in found])
 
     def at(self, q: Array) -> Array:
         """Ends of the capsules' axes in the base frame ``(M, 2, 3)`` [m] at arm angles ``(n,)`` [rad]."""
         pin.forwardKinematics(self._model, self._data, np.asarray(q, dtype=float))
-        return np.array([[self._data.oMi[parent].act(end) for end in ends]
-                         for parent, ends in zip(self._parents, self._ends, strict=True)])
+        rotation, place = joint_places(self._data)
+        return np.asarray(self._ends @ rotation[self._parents].transpose(0, 2, 1) + place[self._parents, None])
+
+
+def joint_places(data: pin.Data) -> tuple[Array, Array]:
+    """Where Pinocchio's joints are: rotations ``(joints, 3, 3)`` and places ``(joints, 3)`` [m] in the base frame."""
+    joints = list(data.oMi)
+    return np.array([joint.rotation for joint in joints]), np.array([joint.translation for joint in joints])
 
 
 def half_sizes(shape: object) -> Array | None:
@@ -102,10 +110,9 @@ def light(lamp: Lamp, points: Array, normal: Array, centre: Array, hidden: Array
         centre: where the light is measured ``(3,)`` [m].
         hidden: share of the lamp that each place does not see ``(N,)``, as from ``covered``.
     """
-    away, reference = lamp.place - points, lamp.place - centre
-    lit = (away @ normal) / np.linalg.norm(away, axis=1) ** 3 * np.linalg.norm(reference) ** 3 / (reference @ normal)
-    direct = 1.0 - lamp.falloff + lamp.falloff * np.clip(lit, 0.0, None)
-    return np.asarray(direct * (1.0 - lamp.shadow * hidden))
+    reference = lamp.place - centre
+    full = float(np.linalg.norm(reference) ** 3 / (reference @ normal))
+    return np.asarray(_lambert(points, lamp.place, normal, full, lamp.falloff, lamp.shadow, hidden))
 
 
 def mirrored(lamp: Lamp, points: Array, normal: Array, eye: Array, hidden: Array) -> Array:
@@ -118,10 +125,32 @@ def mirrored(lamp: Lamp, points: Array, normal: Array, eye: Array, hidden: Array
         eye: where the camera is ``(3,)`` [m].
         hidden: as for ``light``.
     """
-    to_lamp, to_eye = lamp.place - points, eye - points
-    half = to_lamp / np.linalg.norm(to_lamp, axis=1)[:, None] + to_eye / np.linalg.norm(to_eye, axis=1)[:, None]
-    cosine = (half @ normal) / np.linalg.norm(half, axis=1)
-    return np.asarray(lamp.glare * (1.0 - hidden) * np.clip(cosine, 0.0, 1.0) ** SHINE)
+    return np.asarray(_blinn(points, lamp.place, normal, eye, lamp.glare, hidden))
+
+
+@njit(cache=True, error_model="numpy")
+def _lambert(points: Array, lamp: Array, normal: Array, full: float, falloff: float, shadow: float, hidden: Array
+             ) -> Array:
+    lit = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        x, y, z = lamp[0] - points[i, 0], lamp[1] - points[i, 1], lamp[2] - points[i, 2]
+        r = np.sqrt(x * x + y * y + z * z)
+        direct = (x * normal[0] + y * normal[1] + z * normal[2]) / (r * r * r) * full
+        lit[i] = (1.0 - falloff + falloff * max(direct, 0.0)) * (1.0 - shadow * hidden[i])
+    return lit
+
+
+@njit(cache=True, error_model="numpy")
+def _blinn(points: Array, lamp: Array, normal: Array, eye: Array, glare: float, hidden: Array) -> Array:
+    gray = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        a0, a1, a2 = lamp[0] - points[i, 0], lamp[1] - points[i, 1], lamp[2] - points[i, 2]
+        b0, b1, b2 = eye[0] - points[i, 0], eye[1] - points[i, 1], eye[2] - points[i, 2]
+        a, b = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2), np.sqrt(b0 * b0 + b1 * b1 + b2 * b2)
+        h0, h1, h2 = a0 / a + b0 / b, a1 / a + b1 / b, a2 / a + b2 / b
+        cosine = (h0 * normal[0] + h1 * normal[1] + h2 * normal[2]) / np.sqrt(h0 * h0 + h1 * h1 + h2 * h2)
+        gray[i] = glare * (1.0 - hidden[i]) * min(max(cosine, 0.0), 1.0) ** SHINE
+    return gray
 
 
 @njit(cache=True)
@@ -129,7 +158,8 @@ def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: 
     """Share of the lamp that each place does not see ``(N,)``: 0 in the light, 1 in the full shadow.
 
     The ray from the place to the lamp passes a capsule's axis at its nearest distance; the lamp's size makes an edge
-    whose width grows with the way from what casts the shadow to the surface.
+    whose width grows with the way from what casts the shadow to the surface. A capsule that the rays of a whole group
+    of places pass too far away is not looked at for each of them.
 
     Args:
         points: places ``(N, 3)`` [m].
@@ -139,26 +169,45 @@ def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: 
         radii: of the capsules ``(M,)`` [m].
     """
     share = np.zeros(points.shape[0])
-    for i in range(points.shape[0]):
-        x, y, z = points[i]
-        d0, d1, d2 = lamp[0] - x, lamp[1] - y, lamp[2] - z
-        dd = d0 * d0 + d1 * d1 + d2 * d2
+    for first in range(0, points.shape[0], GROUP):
+        last = min(first + GROUP, points.shape[0])
+        # The ball about the group: no ray from it to the lamp is farther from the middle one than its radius.
+        x, y, z = 0.0, 0.0, 0.0
+        for i in range(first, last):
+            x, y, z = x + points[i, 0], y + points[i, 1], z + points[i, 2]
+        x, y, z = x / (last - first), y / (last - first), z / (last - first)
+        ball = 0.0
+        for i in range(first, last):
+            ball = max(ball, (points[i, 0] - x) ** 2 + (points[i, 1] - y) ** 2 + (points[i, 2] - z) ** 2)
+        ball = np.sqrt(ball) + 1e-9
         for k in range(radii.shape[0]):
-            e0, e1, e2 = ends[k, 1, 0] - ends[k, 0, 0], ends[k, 1, 1] - ends[k, 0, 1], ends[k, 1, 2] - ends[k, 0, 2]
-            r0, r1, r2 = x - ends[k, 0, 0], y - ends[k, 0, 1], z - ends[k, 0, 2]
-            ee, de = e0 * e0 + e1 * e1 + e2 * e2, d0 * e0 + d1 * e1 + d2 * e2
-            dr, er = d0 * r0 + d1 * r1 + d2 * r2, e0 * r0 + e1 * r1 + e2 * r2
-            across = dd * ee - de * de
-            # Nearest points of the two segments.
-            u = min(max((de * er - ee * dr) / across, 0.0), 1.0) if across > 1e-12 else 0.0
-            v = (de * u + er) / ee if ee > 1e-12 else 0.0
-            if v < 0.0 or v > 1.0:
-                v = min(max(v, 0.0), 1.0)
-                u = min(max((de * v - dr) / dd, 0.0), 1.0)
-            g0, g1, g2 = r0 + u * d0 - v * e0, r1 + u * d1 - v * e1, r2 + u * d2 - v * e2
-            distance = np.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
-            # What the lamp's disc looks like at the capsule's distance.
-            edge = max(lamp_radius * u, 1e-6)
-            hidden = min(max(0.5 * (radii[k] - distance) / edge + 0.5, 0.0), 1.0)
-            share[i] = max(share[i], hidden)
+            distance, _ = _passing(x, y, z, lamp, ends[k])
+            if distance > radii[k] + max(lamp_radius, 1e-6) + ball:
+                continue
+            for i in range(first, last):
+                distance, u = _passing(points[i, 0], points[i, 1], points[i, 2], lamp, ends[k])
+                # What the lamp's disc looks like at the capsule's distance.
+                edge = max(lamp_radius * u, 1e-6)
+                hidden = min(max(0.5 * (radii[k] - distance) / edge + 0.5, 0.0), 1.0)
+                share[i] = max(share[i], hidden)
     return share
+
+
+@njit(cache=True, inline="always")
+def _passing(x: float, y: float, z: float, lamp: Array, ends: Array) -> tuple[float, float]:
+    """At which distance the way from a place to the lamp passes a capsule's axis [m], and at which share of the way."""
+    d0, d1, d2 = lamp[0] - x, lamp[1] - y, lamp[2] - z
+    e0, e1, e2 = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1], ends[1, 2] - ends[0, 2]
+    r0, r1, r2 = x - ends[0, 0], y - ends[0, 1], z - ends[0, 2]
+    dd = d0 * d0 + d1 * d1 + d2 * d2
+    ee, de = e0 * e0 + e1 * e1 + e2 * e2, d0 * e0 + d1 * e1 + d2 * e2
+    dr, er = d0 * r0 + d1 * r1 + d2 * r2, e0 * r0 + e1 * r1 + e2 * r2
+    across = dd * ee - de * de
+    # Nearest points of the two segments.
+    u = min(max((de * er - ee * dr) / across, 0.0), 1.0) if across > 1e-12 else 0.0
+    v = (de * u + er) / ee if ee > 1e-12 else 0.0
+    if v < 0.0 or v > 1.0:
+        v = min(max(v, 0.0), 1.0)
+        u = min(max((de * v - dr) / dd, 0.0), 1.0)
+    g0, g1, g2 = r0 + u * d0 - v * e0, r1 + u * d1 - v * e1, r2 + u * d2 - v * e2
+    return np.sqrt(g0 * g0 + g1 * g1 + g2 * g2), u

@@ -69,6 +69,35 @@ def sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: 
     return x, y
 
 
+@njit(cache=True, error_model="numpy")
+def on_plane(x: Array, y: Array, R: Array, c: Array, up: Array, place: Array) -> Array:
+    """Where rays (x, y, 1) in a camera's frame meet a plane ``(N, 3)`` [m].
+
+    Args:
+        x: of the rays, to the right ``(N,)``.
+        y: downwards ``(N,)``.
+        R: the camera's rotation in the base frame ``(3, 3)``.
+        c: where it is ``(3,)`` [m].
+        up: the plane's normal ``(3,)``.
+        place: one of the plane's points ``(3,)`` [m].
+    """
+    points = np.empty((x.shape[0], 3))
+    above = (place[0] - c[0]) * up[0] + (place[1] - c[1]) * up[1] + (place[2] - c[2]) * up[2]
+    for i in range(x.shape[0]):
+        d0 = R[0, 0] * x[i] + R[0, 1] * y[i] + R[0, 2]
+        d1 = R[1, 0] * x[i] + R[1, 1] * y[i] + R[1, 2]
+        d2 = R[2, 0] * x[i] + R[2, 1] * y[i] + R[2, 2]
+        depth = above / (d0 * up[0] + d1 * up[1] + d2 * up[2])
+        points[i, 0], points[i, 1], points[i, 2] = c[0] + depth * d0, c[1] + depth * d1, c[2] + depth * d2
+    return points
+
+
+@njit(cache=True)
+def extent(x: Array, y: Array) -> tuple[float, float, float, float]:
+    """Least x and y, largest x and y of arrays that are not empty."""
+    return x.min(), y.min(), x.max(), y.max()
+
+
 def displacements(n: int) -> Array:
     """Displacements ``(n, 2)`` in samples, evenly spread over one sample: a rotated lattice."""
     i = np.arange(n)

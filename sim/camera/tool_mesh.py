@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+import pinocchio as pin
 
 from ideal_robot.arrays import Array
 
@@ -16,6 +19,8 @@ TIP = ((0.0, 0.001), (0.012, 0.004), (0.05, TOOL_RADIUS), (0.14, TOOL_RADIUS))
 HOSE = np.array([[-0.012, 0.014, -0.02], [-0.004, 0.05, -0.05], [0.004, 0.085, -0.09], [0.0, 0.1, -0.14]])
 """Middle of the hose in the tool frame [m]: it leaves the tip sideways and goes up out of the picture."""
 HOSE_RADIUS = 0.007
+NEAREST = 0.005
+"""Depth from which on a camera may see the mesh [m], nearer than any renderer begins."""
 
 
 def tool_mesh(length: float = 0.0) -> list[str]:
@@ -41,6 +46,30 @@ def tool_mesh(length: float = 0.0) -> list[str]:
                 c, d = b + SIDES, a + SIDES
                 faces += [f"f {a}//{a} {b}//{b} {c}//{c}", f"f {a}//{a} {c}//{c} {d}//{d}"]
     return vertices + normals + faces
+
+
+def outline(mesh: Sequence[str], T_camera_tool: pin.SE3) -> Array:
+    """Boxes about what a camera sees of each triangle: least x, y and largest x, y as tangents ``(4, triangles)``.
+
+    Triangles behind the camera are left out.
+
+    Args:
+        mesh: lines of its .obj file, from ``tool_mesh``.
+        T_camera_tool: pose of the tool frame in the camera's.
+    """
+    lines = [line.split() for line in mesh]
+    places = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
+    corners = np.array([[int(corner.split("/")[0]) - 1 for corner in line[1:]] for line in lines if line[0] == "f"])
+    a = (places @ T_camera_tool.rotation.T + T_camera_tool.translation)[corners]
+    b = np.roll(a, -1, axis=1)
+    # What is left of a triangle before the camera has its corners on the sides, where they begin or come near enough.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (NEAREST - a[..., 2]) / (b[..., 2] - a[..., 2])
+        crossing = np.where(((share > 0.0) & (share < 1.0))[..., None], a + share[..., None] * (b - a), np.nan)
+    seen = np.concatenate([np.where(a[..., 2:] >= NEAREST, a, np.nan), crossing], axis=1)
+    seen = seen[~np.isnan(seen).all(axis=(1, 2))]
+    tangents = seen[..., :2] / seen[..., 2:]
+    return np.concatenate([np.nanmin(tangents, axis=1), np.nanmax(tangents, axis=1)], axis=1).T.copy()
 
 
 def _rings(middle: Array, radius: Array) -> tuple[Array, Array]:

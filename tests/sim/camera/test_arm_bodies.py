@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from scenes import load_scene
 from scenes.line.cell import Cell, set_up
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
+from sim.camera import arm_bodies
 from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera_settings import CameraSettings
 from sim.camera.lamp import ArmShape, Lamp
@@ -99,9 +101,50 @@ def test_without_a_tool_the_wrist_would_be_all_that_the_camera_sees() -> None:
         assert np.mean([covered_by_arm(camera, q, pose) for q, pose in along(cell)]) > 0.7
 
 
+def test_what_a_window_cannot_show_is_left_out_without_a_trace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows all over the picture, with wrist, tool and hose in it, drawn with what each may show and with all."""
+    robot = Robot.load("kr6").with_tool(0.2)
+    q, pose, line = over_the_line(robot)
+    rng = np.random.default_rng(4)
+    windows = [Window(int(u), int(v), int(w), int(h)) for u, v, w, h in
+               zip(*(rng.integers(*span, 60) for span in ((0, 280), (0, 225), (1, 40), (1, 15))), strict=True)]
+    poses = [pose * pin.SE3(pin.exp3(np.array([0.0, 0.0, a])), np.array([a, 0.0, 0.0])) for a in (-1e-3, 0.0, 1e-3)]
+
+    def drawn(all_of_it: bool) -> tuple[list[bool], Array, Array]:
+        with BulletCamera(CameraModel.default(), line, replace(QUIET, sub_exposures=3), np.random.default_rng(0),
+                          arm=robot, tool=True) as camera:
+            if all_of_it:
+                monkeypatch.setattr(arm_bodies, "in_front", lambda seen, *_: np.ones((len(windows), len(seen)), bool))
+                monkeypatch.setattr(camera, "_tool_in", lambda *_: True)
+            camera._stand(q, pose)
+            gray, bare = camera._sampled(windows, poses, 2)
+            seen = camera.arm.shown(windows) if camera.arm is not None else []
+            return [bool(bodies) for bodies in seen], gray, np.asarray(bare)
+
+    shown, gray, bare = drawn(False)
+    _, gray_all, bare_all = drawn(True)
+    assert 5 < sum(shown) < 55
+    assert 0.0 < (bare < 0.5).mean() < 0.9
+    np.testing.assert_array_equal(gray, gray_all)
+    np.testing.assert_allclose(bare, bare_all, atol=1e-12)
+
+
+def test_a_tool_behind_the_camera_is_in_no_picture() -> None:
+    """A camera below the tool's tip, which looks down like any other."""
+    below = PLAIN.T_tool_camera.copy()
+    below.translation = np.array([0.0, 0.0, 0.01])
+    model = replace(PLAIN, T_tool_camera=below)
+    _, pose, line = over_the_line(Robot.load("kr6"))
+    higher = pin.SE3(pose.rotation, pose.translation + np.array([0.0, 0.0, 0.2]))
+    with BulletCamera(model, line, QUIET, np.random.default_rng(0), tool=True) as camera:
+        seen = camera.frame(higher)
+    with BulletCamera(model, line, QUIET, np.random.default_rng(0)) as camera:
+        np.testing.assert_array_equal(seen, camera.frame(higher))
+
+
 def covered_by_arm(camera: BulletCamera, q: Array, pose: pin.SE3) -> Array:
     """Share of each pixel ``(240, 320)`` that links cover."""
-    camera._stand(q, pose, WHOLE)
+    camera._stand(q, pose)
     return (1.0 - np.broadcast_to(camera._sampled(WHOLE, [pose], 1)[1], (240 * 320,))).reshape(240, 320)
 
 

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ideal_robot.robots.robot import Robot
 from sensing.camera.camera_model import CameraModel
@@ -116,3 +118,19 @@ def test_a_field_may_come_twice_and_always_the_same_ones_do() -> None:
         twice = [camera.comes_twice(t) for t in times]
         assert 0.25 < np.mean(twice) < 0.35
         assert [camera.comes_twice(t) for t in reversed(times)] == twice[::-1]
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_the_shadow_on_a_place_does_not_depend_on_its_neighbours(seed: int) -> None:
+    """Capsules that a group of places cannot see are left out for all of them at once."""
+    rng = np.random.default_rng(seed)
+    points = np.column_stack([rng.uniform(-0.3, 0.3, (90, 2)), np.zeros(90)])
+    points[:45] = 0.02 * points[:45] + rng.uniform(-0.3, 0.3, 3)
+    ends = rng.uniform(-0.4, 0.4, (7, 2, 3)) + np.array([0.0, 0.0, 0.9])
+    radii = rng.uniform(0.005, 0.15, 7)
+    lamp, size = np.array([0.1, -0.2, 1.8]), float(rng.choice([0.0, 0.02, 0.2]))
+    alone = [covered(point[None], lamp, size, ends, radii)[0] for point in points]
+    np.testing.assert_array_equal(covered(points, lamp, size, ends, radii), alone)
+    one_by_one = [covered(points, lamp, size, ends[k : k + 1], radii[k : k + 1]) for k in range(7)]
+    np.testing.assert_array_equal(covered(points, lamp, size, ends, radii), np.max(one_by_one, axis=0))
