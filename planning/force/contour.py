@@ -233,7 +233,8 @@ class ContourFollower:
 
     def _joint_angles(self, rows: slice, guess: Array) -> Array:
         positions = self._start.translation + self._plan.position[rows] @ self._axes
-        return self._kinematics.refine([pin.SE3(self._start.rotation, p) for p in positions], guess)
+        rotations = np.broadcast_to(self._start.rotation, (len(positions), 3, 3))
+        return self._kinematics.refine_rows(np.ascontiguousarray(rotations), positions, guess)
 
     def _way(self, t: npt.ArrayLike) -> Array:
         """Way along the contour at ``t``: a trapezoid of speed."""

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import njit
 from scipy.special import chdtri  # scipy.stats, which has the quantiles too, is large
 
 from ideal_robot.arrays import Array
@@ -237,8 +238,9 @@ class DeviationFilter:
 
     def _fuse(self, measurement: Measurement) -> Fused:
         H = self._rows(measurement)
-        moved = self._weighed(measurement, H)
-        fused = self._try(self._track, measurement, H)
+        seen = _innovation(self._track, measurement, H)
+        moved = self._weighed(measurement, H, seen)
+        fused = self._try(self._track, measurement, H, seen)
         if moved:
             self._track, self._rival, self._shaken = moved, None, []
             count = len(measurement.value)
@@ -248,7 +250,7 @@ class DeviationFilter:
             return fused
         if self._rival is None:
             self._rival = self._fresh()
-        if not self._try(self._rival, measurement, H).dof:
+        if not self._try(self._rival, measurement, H, _innovation(self._rival, measurement, H)).dof:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
             self._track, self._rival, self._shaken = self._rival, None, []
@@ -256,7 +258,7 @@ class DeviationFilter:
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
         return fused
 
-    def _weighed(self, measurement: Measurement, H: Array) -> _Track | None:
+    def _weighed(self, measurement: Measurement, H: Array, seen: _Innovation) -> _Track | None:
         """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.
 
         One begins with each measurement that the map makes doubtful, and from then on it and the map take all of them.
@@ -266,24 +268,22 @@ class DeviationFilter:
         sigmas = self._moved.get(measurement.sensor)
         if sigmas is None:
             return None
-        nis, likelihood = self._likelihood(self._track, measurement, H)
-        if nis > float(chdtri(len(measurement.value), DOUBT)) and len(self._shaken) < AT_ONCE:
+        likelihood = self._likelihood(seen)
+        if seen.nis > float(chdtri(len(measurement.value), DOUBT)) and len(self._shaken) < AT_ONCE:
             self._shaken.append(self._begun_anew(measurement.sensor, sigmas))
         for shaken in self._shaken:
-            shaken.lead += self._likelihood(shaken, measurement, H)[1] - likelihood
+            seen_so = _innovation(shaken, measurement, H)
+            shaken.lead += self._likelihood(seen_so) - likelihood
             shaken.weighed += 1
-            self._try(shaken, measurement, H)
+            self._try(shaken, measurement, H, seen_so)
         sure = [one for one in self._shaken if one.lead > LEAD and one.agreed >= self._confirm_moved]
         self._shaken = [one for one in self._shaken if one.lead >= -LEAD and one.weighed < WEIGHED]
         return max(sure, key=lambda one: one.lead, default=None)
 
-    def _likelihood(self, track: _Track, measurement: Measurement, H: Array) -> tuple[float, float]:
-        """Normalised innovation squared, and the logarithm of the likelihood, in which an outlier counts as one."""
-        S = H @ track.kf.P @ H.T + measurement.covariance
-        innovation = measurement.value - H @ track.kf.x
-        nis = float(innovation @ np.linalg.solve(S, innovation))
-        bound = float(self._bounds[min(len(innovation), 64)])
-        return nis, -0.5 * (min(nis, bound) + float(np.linalg.slogdet(S)[1]))
+    def _likelihood(self, seen: _Innovation) -> float:
+        """Logarithm of the likelihood, in which an outlier counts as one."""
+        bound = float(self._bounds[min(len(seen.value), 64)])
+        return -0.5 * (min(seen.nis, bound) + seen.log_det)
 
     def _begun_anew(self, sensor: str, sigmas: tuple[float, ...]) -> _Track:
         """The map as it is, with errors of the sensor that have nothing to do with those before."""
@@ -301,28 +301,45 @@ class DeviationFilter:
             H[:, self._bias_at[measurement.sensor]] = measurement.bias
         return H
 
-    def _try(self, track: _Track, measurement: Measurement, H: Array) -> Fused:
+    def _try(self, track: _Track, measurement: Measurement, H: Array, seen: _Innovation) -> Fused:
         """Gates a measurement against a hypothesis and fuses what is left of it."""
-        kf, R = track.kf, measurement.covariance
-        innovation = measurement.value - H @ kf.x
-        S = H @ kf.P @ H.T + R
-        used: Any = innovation**2 <= self._gate**2 * np.diag(S)
+        kf, R, innovation, S, nis = track.kf, measurement.covariance, seen.value, seen.covariance, seen.nis
+        used: Any = innovation**2 <= self._gate**2 * S.diagonal()
         if measurement.combination is not None and not used.all():
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate")
         if 2 * used.sum() < len(used):
             # Among many wrong values a few pass by chance.
             return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate")
-        reason = "" if used.all() else "some values beyond the gate"
+        reason, dof = "", len(innovation)
         if not used.all():
-            H, R, S = H[used], R[np.ix_(used, used)], S[np.ix_(used, used)]
-        left = innovation[used]
-        nis = float(left @ np.linalg.solve(S, left))
-        dof = len(left)
+            reason, dof, left = "some values beyond the gate", int(used.sum()), innovation[used]
+            H, R = H[used], R[np.ix_(used, used)]
+            nis = float(left @ np.linalg.solve(S[np.ix_(used, used)], left))
         if nis > self._bounds[min(dof, 64)]:
             return Fused(np.zeros(len(used), dtype=bool), innovation, nis, 0, "innovation beyond its bound")
         kf.update(measurement.value[used], R=R, H=H)
         track.agreed += 1
         return Fused(used, innovation, nis, dof, reason)
+
+
+class _Innovation(NamedTuple):
+    """What a measurement says beyond a hypothesis: value, covariance, normalised square, logarithm of determinant."""
+
+    value: Array
+    covariance: Array
+    nis: float
+    log_det: float
+
+
+def _innovation(track: _Track, measurement: Measurement, H: Array) -> _Innovation:
+    return _Innovation(*_compared(track.kf.x, track.kf.P, H, measurement.value, measurement.covariance))
+
+
+@njit(cache=True)
+def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, Array, float, float]:
+    innovation, S = z - H @ x, H @ P @ H.T + R
+    nis: float = np.sum(innovation * np.linalg.solve(S, innovation))
+    return innovation, S, nis, np.linalg.slogdet(S)[1]
 
 
 def _check(measurement: Measurement, directions: int) -> None:

@@ -15,10 +15,10 @@ from planning.line.fusion import DeviationFilter, Fused, Measurement
 from planning.line.line_measurement import polynomial_measurement
 from planning.line.line_view import LineAhead, SeenLine
 from planning.path.desired_path import DesiredPath
+from planning.path.path_kernels import displaced_frames, sensor_errors
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import JointPath, SpeedProfile
-from planning.path.vectors import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 MEASUREMENTS = ("polynomial", "points")
@@ -26,8 +26,8 @@ KNOCK = 0.01
 """How far a camera may be turned when somebody knocks it, standard deviation [rad]."""
 BEND = 0.4
 """Distance over which a surface's bend becomes another [m]."""
-SPREAD = 0.1
-"""Length of line over which a field's five points are spread [m]; ink missing over a third of it leaves three."""
+SPREAD, EVENLY = 0.1, np.linspace(0.0, 1.0, 5)
+"""Length of line over which a field's five points are spread [m], and how; ink missing over a third leaves three."""
 ALONG = 0.03
 """How much earlier than its reference the line may end [m]: drawn elsewhere along the path, and seen point by point."""
 SILENCE = 0.25
@@ -202,36 +202,28 @@ class LineFollower:
             ahead: distances from the TCP along the reference ``(m,)`` [m]; by default five from where the TCP will
                 be when the field takes effect.
         """
-        s_tcp = self.profile.at(t - self.t_start)[0]
-        s = s_tcp + (self._where_to_look(t) if ahead is None else ahead)
+        s_tcp, speed = self.profile.at(t - self.t_start)
+        s = s_tcp + (self._where_to_look(speed) if ahead is None else ahead)
         step, m = 1e-3, len(s)
         H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))
-        mean, variance = self.fusion.mean_and_variance(H[:m, 0])
+        _, variance = self.fusion.mean_and_variance(H[:m, 0])
         deviation = H @ self.fusion.state
         slope = (deviation[2 * m :] - deviation[m : 2 * m]) / (2 * step)
         frames = self.reference.frames(s)
-        # Derivative of p + d n + h u by arc length: (1 - κ d) t + d' n + h' u.
-        stretch = 1.0 - frames.curvature * mean
-        tangents = stretch[:, None] * frames.tangent + slope[:, :1] * frames.normal
-        points, up = frames.position + mean[:, None] * frames.normal, frames.up
-        if deviation.shape[1] > 1:
-            tangents = tangents + slope[:, 1:] * up
-            points = points + deviation[:m, 1:] * up
-        tangents = unit(tangents)
-        if deviation.shape[1] > 1:
-            up = unit(up - dot(up, tangents)[:, None] * tangents)
+        points, tangents, up = displaced_frames(frames.position, frames.tangent, frames.normal, frames.up,
+                                                frames.curvature, deviation[:m], slope)
         return LineAhead(s, points, tangents, up, np.sqrt(variance))
 
-    def _where_to_look(self, t: float) -> Array:
+    def _where_to_look(self, speed: float) -> Array:
         """What the TCP passes before the field has come and gone into the plan need not be looked at, if there is more.
 
         Where the TCP passes nearly all of the view in that time the points are spread no less: those already passed
         hold the map at the place from which it goes on.
         """
         near, far = self.settings.view
-        passed = self.profile.at(t - self.t_start)[1] * (self.settings.latency + 2 * self._T)
+        passed = speed * (self.settings.latency + 2 * self._T)
         first = min(max(near, passed), max(near, far - SPREAD))
-        return np.linspace(first, min(far, first + SPREAD), 5)
+        return first + (min(far, first + SPREAD) - first) * EVENLY
 
     def update(self, line: SeenLine, pose: pin.SE3 | None = None) -> Fused | None:
         """Fuses one field, whenever it arrives.
@@ -288,21 +280,20 @@ class LineFollower:
         # A camera turned about itself moves a point by up × (point - camera), a wrong time stamp by the velocity the
         # point has on the tool.
         ray = lever if self._eye is None else lever - pose.rotation @ self._eye
-        turned = dot(frames.normal, cross(frames.up, ray))
         try:
             velocity, rate = self.history.velocity(t)
         except PlanningError:
             # Poses given from outside, no history: then time stamps have to be right.
             velocity, rate = np.zeros(3), np.zeros(3)
-        moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
+        turned, moved, slant = sensor_errors(frames.normal, frames.up, ray, lever, velocity, rate)
         direction = None
         if self.fusion.model.directions > 1:
             direction = np.zeros((len(s), self.fusion.model.directions))
             direction[:, 0] = 1.0
             if self._eye is not None:
-                direction[:, 1] = -dot(ray, frames.normal) / dot(ray, frames.up)
+                direction[:, 1] = -slant
                 value = value + direction[:, 1] * height
-        return Measurement(t, s, value, covariance, direction, bias=np.column_stack([turned, moved]))
+        return Measurement(t, s, value, covariance, direction, bias=np.stack([turned, moved], axis=1))
 
     def deviation(self, s: Array) -> tuple[Array, Array]:
         """Estimated lateral deviation of the line from the reference at ``s (m,)`` and its standard deviation [m]."""

@@ -12,7 +12,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.path.reference_table import ReferenceTable, poses_of
+from planning.path.reference_table import ReferenceTable
 from planning.path.smoothing import Smoother
 from planning.path.speed_profile import JointPath, SpeedProfile
 
@@ -128,7 +128,7 @@ class DesiredPath:
             start = start.copy()
             offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
             start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
-        self._q[first:end] = self._kinematics.refine(poses_of(*self._targets(first, end)), start)
+        self._q[first:end] = self._kinematics.refine_rows(*self._targets(first, end), start)
         self._solved_to = end - 1
         self._ever_solved = max(self._ever_solved, end - 1)
 

@@ -9,11 +9,15 @@ import pinocchio as pin
 from scipy.linalg.lapack import dgesv
 
 from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
+from planning.path.newton_kernels import DAMPING, refined
 from planning.planning_error import OutOfReachError
 
 TOLERANCE = 1e-9
 """Pose error that counts as solved [m and rad]."""
+REFINED_IN = 10
+"""Newton steps in which a nearly right solution has to become right."""
 
 
 class InverseKinematics:
@@ -29,6 +33,9 @@ class InverseKinematics:
         self._square = robot.n == 6
         # computeFrameJacobian leaves the tool's pose in iMf[0]; holding the vector saves a third of the call's time.
         self._poses = self._data.iMf
+        tool = self._model.frames[self._tool]
+        self._chain = (chain_of(self._model), int(tool.parentJoint), np.ascontiguousarray(tool.placement.rotation),
+                       np.array(tool.placement.translation))
 
     def fk(self, q: Array) -> pin.SE3:
         """TCP pose in the base frame at ``q (n,)`` [rad]."""
@@ -43,7 +50,7 @@ class InverseKinematics:
             _, _, dq, info = dgesv(jacobian, error)
             if info == 0:
                 return q + dq, error
-        damping = 1e-6 * np.eye(6)
+        damping = DAMPING * np.eye(6)
         return q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error), error
 
     def torque(self, q: Array, force: Array) -> Array:
@@ -66,10 +73,10 @@ class InverseKinematics:
         for _ in range(iterations):
             q_next, error = self.step(target, q)
             if np.max(np.abs(error)) < TOLERANCE:
-                return self._within(target, q)
+                return self._within(target.translation, q)
             dq = q_next - q
             q = q + dq * min(1.0, 0.3 / max(float(np.max(np.abs(dq))), 1e-12))
-        raise OutOfReachError(_position(target), float(np.linalg.norm(error[:3])))
+        raise OutOfReachError(_position(target.translation), float(np.linalg.norm(error[:3])))
 
     def search(self, target: pin.SE3, home: Array, attempts: int = 40) -> Array:
         """Joint angles ``(n,)`` of one pose without a good guess: the solution nearest to ``home`` that was found.
@@ -115,41 +122,56 @@ class InverseKinematics:
         return q
 
     def refine(self, targets: Sequence[pin.SE3], q: Array, tolerance: float = 1e-6) -> Array:
+        """``refine_rows`` of poses given as such.
+
+        Args:
+            targets: poses of the TCP in the base frame, ``N`` of them.
+            q: as for ``refine_rows``.
+            tolerance: as for ``refine_rows``.
+        """
+        return self.refine_rows(*rows_of(targets), q, tolerance)
+
+    def refine_rows(self, rotations: Array, positions: Array, q: Array, tolerance: float = 1e-6) -> Array:
         """Joint angles ``(N, n)`` of poses whose nearly right solutions ``q (N, n)`` are known, for the real-time path.
 
         The error after a step is of the order of the square of the error before, so a pose is done as soon as the
         error *before* a step was below ``sqrt(tolerance)`` [m, rad].
 
         Args:
-            targets: poses of the TCP in the base frame, ``N`` of them.
+            rotations: of the TCP in the base frame ``(N, 3, 3)``.
+            positions: of the TCP ``(N, 3)`` [m].
             q: nearly right joint angles ``(N, n)`` [rad].
             tolerance: square of the pose error before the last step [m², rad²].
 
         Raises:
             OutOfReachError: not solved in ten steps, or outside the joint limits.
         """
-        solved = np.empty_like(q)
-        for i, target in enumerate(targets):
-            q_i = q[i]
-            for _ in range(10):
-                q_i, error = self.step(target, q_i)
-                if error @ error < tolerance:
-                    break
-            else:
-                raise OutOfReachError(_position(target), float(np.linalg.norm(error[:3])))
-            solved[i] = q_i
+        solved = np.array(q, dtype=float)
+        try:
+            done = refined(*self._chain, rotations, positions, solved, tolerance, REFINED_IN)
+        except np.linalg.LinAlgError:
+            done = 0
+        for i in range(done, len(solved)):
+            solved[i] = self._refined(pin.SE3(rotations[i], positions[i]), solved[i], tolerance)
         if (solved > self.robot.q_max).any() or (solved < self.robot.q_min).any():
             worst = int(np.argmax(np.max(np.maximum(solved - self.robot.q_max, self.robot.q_min - solved), axis=1)))
-            self._within(targets[worst], solved[worst])
+            self._within(positions[worst], solved[worst])
         return solved
 
-    def _within(self, target: pin.SE3, q: Array) -> Array:
+    def _refined(self, target: pin.SE3, q: Array, tolerance: float) -> Array:
+        for _ in range(REFINED_IN):
+            q, error = self.step(target, q)
+            if error @ error < tolerance:
+                return q
+        raise OutOfReachError(_position(target.translation), float(np.linalg.norm(error[:3])))
+
+    def _within(self, position: Array, q: Array) -> Array:
         """``q`` itself if it is within the joint limits."""
         beyond = np.maximum(q - self.robot.q_max, self.robot.q_min - q)
         joint = int(np.argmax(beyond))
         if beyond[joint] > 0:
             limit = self.robot.q_max[joint] if q[joint] > self.robot.q_max[joint] else self.robot.q_min[joint]
-            raise OutOfReachError(_position(target), 0.0, joint + 1, float(q[joint]), float(limit))
+            raise OutOfReachError(_position(position), 0.0, joint + 1, float(q[joint]), float(limit))
         return q
 
     def _wrapped(self, q: Array) -> Array:
@@ -163,6 +185,12 @@ def _golden(n: int) -> Array:
     return np.asarray((1.0 / root) ** np.arange(1, n + 1), dtype=float)
 
 
-def _position(target: pin.SE3) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in target.translation)
+def _position(place: Array) -> tuple[float, float, float]:
+    x, y, z = (float(value) for value in place)
     return x, y, z
+
+
+def rows_of(targets: Sequence[pin.SE3]) -> tuple[Array, Array]:
+    """Rotations ``(N, 3, 3)`` and positions ``(N, 3)`` [m] of poses."""
+    return (np.array([target.rotation for target in targets]).reshape(-1, 3, 3),
+            np.array([target.translation for target in targets]).reshape(-1, 3))

@@ -160,3 +160,73 @@ def deviation_basis(
                 else:
                     H[i, d, 2] = turn
     return H
+
+
+@njit(cache=True)
+def displaced_frames(
+    position: Array, tangent: Array, normal: Array, up: Array, curvature: Array, deviation: Array, slope: Array
+) -> tuple[Array, Array, Array]:  # pragma: no cover
+    """Points, unit tangents and unit normals out of the surface of the path p + d n + h u, ``(m, 3)`` each.
+
+    Its derivative by arc length is (1 - κ d) t + d' n + h' u.
+
+    Args:
+        position: p ``(m, 3)`` [m].
+        tangent: t ``(m, 3)``.
+        normal: n ``(m, 3)``.
+        up: u ``(m, 3)``.
+        curvature: κ ``(m,)`` [1/m].
+        deviation: d, and h where heights are known too ``(m, 1 or 2)`` [m].
+        slope: their derivatives by arc length ``(m, 1 or 2)``.
+    """
+    m, high = position.shape[0], deviation.shape[1] > 1
+    points, ahead, out = np.empty((m, 3)), np.empty((m, 3)), up.copy()
+    for i in range(m):
+        d, h = deviation[i, 0], deviation[i, 1] if high else 0.0
+        rise = slope[i, 1] if high else 0.0
+        square = along = 0.0
+        for a in range(3):
+            points[i, a] = position[i, a] + d * normal[i, a] + h * up[i, a]
+            ahead[i, a] = (1.0 - curvature[i] * d) * tangent[i, a] + slope[i, 0] * normal[i, a] + rise * up[i, a]
+            square += ahead[i, a] ** 2
+        for a in range(3):
+            ahead[i, a] /= np.sqrt(square)
+            along += up[i, a] * ahead[i, a]
+        if high:
+            square = 0.0
+            for a in range(3):
+                out[i, a] -= along * ahead[i, a]
+                square += out[i, a] ** 2
+            for a in range(3):
+                out[i, a] /= np.sqrt(square)
+    return points, ahead, out
+
+
+@njit(cache=True, error_model="numpy")
+def sensor_errors(
+    normal: Array, up: Array, ray: Array, lever: Array, velocity: Array, rate: Array
+) -> tuple[Array, Array, Array]:  # pragma: no cover
+    """How a camera's errors and a wrong height displace points seen along ``normal``, ``(m,)`` each.
+
+    Of a camera turned about the surface normal [m/rad], n·(u × r); of a time stamp [m/s], n·(v + ω × l); and by how
+    much a ray slants across the path, (r·n)/(r·u).
+
+    Args:
+        normal: n, across the path ``(m, 3)``.
+        up: u, out of the surface ``(m, 3)``.
+        ray: r, from the camera to the points ``(m, 3)`` [m].
+        lever: l, from the TCP to the points ``(m, 3)`` [m].
+        velocity: v, of the TCP ``(3,)`` [m/s].
+        rate: ω, of the tool ``(3,)`` [rad/s].
+    """
+    m = normal.shape[0]
+    turned, moved, slant = np.empty(m), np.empty(m), np.empty(m)
+    for i in range(m):
+        n, u, r, k = normal[i], up[i], ray[i], lever[i]
+        turned[i] = (n[0] * (u[1] * r[2] - u[2] * r[1]) + n[1] * (u[2] * r[0] - u[0] * r[2])
+                     + n[2] * (u[0] * r[1] - u[1] * r[0]))
+        moved[i] = (n[0] * (velocity[0] + rate[1] * k[2] - rate[2] * k[1])
+                    + n[1] * (velocity[1] + rate[2] * k[0] - rate[0] * k[2])
+                    + n[2] * (velocity[2] + rate[0] * k[1] - rate[1] * k[0]))
+        slant[i] = (r[0] * n[0] + r[1] * n[1] + r[2] * n[2]) / (r[0] * u[0] + r[1] * u[1] + r[2] * u[2])
+    return turned, moved, slant

@@ -28,10 +28,11 @@ class PoseHistory:
     """
 
     def __init__(self, robot: Robot, length: float = 0.5, ahead: float = 0.05) -> None:
-        self._robot, self._data = robot, robot.pinocchio.createData()
+        self._robot, self._data, self._tool = robot, robot.pinocchio.createData(), robot.tool_id
         self._length, self._ahead = length, ahead
         self._t: deque[float] = deque()
         self._q: deque[Array] = deque()
+        self._asked: tuple[float, pin.SE3] | None = None
 
     @property
     def first(self) -> float:
@@ -42,6 +43,7 @@ class PoseHistory:
         """Adds one sample ``q (n,)`` [rad] valid at ``t`` [s]; samples come in the order of time."""
         if self._t and t <= self._t[-1]:
             raise PlanningError(f"joint angles at t = {t:.4f} s came after those at t = {self._t[-1]:.4f} s")
+        self._asked = None
         self._t.append(t)
         self._q.append(np.array(q, dtype=float))
         while self._t[0] < t - self._length and len(self._t) > 4:
@@ -52,6 +54,7 @@ class PoseHistory:
         """Replaces the sample at ``t`` [s] by ``q (n,)`` [rad]: what was estimated then is known better now."""
         for i in range(len(self._t) - 1, -1, -1):
             if abs(self._t[i] - t) < 1e-9:
+                self._asked = None
                 self._q[i] = np.array(q, dtype=float)
                 return
 
@@ -80,9 +83,12 @@ class PoseHistory:
         return np.asarray(w0 * q[last - 3] + w1 * q[last - 2] + w2 * q[last - 1] + w3 * q[last])
 
     def pose(self, t: float) -> pin.SE3:
-        """TCP pose in the base frame at ``t`` [s]; raises as ``q``."""
-        pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
-        return self._data.oMf[self._robot.tool_id].copy()
+        """TCP pose in the base frame at ``t`` [s], not to be written to; raises as ``q``."""
+        # A field asks for the pose of its exposure several times.
+        if self._asked is None or self._asked[0] != t:
+            pin.framesForwardKinematics(self._robot.pinocchio, self._data, self.q(t))
+            self._asked = t, self._data.oMf[self._tool].copy()
+        return self._asked[1]
 
     def row_pose(self, t: float) -> pin.SE3:
         """``pose`` for a row of a picture whose middle row was exposed at a time that ``pose`` knows.
@@ -96,5 +102,5 @@ class PoseHistory:
         step, model, data = 1e-3, self._robot.pinocchio, self._data
         rate = (self.q(t + step) - self.q(t - step)) / (2 * step)
         pin.forwardKinematics(model, data, self.q(t), rate)
-        motion = pin.getFrameVelocity(model, data, self._robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
+        motion = pin.getFrameVelocity(model, data, self._tool, pin.LOCAL_WORLD_ALIGNED)
         return motion.linear.copy(), motion.angular.copy()

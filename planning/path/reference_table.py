@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
@@ -13,13 +12,6 @@ from planning.path.speed_profile import JointPath, SpeedProfile
 
 Rows = slice | NDArray[np.int_]
 """Which cycles: a slice, or their numbers."""
-AT_A_TIME = 4096
-"""Cycles whose poses are held as objects at a time: one takes as much memory as its whole row of the tables."""
-
-
-def poses_of(rotations: Array, positions: Array) -> list[pin.SE3]:
-    """Poses of rotations ``(m, 3, 3)`` and positions ``(m, 3)`` [m]."""
-    return [pin.SE3(R, p) for R, p in zip(rotations, positions, strict=True)]
 
 
 class ReferenceTable:
@@ -54,10 +46,7 @@ class ReferenceTable:
         self.rotations = reference.rotation(self.s)
         path = joint_path or profile.joint_path or JointPath.of(kinematics.robot, reference)
         self.q = np.column_stack([np.interp(self.s, path.s, column) for column in path.q.T])
-        for first in range(0, cycles, AT_A_TIME):
-            rows = slice(first, first + AT_A_TIME)
-            self.q[rows] = kinematics.refine(poses_of(self.rotations[rows], self.frames.position[rows]), self.q[rows],
-                                             tolerance=1e-12)
+        self.q = kinematics.refine_rows(self.rotations, self.frames.position, self.q, tolerance=1e-12)
 
     def __len__(self) -> int:
         return len(self.s)

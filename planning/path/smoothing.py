@@ -34,6 +34,7 @@ class Smoother:
     def __init__(self, samples: int, t_ipo: float, cutoff: float = 15.0, acceleration: float = 4.0) -> None:
         self.samples, self._t, self._acceleration = samples, t_ipo, acceleration
         self._laws = _laws(samples, t_ipo, cutoff)
+        self._bend_at = np.maximum(np.arange(samples - 1) - 1, 0)
 
     def plan(self, state: Array, estimate: Array) -> Array:
         """Positions, velocities and accelerations of the next cycles.
@@ -46,7 +47,8 @@ class Smoother:
             shape ``(3, samples, directions)`` [m, m/s, m/s²].
         """
         stacked = np.concatenate([state, estimate])
-        bend = np.diff(estimate, 2, axis=0)[np.maximum(np.arange(self.samples - 1) - 1, 0)] / self._t**2
+        rise = estimate[1:] - estimate[:-1]
+        bend = (rise[1:] - rise[:-1])[self._bend_at] / self._t**2
         for law in self._laws:
             planned = (law @ stacked).reshape(3, self.samples, -1)
             if np.abs(planned[2, :-1] - bend).max() <= self._acceleration:

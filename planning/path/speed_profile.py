@@ -105,6 +105,7 @@ class SpeedProfile:
         self.duration = tick * (len(s) - 1)
         self.length = float(s[-1])
         self._spline = CubicSpline(tick * np.arange(len(s)), s, bc_type="clamped")
+        self._cubics, self._knots = self._spline.c, self._spline.x
         self.top_speed = float(np.max(self.speed(tick * np.arange(len(s)))))
         self.slowed: tuple[tuple[float, float, float, int], ...] = ()
         self.joint_path: JointPath | None = None
@@ -120,10 +121,10 @@ class SpeedProfile:
     def at(self, t: float) -> tuple[float, float]:
         """Arc length [m] and speed [m/s] at one instant, without the overhead of arrays."""
         t = min(max(t, 0.0), self.duration)
-        i = min(int(t / self.tick), self._spline.c.shape[1] - 1)
-        a, b, c, d = self._spline.c[:, i].tolist()
-        u = t - self._spline.x[i]
-        return float(((a * u + b) * u + c) * u + d), float((3.0 * a * u + 2.0 * b) * u + c)
+        i = min(int(t / self.tick), self._cubics.shape[1] - 1)
+        a, b, c, d = self._cubics[:, i].tolist()
+        u = t - self._knots.item(i)
+        return ((a * u + b) * u + c) * u + d, (3.0 * a * u + 2.0 * b) * u + c
 
     def acceleration(self, t: npt.ArrayLike) -> Array:
         """Path acceleration [m/s²] at times ``t``."""

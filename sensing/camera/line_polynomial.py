@@ -9,8 +9,10 @@ from the reference path is far smoother than either, so the polynomial describes
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
@@ -36,7 +38,7 @@ class LinePolynomial:
     centre: float
     scale: float
     coefficients: Array
-    covariance: Array
+    covariance: NDArray[np.floating[Any]]
     combination: Array
     residual: float
     used: NDArray[np.bool_]
@@ -87,30 +89,53 @@ def fit_line_polynomial(
     s, deviation = np.asarray(s, dtype=float), np.asarray(deviation, dtype=float)
     variance = np.asarray(sigma, dtype=float) ** 2 + shape_noise**2
     used = np.isfinite(s) & np.isfinite(deviation) & np.isfinite(variance)
-    if used.sum() < 2:
-        raise SensingError(f"a line needs two points at least, {int(used.sum())} were given")
-    centre = 0.5 * (s[used].min() + s[used].max())
-    scale = max(0.5 * float(np.ptp(s[used])), 1e-6)
+    if np.count_nonzero(used) < 2:
+        raise SensingError(f"a line needs two points at least, {np.count_nonzero(used)} were given")
+    centre, scale, coefficients, covariance, combination, rms, first, last = _fitted(s, deviation, variance, used,
+                                                                                     degree, outlier)
+    return LinePolynomial(centre, scale, coefficients, covariance, combination, rms, used, (first, last))
+
+
+@njit(cache=True)
+def _fitted(s: Array, deviation: Array, variance: Array, used: NDArray[np.bool_], degree: int, outlier: float
+            ) -> tuple[float, float, Array, NDArray[np.floating[Any]], Array, float, float, float]:
+    """The fit of ``fit_line_polynomial``, which clears the points that it drops in ``used``.
+
+    Returns:
+        centre, scale, coefficients, covariance, combination, residual, and both ends of the span.
+    """
+    inside = s[used]
+    centre, scale = 0.5 * (inside.min() + inside.max()), max(0.5 * (inside.max() - inside.min()), 1e-6)
     while True:
-        d = min(degree, int(used.sum()) - 1)
-        V = _vandermonde(s[used], centre, scale, d)
-        weighted = V / variance[used, None]
-        covariance: Array = np.asarray(np.linalg.inv(V.T @ weighted), dtype=float)
-        coefficients = covariance @ (weighted.T @ deviation[used])
-        residual = deviation[used] - V @ coefficients
-        # Deleted residual r_i/(1 - h_i), its variance σ_i²/(1 - h_i), h_i the leverage.
-        free = 1.0 - np.einsum("ij,jk,ik->i", V, covariance, weighted)
-        if used.sum() <= d + 1 or used.sum() <= 3:
+        at = np.flatnonzero(used)
+        m, d = len(at), min(degree, len(at) - 1)
+        V, weighted = np.ones((m, d + 1)), np.empty((m, d + 1))
+        for i in range(m):
+            for j in range(d + 1):
+                if j > 0:
+                    V[i, j] = V[i, j - 1] * (s[at[i]] - centre) / scale
+                weighted[i, j] = V[i, j] / variance[at[i]]
+        covariance = np.linalg.inv(V.T @ weighted)
+        weights = covariance @ weighted.T
+        coefficients = weights @ deviation[at]
+        residual = deviation[at] - V @ coefficients
+        worst, most, squares = 0, 0.0, 0.0
+        for i in range(m):
+            # Deleted residual r_i/(1 - h_i), its variance σ_i²/(1 - h_i), h_i the leverage.
+            free = 1.0
+            for j in range(d + 1):
+                free -= V[i, j] * weights[j, i]
+            contradiction = abs(residual[i]) / np.sqrt(variance[at[i]] * max(free, 1e-9))
+            if contradiction > most:
+                worst, most = i, contradiction
+            squares += residual[i] ** 2 / variance[at[i]]
+        if m <= d + 1 or m <= 3 or most <= outlier:
             break
-        contradiction = np.abs(residual) / np.sqrt(variance[used] * np.maximum(free, 1e-9))
-        if contradiction.max() <= outlier:
-            break
-        used[np.flatnonzero(used)[np.argmax(contradiction)]] = False
-    rms = float(np.sqrt(np.mean(residual**2 / variance[used])))
-    span = (float(s[used].min()), float(s[used].max()))
+        used[at[worst]] = False
     combination = np.zeros((d + 1, len(s)))
-    combination[:, used] = covariance @ weighted.T
-    return LinePolynomial(centre, scale, coefficients, covariance, combination, rms, used, span)
+    for i in range(m):
+        combination[:, at[i]] = weights[:, i]
+    return (centre, scale, coefficients, covariance, combination, np.sqrt(squares / m), s[at].min(), s[at].max())
 
 
 def fit_of_lowest_order(
@@ -136,7 +161,7 @@ def fit_of_lowest_order(
     highest = max(lowest, min(highest, len(s) - 2))
     for order in range(lowest, highest + 1):
         fit = fit_line_polynomial(s, deviation, sigma, order)
-        count = int(fit.used.sum())
+        count = int(np.count_nonzero(fit.used))
         free = count - len(fit.coefficients)
         # A point dropped at a low order may be the line's shape: all points have to fit.
         if order == highest or (count == len(s) and fit.residual**2 * count <= chdtri(free, significance)):
