@@ -31,6 +31,7 @@ class GearDeflection:
         known = np.full(model.n, np.inf) if model.stiffness is None else np.array(model.stiffness)
         stiffness = stiffness_with(known, changes)
         self._compliance = np.where(np.isfinite(stiffness), 1.0 / stiffness, 0.0)
+        self._bends = bool(self._compliance.any())
         self._gears = [(effect.joint - 1, change) for effect, change in changes
                        if change.uneven is not None or change.half_gap]
 
@@ -41,7 +42,7 @@ class GearDeflection:
     def along(self, q_d: Array) -> Array:
         """Deflections ``(K, n)`` [rad] on a whole path ``(K, n)`` [rad]; zero at both ends, where nothing is known."""
         deflection = np.zeros(q_d.shape)
-        if len(q_d) < 3 or not (self._compliance.any() or self._gears):
+        if len(q_d) < 3 or not (self._bends or self._gears):
             return deflection
         q, inside = q_d[1:-1], deflection[1:-1]
         v = (q_d[2:] - q_d[:-2]) / (2.0 * self._T)

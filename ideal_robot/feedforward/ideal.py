@@ -31,6 +31,7 @@ from ideal_robot.loop.loop_model import (
     Drives,
     LoopModel,
     behind_uneven_gears,
+    between,
     bristles,
     friction_of_load,
     ripple_torque,
@@ -102,11 +103,13 @@ class IdealRobot(Feedforward):
         t_fine = T * loop.delay + fine * (np.arange(float(loop.steps_ipo * _CYCLES)) + 0.5)
         self._t_fine = t_fine
         self._coarse = spline_operators(t_rows, t_coarse, T, cutoff)
-        self._fine = spline_operators(t_rows, t_fine, T, cutoff)
-        self._torque = spline_operators(t_coarse, t_fine, T, cutoff)
+        self._fine = _Operators(*spline_operators(t_rows, t_fine, T, cutoff))
+        self._torque = _Operators(*spline_operators(t_coarse, t_fine, T, cutoff))
         self._inverse = command_inverse(loop, _CYCLES)
         self._compliance = loop.compliance if elastic else np.zeros(loop.n)
+        self._damped = np.where(np.isfinite(loop.stiffness), loop.damping, 0.0) * self._compliance**2
         self._gap = loop.half_gap if elastic else np.zeros(loop.n)
+        self._gaps = bool(self._gap.any())
         self._lag = loop.t_filter + 0.5 * loop.t_velocity
         self.drives = loop.drives(loop.stiffness, loop.damping)
         self._step_max = 1.5 * loop.v_max * T
@@ -164,16 +167,13 @@ class IdealRobot(Feedforward):
         load = inverse_dynamics(loop.chain, q, qd, qdd)
         if tau_ext_d is not None:
             load -= self._external(np.asarray(tau_ext_d, dtype=float))
-        gear, gear_rate, gear_bend = (operator @ load for operator in self._torque)
-        q_m = self._fine[0] @ rows + self._compliance * gear
+        gears = self._torque.of(load)
+        motors = self._fine.of(rows) + self._compliance * gears
         if self.elastic:
-            q_m -= np.where(np.isfinite(loop.stiffness), loop.damping, 0.0) * self._compliance**2 * gear_rate
-        v_m = self._fine[1] @ rows + self._compliance * gear_rate
-        a_m = self._fine[2] @ rows + self._compliance * gear_bend
-        if self._gap.any():
-            ahead = self._gap * side_of_gap(load, qd, loop.gap_load)
-            q_m, v_m, a_m = (motor + operator @ ahead for motor, operator in
-                             zip((q_m, v_m, a_m), self._torque, strict=True))
+            motors[0] -= self._damped * gears[1]
+        if self._gaps:
+            motors += self._torque.of(self._gap * side_of_gap(load, qd, loop.gap_load))
+        gear, (q_m, v_m, a_m) = gears[0], motors
         reflected = gear
         if len(loop.uneven):
             output = v_m
@@ -190,7 +190,7 @@ class IdealRobot(Feedforward):
         if inertia is not None:
             smooth = smooth + a_m @ inertia.T
         if carried is not None:
-            smooth = smooth + self._torque[0] @ inverse_dynamics(carried, q, qd, qdd)
+            smooth = smooth + self._torque.value @ inverse_dynamics(carried, q, qd, qdd)
         friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
         signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth + friction, further, self._lag,
@@ -198,9 +198,8 @@ class IdealRobot(Feedforward):
         last = loop.steps_ipo - 1
         # Half a step on from the middle of the last one.
         reached = q_m[last] + 0.5 * loop.t_position * v_m[last]
-        q_c = np.einsum("ij,ji->i", self._inverse.wanted, signal) + np.einsum("ij,ji->i", self._inverse.past, state.q_c)
-        before = state.q_c[-1]
-        q_c = np.clip(np.clip(q_c, before - self._step_max, before + self._step_max), loop.q_min, loop.q_max)
+        q_c = _command(self._inverse.wanted, signal, self._inverse.past, state.q_c, self._step_max, loop.q_min,
+                       loop.q_max)
         return q_c, IdealState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
                                u, tau, bent[last], reached, v_m[last], turned[last], state.sag, state.cycle + 1)
 
@@ -217,6 +216,48 @@ class IdealRobot(Feedforward):
         t = np.arange(len(tau_ext_d)) * self.t_ipo
         at = self.t_ipo * (self.loop.delay - 2 + 0.5 * np.arange(2 * (_CYCLES + 4) + 1))
         return np.column_stack([np.interp(at, t, column) for column in tau_ext_d.T])
+
+
+class _Operators:
+    """Matrices that give a spline's values and its first two derivatives, applied together.
+
+    Attributes:
+        value: the first of them.
+    """
+
+    def __init__(self, value: Array, first: Array, second: Array) -> None:
+        self.value, self._together = value, np.concatenate([value, first, second])
+
+    def of(self, rows: Array) -> Array:
+        """Values and derivatives of rows ``(m, n)``, shape ``(3, k, n)``."""
+        return (self._together @ rows).reshape(3, -1, rows.shape[1])
+
+
+@numba.njit(cache=True)
+def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Array, q_min: Array, q_max: Array
+             ) -> Array:
+    """The command ``(n,)`` [rad] that makes the position loop see its signal, within the limits.
+
+    Args:
+        wanted: weights of the signal ``(n, N)``.
+        signal: that the loop must see ``(N, n)``.
+        past: weights of the commands before ``(n, n_past)``.
+        q_c: those ``(n_past, n)`` [rad].
+        step_max: largest change from the last of them ``(n,)`` [rad].
+        q_min: least joint angles ``(n,)`` [rad].
+        q_max: largest ones ``(n,)`` [rad].
+    """
+    command = np.empty(len(q_min))
+    for i in range(len(q_min)):
+        ahead, behind = 0.0, 0.0
+        for j in range(wanted.shape[1]):
+            ahead += wanted[i, j] * signal[j, i]
+        for j in range(past.shape[1]):
+            behind += past[i, j] * q_c[j, i]
+        before = q_c[len(q_c) - 1, i]
+        within = min(max(ahead + behind, before - step_max[i]), before + step_max[i])
+        command[i] = min(max(within, q_min[i]), q_max[i])
+    return command
 
 
 @numba.njit(cache=True)
@@ -236,8 +277,8 @@ def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, presli
         z, dry = preslide[i], drives.friction_dry[i]
         for j in range(len(v_m)):
             v = v_m[j, i]
-            sliding = (np.interp(abs(v), drives.friction_velocity[:, i],
-                                 drives.friction_torque[0 if v >= 0.0 else 1, :, i])
+            sliding = (between(abs(v), drives.friction_velocity[:, i],
+                               drives.friction_torque[0 if v >= 0.0 else 1, :, i])
                        + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[j, i], v))
             if drives.friction_bend[i] > 0.0:
                 z = bristles(z, v, t_position, sliding, dry, drives.friction_bend[i])

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.loop.loop_model import bristles, low_pass_taps
+from ideal_robot.loop.loop_model import between, bristles, low_pass_taps
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.robots.robot import Robot
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion, plant, rms
@@ -130,3 +132,11 @@ def test_bodies_that_are_none_are_no_traceback():
     loop = plant()
     with pytest.raises(IdealRobotError, match="mass matrix"):
         simulate(loop.replace(chain=loop.chain._replace(mass=-loop.chain.mass, inertia=-loop.chain.inertia)), motion())
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_values_between_those_of_a_table_are_numpys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    xs, ys = np.sort(rng.uniform(0.0, 3.0, 40)), rng.standard_normal(40)
+    for x in (*rng.uniform(-0.5, 3.5, 20), xs[0], xs[7], xs[-1]):
+        assert between(float(x), xs, ys) == np.interp(x, xs, ys)
