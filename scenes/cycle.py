@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -146,6 +147,16 @@ def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog,
         settings: how the play ends.
         progress: called now and then.
     """
+    # What is there by now is not looked through again and again for circles among objects while the arm moves.
+    gc.freeze()
+    try:
+        _cycles(robot, limits, task, log, settings, progress)
+    finally:
+        gc.unfreeze()
+
+
+def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
+            progress: Progress) -> None:
     T = robot.t_ipo
     q = task.q_start
     q_d = np.tile(q, (task.n_d, 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import io
 import json
 import os
@@ -116,6 +117,13 @@ def test_a_plan_of_numbers_that_are_none_ends_in_a_stop_on_the_path() -> None:
     assert np.isfinite(commands).all()
     assert np.ptp(commands[-5:], axis=0).max() < 1e-9
     assert np.all(np.diff(commands, axis=0) > -1e-12)
+
+
+def test_what_a_play_put_aside_for_the_collector_is_given_back() -> None:
+    before = gc.get_freeze_count()
+    task = Drifting()
+    play_cycles(task, Robot.load("kr6"), task, CycleLog(), CycleSettings(5.0, 0.1, 0.2, 0.2, ""), silent)
+    assert gc.get_freeze_count() <= before
 
 
 @pytest.mark.parametrize(("scene", "table"), [("force_wave", "sensor"), ("line", "camera")])
