@@ -25,14 +25,14 @@ points = [[0.4, 0.0], [0.8, 0.0]]
 """
 
 
-def ideal_robot(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+def program(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-m", "scenes.cli", *words], cwd=cwd, capture_output=True, text=True,
                           check=False)
 
 
 def test_run_writes_what_json_names(tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(SHORT)
-    done = ideal_robot("run", "short", "--json", "figures.json", "--seed", "4", cwd=tmp_path)
+    done = program("run", "short", "--json", "figures.json", "--seed", "4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert figures["scene"] == "short"
@@ -84,7 +84,7 @@ def test_bad_input_ends_with_two_and_one_clear_line(
 def test_two_scenes_of_one_name_are_refused(tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"{name}.toml").write_text('name = "twin"\n' + SHORT)
-    done = ideal_robot("run", "twin", cwd=tmp_path)
+    done = program("run", "twin", cwd=tmp_path)
     assert done.returncode == 2
     assert "two scenes" in done.stderr
     assert "a.toml" in done.stderr
@@ -92,7 +92,7 @@ def test_two_scenes_of_one_name_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_scene_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None:
-    done = ideal_robot("run", "lime", cwd=tmp_path)
+    done = program("run", "lime", cwd=tmp_path)
     assert done.returncode == 2
     assert "straight" in done.stderr
 
@@ -100,7 +100,7 @@ def test_a_scene_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None
 def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(tmp_path: Path) -> None:
     lost = SHORT.replace("[0.8, 0.0]]", "[1.1, 0.0]]") + '[[feature]]\nkind = "gap"\nat_mm = 450\nlength_mm = 500\n'
     (tmp_path / "lost.toml").write_text(lost)
-    done = ideal_robot("run", "lost", cwd=tmp_path)
+    done = program("run", "lost", cwd=tmp_path)
     assert done.returncode == 1
     assert "line lost" in done.stderr
     assert (tmp_path / "out" / "lost" / "recording.parquet").is_file()
@@ -109,7 +109,7 @@ def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(tmp_pat
 
 @pytest.mark.parametrize("verb", ["run", "compare", "sweep", "view"])
 def test_help_has_an_example(tmp_path: Path, verb: str) -> None:
-    done = ideal_robot(verb, "--help", cwd=tmp_path)
+    done = program(verb, "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert "Example" in done.stdout
 
@@ -118,7 +118,7 @@ def test_help_has_an_example(tmp_path: Path, verb: str) -> None:
 def test_the_help_lists_the_methods_of_the_registry(verb: str, tmp_path: Path) -> None:
     from scenes.commands.method_option import completed, methods_of
 
-    done = ideal_robot(verb, "--help", cwd=tmp_path)
+    done = program(verb, "--help", cwd=tmp_path)
     told = " ".join(done.stdout.replace("│", " ").split())
     assert ", ".join(methods_of(verb)) in told
     assert completed(verb, "id") == ["ideal"]
@@ -127,6 +127,6 @@ def test_the_help_lists_the_methods_of_the_registry(verb: str, tmp_path: Path) -
 @pytest.mark.parametrize("words", [("identify", "r.csv", "--robot", "kr6", "--decimate-to", "nan"),
                                    ("run", "line", "--speed", "inf")])
 def test_numbers_that_are_none_are_refused_by_every_verb(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = ideal_robot(*words, cwd=tmp_path)
+    done = program(*words, cwd=tmp_path)
     assert done.returncode == 2
     assert "no finite number" in done.stderr

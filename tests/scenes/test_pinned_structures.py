@@ -19,12 +19,12 @@ from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.statistics.prior import prior_precision
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
-from ideal_robot.progress import silent
 from ideal_robot.rsi.format import RsiFormat
 from ideal_robot.signals.recording import Recording
 from scenes.camera_table import CameraTable, believed_camera
 from scenes.detection.sources import pictures
 from scenes.follow.camera_file import calibrated_camera
+from scenes.result import silent
 from scenes.sweep_file import SweepFile
 from tests.fuzz import originals
 

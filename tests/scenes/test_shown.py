@@ -34,7 +34,7 @@ def results(base: type) -> list[type]:
                    and one.__module__.startswith(("ideal_robot.", "scenes."))}, key=lambda one: one.__qualname__)
 
 
-def made(result: type, **told: Any) -> Any:
+def said_by(result: type, **told: Any) -> Any:
     """A result without its content: what it says of itself is given."""
     said = type(result.__name__, (result,), {"__init__": lambda self: None, **told})
     return said()
@@ -47,7 +47,7 @@ MANY = [("first", LONG), *((f"figure {i}", f"{i} N m\nand more") for i in range(
 @pytest.mark.parametrize("result", [*results(Summarised), *results(ShownTable)], ids=lambda one: one.__name__)
 def test_a_result_is_three_lines(result: type) -> None:
     scene = SimpleNamespace(name="line")
-    shown = made(result, scene=scene, failure=LONG, summary=lambda self: MANY,
+    shown = said_by(result, scene=scene, failure=LONG, summary=lambda self: MANY,
                  rows=lambda self: (("method", "mean mm"), [[f"method_{i}", value] for i in range(40)
                                                             for value in (0.12345678, None, "-")]))
     for one in (shown, [shown]):

@@ -18,7 +18,7 @@ OFFSET = FittedEffect("current_offset", 3, "tau_3", (8.0,))
 
 
 @pytest.fixture(scope="module")
-def arm():
+def known_kr15():
     robot = Robot.load("kr15")
     known = with_coulomb(robot, [100.0] * robot.n)
     # What the model does not say well: without its being held, it would move with the effects.
@@ -26,8 +26,8 @@ def arm():
     return robot, known, recorded(known.with_effects((STICKS, OFFSET)))
 
 
-def test_oracle_finds_sizes_and_leaves_the_model_as_it_was(arm):
-    robot, known, recording = arm
+def test_oracle_finds_sizes_and_leaves_the_model_as_it_was(known_kr15):
+    robot, known, recording = known_kr15
     told = with_named_effects(recording, robot, known, (("stribeck", 2), ("current_offset", 3)))
     np.testing.assert_array_equal(told.base_values, known.base_values)
     assert [law.coefficients.tolist() for law in told.friction.laws] == [
@@ -38,9 +38,9 @@ def test_oracle_finds_sizes_and_leaves_the_model_as_it_was(arm):
     assert np.all(after[1:3] < 0.6 * before[1:3])
 
 
-def test_an_effect_of_a_joint_fit_has_its_own_size_beside_the_model(arm):
+def test_an_effect_of_a_joint_fit_has_its_own_size_beside_the_model(known_kr15):
     """A joint fit had given half of it to friction."""
-    robot, known, recording = arm
+    robot, known, recording = known_kr15
     half = dataclasses.replace(STICKS, coefficients=(30.0,))
     regression = torque_regression(recording, robot, known, payload=True)
     own = beside_held_model(regression, known, (half, dataclasses.replace(OFFSET, coefficients=(1.0,))))
@@ -48,9 +48,9 @@ def test_an_effect_of_a_joint_fit_has_its_own_size_beside_the_model(arm):
     assert own[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
 
 
-def test_errors_of_several_joints_kinematics_are_estimated_together(arm):
+def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):
     """Each alone takes all that the others make as well: together they would count it several times."""
-    robot, known, recording = arm
+    robot, known, recording = known_kr15
     q = recording.joints("q")
     pose = robot.fk()
     x = np.array([pose(row).translation for row in q])

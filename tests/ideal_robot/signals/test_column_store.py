@@ -13,7 +13,7 @@ from ideal_robot.signals.column_store import ColumnStore, in_file
 from ideal_robot.signals.recording import WRITTEN_ROWS, Recording
 
 
-def recording(length: int) -> tuple[Recording, bool]:
+def stored_recording(length: int) -> tuple[Recording, bool]:
     store = ColumnStore(["t", "q_1"], length)
     for first in range(0, length, 5000):
         rows = np.arange(first, min(first + 5000, length))
@@ -25,7 +25,7 @@ def recording(length: int) -> tuple[Recording, bool]:
 
 @pytest.mark.parametrize("length", [100, KEPT, KEPT + 1, 3 * KEPT])
 def test_columns_are_the_same_wherever_they_are(length: int) -> None:
-    found, in_memory = recording(length)
+    found, in_memory = stored_recording(length)
     assert in_memory == (length <= KEPT)
     rows = np.arange(length)
     plain = Recording.from_arrays(0.002 * rows, q=np.where(rows % 7 == 0, np.nan, np.sin(rows))[:, None])
@@ -38,7 +38,7 @@ def test_columns_are_the_same_wherever_they_are(length: int) -> None:
 
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
 def test_long_recordings_are_written_in_pieces(tmp_path: Path, ending: str) -> None:
-    found, _ = recording(2 * WRITTEN_ROWS + 10)
+    found, _ = stored_recording(2 * WRITTEN_ROWS + 10)
     place = found.write(tmp_path / f"long{ending}")
     if ending == ".parquet":
         assert pq.ParquetFile(place).num_row_groups == 3

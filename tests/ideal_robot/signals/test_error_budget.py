@@ -9,7 +9,7 @@ from ideal_robot.signals.error_budget import error_budget
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 
-T = np.arange(0.0, 60.0, 0.004)
+TIMES = np.arange(0.0, 60.0, 0.004)
 
 
 def path(t: np.ndarray) -> np.ndarray:
@@ -19,15 +19,16 @@ def path(t: np.ndarray) -> np.ndarray:
 def errors(recording: Recording) -> tuple[FilteredSignals, np.ndarray, np.ndarray]:
     """Decimated errors of velocity and acceleration against the same filters without an error."""
     s = preprocess(recording, cutoff=10.0)
-    exact = preprocess(Recording.from_arrays(T, q=path(T), tau=path(T)), cutoff=10.0)
+    exact = preprocess(Recording.from_arrays(TIMES, q=path(TIMES), tau=path(TIMES)), cutoff=10.0)
     return s, s.decimate(s.qd - exact.qd), s.decimate(s.qdd - exact.qdd)
 
 
 @pytest.mark.parametrize("kind", ["noise", "steps"])
 def test_it_is_as_large_as_the_error(kind: str) -> None:
     rng = np.random.default_rng(1)
-    q = path(T) + 2e-4 * rng.normal(size=(len(T), 2)) if kind == "noise" else 1e-3 * np.round(path(T) / 1e-3)
-    recording = Recording.from_arrays(T, q=q, tau=q)
+    q = path(TIMES)
+    q = q + 2e-4 * rng.normal(size=q.shape) if kind == "noise" else 1e-3 * np.round(q / 1e-3)
+    recording = Recording.from_arrays(TIMES, q=q, tau=q)
     s, velocity, acceleration = errors(recording)
     budget = error_budget(recording, s)
     # Steps are not quite white: slow passages repeat them.

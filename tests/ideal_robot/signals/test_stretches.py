@@ -17,14 +17,14 @@ from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.stretches import shortened, stretches
 
 
-def recording(length: int, source: str = "a") -> Recording:
+def long_recording(length: int, source: str = "a") -> Recording:
     rows = np.arange(length)
     return Recording.from_arrays(0.002 * rows, q=np.sin(rows)[:, None], source=source,
                                  tau=np.where(rows % 7 == 0, np.nan, rows)[:, None], meta={"robot": "kr15"})
 
 
 def test_recordings_of_normal_length_are_used_as_they_are() -> None:
-    given = (recording(1000), recording(10))
+    given = (long_recording(1000), long_recording(10))
     used, warnings = stretches(given)
     assert all(one is other for one, other in zip(used, given, strict=True))
     assert not warnings
@@ -34,7 +34,7 @@ def test_of_long_ones_stretches_from_begin_to_end_are_used(monkeypatch: pytest.M
     monkeypatch.setattr(module, "MOST", 10_000)
     monkeypatch.setattr(module, "STRETCH", 1000)
     monkeypatch.setattr(module, "FEWEST", 200)
-    used, (warning,) = stretches([recording(50_000), recording(100, "short")])
+    used, (warning,) = stretches([long_recording(50_000), long_recording(100, "short")])
     assert warning.startswith("long-recording: of 50100 samples")
     long, short = used[:-1], used[-1]
     assert len(long) == 9
@@ -48,7 +48,7 @@ def test_of_long_ones_stretches_from_begin_to_end_are_used(monkeypatch: pytest.M
 
 @pytest.mark.parametrize("ending", [".parquet", ".csv"])
 def test_a_table_read_piece_by_piece_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
-    place = recording(40_000).write(tmp_path / f"r{ending}")
+    place = long_recording(40_000).write(tmp_path / f"r{ending}")
     whole = Recording.read(place)
     monkeypatch.setattr(table_file, "AT_ONCE", 1000)
     monkeypatch.setattr(table_file, "PIECE", 7000)
@@ -74,8 +74,8 @@ def test_stretches_of_one_recording_follow_each_other_after_a_pause(monkeypatch:
     """What a diagnosis works on; the camera's stamps stay with their samples."""
     monkeypatch.setattr(module, "MOST", 10_000)
     monkeypatch.setattr(module, "STRETCH", 1000)
-    given = recording(50_000)
-    assert shortened(recording(9_000))[1] == []
+    given = long_recording(50_000)
+    assert shortened(long_recording(9_000))[1] == []
     given = replace(given, columns={**given.columns, "cam_t": given.t - 0.04})
     used, (warning,) = shortened(given)
     assert warning.startswith("long-recording: of 50000 samples 10000 are used")

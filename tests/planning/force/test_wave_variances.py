@@ -15,7 +15,7 @@ WAVELENGTHS = 1.0 / np.linspace(1.0 / 0.8, 1.0 / 0.08, 40)
 LARGEST = 1e-4
 
 
-def waves(s: Array) -> Array:
+def wave_columns(s: Array) -> Array:
     phase = 2 * np.pi / WAVELENGTHS * s[:, None]
     return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
 
@@ -29,7 +29,7 @@ class Felt:
     noise: float
 
     def covariance(self, gamma: Array) -> Array:
-        return (waves(self.s) * np.tile(gamma, 2)) @ waves(self.s).T + self.noise**2 * np.eye(len(self.s))
+        return (wave_columns(self.s) * np.tile(gamma, 2)) @ wave_columns(self.s).T + self.noise**2 * np.eye(len(self.s))
 
     def likelihood(self, gamma: Array) -> float:
         K = self.covariance(gamma)
@@ -37,7 +37,7 @@ class Felt:
 
     def likelier(self, gamma: Array) -> Array:
         inverse = np.linalg.inv(self.covariance(gamma))
-        return likelier_variances(gamma, waves(self.s), inverse, inverse @ self.value, LARGEST)
+        return likelier_variances(gamma, wave_columns(self.s), inverse, inverse @ self.value, LARGEST)
 
 
 @pytest.fixture(params=[1e-5, 1e-7], ids=["noise 10 µm", "noise 0.1 µm"])

@@ -10,14 +10,14 @@ from planning.line.direct_feedback import DirectFeedback
 from planning.line.line_follower import LineFollower
 from tests.planning.cell import Camera, T, displaced, distance, joint_path, kr6, profile, reference, sine_points
 
-LINE = displaced(sine_points(), turn=0.0, along=0.0)
+DISPLACED = displaced(sine_points(), turn=0.0, along=0.0)
 
 
 def ride(k_p: float, k_d: float = 0.0, latency: float = 0.04) -> tuple[np.ndarray, np.ndarray]:
     """TCP distances from the line [m] and lateral corrections [m] of an arm that follows its commands exactly."""
     follower = LineFollower(kr6(), reference(), profile(), joint_path=joint_path())
     feedback = DirectFeedback(follower, k_p, k_d)
-    camera, fk = Camera(LINE, np.random.default_rng(1)), kr6().fk()
+    camera, fk = Camera(DISPLACED, np.random.default_rng(1)), kr6().fk()
     under_way, tcp, corrections = [], [], []
     exposure = 3 * T
     for k in range(int(follower.duration / T)):
@@ -32,7 +32,7 @@ def ride(k_p: float, k_d: float = 0.0, latency: float = 0.04) -> tuple[np.ndarra
             under_way.append(camera.look(follower, exposure, follower.history.pose(exposure)))
             exposure += 0.02
     inside = slice(int(0.6 / T), int(1.2 / T))
-    return distance(np.array(tcp)[inside], LINE), np.array(corrections)
+    return distance(np.array(tcp)[inside], DISPLACED), np.array(corrections)
 
 
 def test_without_gain_the_reference_is_driven() -> None:

@@ -20,7 +20,7 @@ SEED = 1000
 YAW = 0.003
 
 
-def reference() -> ReferencePath:
+def sine_reference() -> ReferencePath:
     x = np.linspace(0.0, 0.5, 200)
     return ReferencePath(np.column_stack([x, 0.02 * np.sin(8 * x), np.zeros_like(x)]))
 
@@ -67,7 +67,7 @@ def measured(model: DeviationModel, truth: np.ndarray, t: float, s: np.ndarray, 
 
 @pytest.fixture(scope="module")
 def runs() -> list[tuple[list[Fused], DeviationFilter, np.ndarray]]:
-    path = reference()
+    path = sine_reference()
     return [one_run(path_model(path), np.random.default_rng(SEED + seed)) for seed in range(RUNS)]
 
 
@@ -125,7 +125,7 @@ def test_a_slowly_varying_deviation_is_followed_with_late_samples() -> None:
 
 def test_one_sample_alone_is_enough_to_run_on() -> None:
     """[L] 4.3: a single force vector or a single snapshot updates the whole path."""
-    path = reference()
+    path = sine_reference()
     model = path_model(path)
     fusion = DeviationFilter(model)
     up = np.array([[0.0, 1.0]])

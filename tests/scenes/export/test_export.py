@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
-from scenes.commands.export import command
+from scenes.commands.export import command as export_command
 from scenes.export.rerun_file import write_rerun
 
 app = typer.Typer()
-app.command()(command)
+app.command()(export_command)
 
 
 @pytest.fixture

@@ -10,37 +10,37 @@ from ideal_robot.errors import InputError
 from scenes.path.shapes import shape_of
 from scenes.path.tool_path import Line, Shape, duration, tool_path, travel
 
-T = 0.012
+CYCLE = 0.012
 
 
 @pytest.mark.parametrize("name", ["iso9283", "triangle", "circle", "edge"])
 def test_speed_and_acceleration_stay_within_what_was_asked(name):
-    path = tool_path(shape_of(name, 0.3), pin.SE3.Identity(), 0.4, 3.0, T)
+    path = tool_path(shape_of(name, 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
     x = path.positions
-    speed = np.linalg.norm(np.diff(x, axis=0), axis=1) / T
+    speed = np.linalg.norm(np.diff(x, axis=0), axis=1) / CYCLE
     assert speed.max() <= 0.4 + 1e-9
     assert path.speed.max() <= 0.4 + 1e-9
     # Along the path 3 m/s²; on arcs the centripetal part comes on top (smallest radius 30 mm of the edge).
-    along = np.abs(np.diff(path.speed)) / T
+    along = np.abs(np.diff(path.speed)) / CYCLE
     assert along.max() <= 3.0 + 1e-6
 
 
 def test_figures_close_and_have_their_size():
     for name in ("iso9283", "triangle", "circle"):
-        x = tool_path(shape_of(name, 0.4), pin.SE3.Identity(), 0.5, 3.0, T).positions
+        x = tool_path(shape_of(name, 0.4), pin.SE3.Identity(), 0.5, 3.0, CYCLE).positions
         assert np.linalg.norm(x[0] - x[-1]) < 1e-5
-    circle = tool_path(shape_of("circle", 0.32), pin.SE3.Identity(), 0.63, 3.0, T).positions
+    circle = tool_path(shape_of("circle", 0.32), pin.SE3.Identity(), 0.63, 3.0, CYCLE).positions
     np.testing.assert_allclose(np.linalg.norm(circle, axis=1), 0.16, atol=1e-9)
-    iso = tool_path(shape_of("iso9283", 0.4), pin.SE3.Identity(), 0.5, 3.0, T).positions
+    iso = tool_path(shape_of("iso9283", 0.4), pin.SE3.Identity(), 0.5, 3.0, CYCLE).positions
     np.testing.assert_allclose(np.ptp(iso, axis=0)[:2], 0.4, atol=1e-4)
 
 
 def test_the_tool_stops_at_corners_and_nowhere_else():
-    path = tool_path(shape_of("triangle", 0.3), pin.SE3.Identity(), 0.4, 3.0, T)
+    path = tool_path(shape_of("triangle", 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
     slow = path.speed < 0.02
     starts = np.flatnonzero(np.diff(slow.astype(int)) == -1)
     assert len(starts) == 3
-    circle = tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 0.4, 3.0, T)
+    circle = tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
     assert np.all(circle.speed[10:-10] > 0.1)
 
 
@@ -55,21 +55,21 @@ def test_travel_gets_there_in_its_time(length, speed):
 
 
 def test_orientation_turns_by_the_angle():
-    path = tool_path(shape_of("edge", 0.02), pin.SE3.Identity(), 0.02, 0.1, T, turn=((0.0, 0.0, 1.0), np.pi / 2))
+    path = tool_path(shape_of("edge", 0.02), pin.SE3.Identity(), 0.02, 0.1, CYCLE, turn=((0.0, 0.0, 1.0), np.pi / 2))
     turned = path.poses[-1].rotation @ path.poses[0].rotation.T
     np.testing.assert_allclose(pin.log3(turned), [0, 0, np.pi / 2], atol=1e-4)
 
 
 def test_pieces_without_length_are_refused():
     with pytest.raises(InputError, match="no length"):
-        tool_path(Shape((0.0, 0.0), (Line((0.0, 0.0)),)), pin.SE3.Identity(), 0.1, 1.0, T)
+        tool_path(Shape((0.0, 0.0), (Line((0.0, 0.0)),)), pin.SE3.Identity(), 0.1, 1.0, CYCLE)
 
 
 def test_a_speed_that_is_never_reached_is_refused():
     with pytest.raises(InputError, match="too short for this speed"):
-        tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 5.0, 3.0, T)
+        tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 5.0, 3.0, CYCLE)
 
 
 def test_a_path_that_would_last_for_years_is_refused_before_it_is_made():
     with pytest.raises(InputError, match="would last"):
-        tool_path(shape_of("circle", 0.06), pin.SE3.Identity(), 3e-10, 3.0, T)
+        tool_path(shape_of("circle", 0.06), pin.SE3.Identity(), 3e-10, 3.0, CYCLE)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.rsi_simulators import SIMULATORS, home_of, played
+from benchmarks.rsi_simulators import SIMULATORS, home_of
+from benchmarks.rsi_simulators import played as played_on
 
 FOLDER = Path(__file__).resolve().parents[4] / "shared" / "rsi-simulators"
 
@@ -16,7 +17,7 @@ FOLDER = Path(__file__).resolve().parents[4] / "shared" / "rsi-simulators"
 def test_a_public_simulator_is_led_along_the_path(name: str) -> None:
     if home_of(FOLDER, name) is None:
         pytest.skip(f"{SIMULATORS[name].file} is neither in ../shared/rsi-simulators nor installed")
-    run = played(FOLDER, name, method="none", seconds=0.8)
+    run = played_on(FOLDER, name, method="none", seconds=0.8)
     assert run.failure is None
     assert len(run.recording.t) == run.rows
     # They are where they were told to be a cycle before; RSIPI tells two decimals of a degree.

@@ -16,23 +16,23 @@ from scenes.follow.journal import Journal, remove
 from tests.browser import chromium, needs_chromium
 
 pytest.importorskip("viser")
-ROBOT = Robot.load("kr6")
+KR6 = Robot.load("kr6")
 
 
 def ran(journal: Journal, cycles: range) -> None:
     for k in cycles:
-        q = ROBOT.home + 0.004 * k * np.array([1.0, 0, 0, 0, 0, 0])
+        q = KR6.home + 0.004 * k * np.array([1.0, 0, 0, 0, 0, 0])
         journal.add(0.012 * k, RobotState(0.012 * (k + (k > 50)), q, np.zeros(6)), q + 0.001, q)
 
 
 def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> None:
     from scenes.view.live import watch
 
-    page = watch(ROBOT, tmp_path, 8090, {})
+    page = watch(KR6, tmp_path, 8090, {})
     try:
         page.update()
         assert "waiting" in page.state
-        journal = Journal(tmp_path, ROBOT, {"scene": "seam", "method": "ideal"})
+        journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
         ran(journal, range(100))
         page.update()
         assert "seam" in page.state
@@ -59,11 +59,11 @@ def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> N
 def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any], tmp_path: Path) -> None:
     from scenes.view.live import watch
 
-    journal = Journal(tmp_path, ROBOT, {"scene": "seam", "method": "ideal"})
+    journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
     ran(journal, range(100))
     meta = json.loads((tmp_path / "journal.json").read_text())
     (tmp_path / "journal.json").write_text(json.dumps({**meta, **change}))
-    page = watch(ROBOT, tmp_path, 8092, {})
+    page = watch(KR6, tmp_path, 8092, {})
     try:
         page.update()
         assert "waiting" in page.state
@@ -75,8 +75,8 @@ def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any],
 def test_the_arm_its_way_and_the_words_are_seen(tmp_path: Path) -> None:
     from scenes.view.live import watch
 
-    page = watch(ROBOT, tmp_path, 8091, {"reference": np.array([[0.5, -0.5, 0.3], [0.9, 0.5, 0.3]])})
-    journal = Journal(tmp_path, ROBOT, {"scene": "seam", "method": "ideal"})
+    page = watch(KR6, tmp_path, 8091, {"reference": np.array([[0.5, -0.5, 0.3], [0.9, 0.5, 0.3]])})
+    journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
     ran(journal, range(200))
     try:
         page.update()

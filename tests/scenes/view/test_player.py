@@ -24,7 +24,7 @@ from tests.scenes.report.test_replay import ROBOT, _replay
 viser = pytest.importorskip("viser")
 
 
-def png(gray: int) -> bytes:
+def gray_png(gray: int) -> bytes:
     file = io.BytesIO()
     Image.new("L", (8, 6), gray).save(file, "png")
     return file.getvalue()
@@ -33,7 +33,7 @@ def png(gray: int) -> bytes:
 def whole_replay() -> Replay:
     corners = np.array([[0.0, 0, 0.3], [1, 0, 0.3], [1, 1, 0.3], [0, 1, 0.3]])
     plain = _replay(200)
-    return dataclasses.replace(plain, surface=corners, pictures=((0.0, png(10)), (4.0, png(240))),
+    return dataclasses.replace(plain, surface=corners, pictures=((0.0, gray_png(10)), (4.0, gray_png(240))),
                                ghost=plain.q + 0.1, force=np.outer(plain.t, [0.0, 0.0, 5.0]))
 
 

@@ -12,7 +12,8 @@ from ideal_robot.errors import InputError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sensing.camera.line_detection import PredictedLine, detect_line, search_windows
-from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.camera import RenderedCamera
+from sim.camera.camera_settings import CameraSettings
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture, paint
 from tests.sensing.camera.synthetic import tool_over

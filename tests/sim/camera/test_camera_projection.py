@@ -10,7 +10,8 @@ import pytest
 from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CameraModel, default_mount
 from sensing.camera.field import Window
-from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.camera import RenderedCamera
+from sim.camera.camera_settings import CameraSettings
 from sim.camera.surface import DrawnLine
 from sim.camera.texture import Texture
 from tests.sensing.camera.synthetic import tool_over

@@ -14,7 +14,8 @@ from ideal_robot.robots.robot import Robot
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.field import Window
 from sim.camera.bullet_camera import BulletCamera
-from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.camera import RenderedCamera
+from sim.camera.camera_settings import CameraSettings
 from sim.camera.lamp import ArmShape, Lamp, covered, light, mirrored
 from sim.camera.surface import DrawnLine
 from tests.sensing.camera.synthetic import tool_over

@@ -17,16 +17,18 @@ from sensing.camera.hand_eye import Observation, calibrate, calibration_poses
 from sensing.camera.line_detection import detect_line, search_windows
 from sensing.camera.rolling_readout import at_middle_row
 from sim.camera.bullet_camera import BulletCamera
-from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.camera.camera import RenderedCamera
+from sim.camera.camera_settings import CameraSettings
 from sim.camera.surface import DrawnLine
 from tests.sensing.camera.synthetic import tool_over
-from tests.sensing.camera.test_hand_eye import DRAWN, ORIGIN, REFERENCE, UP
+from tests.sensing.camera.test_hand_eye import DRAWN, ORIGIN, REFERENCE
+from tests.sensing.camera.test_hand_eye import UP as NORMAL
 
 READOUT = 0.02
 X = np.linspace(-0.1, 0.4, 1001)
-LINE = DrawnLine.from_plane_points(np.column_stack([X, 0.02 * np.sin(12.0 * X)]), pin.SE3.Identity())
-QUIET = CameraSettings(noise=0.0, jitter=0.0, stamp_noise=0.0)
-ROLLING = replace(QUIET, rolling=READOUT)
+READ_LINE = DrawnLine.from_plane_points(np.column_stack([X, 0.02 * np.sin(12.0 * X)]), pin.SE3.Identity())
+READ_QUIET = CameraSettings(noise=0.0, jitter=0.0, stamp_noise=0.0)
+ROLLING = replace(READ_QUIET, rolling=READOUT)
 T0 = 0.205
 
 
@@ -38,19 +40,19 @@ def moving(t: float) -> pin.SE3:
 def errors(settings: CameraSettings, told: float) -> Array:
     """Distance of the points from the drawn line in the base frame ``(5,)`` [m], NaN where none is used."""
     model = replace(CameraModel.default(), readout=told)
-    points, tangents = LINE.at(0.15 + np.linspace(0.02, 0.10, 5))
+    points, tangents = READ_LINE.at(0.15 + np.linspace(0.02, 0.10, 5))
     aside = points + np.array([0.0, 0.0005, 0.0])
-    ahead = LineAhead(np.arange(5.0), aside, tangents, np.tile(UP, (5, 1)), np.full(5, 0.001))
+    ahead = LineAhead(np.arange(5.0), aside, tangents, np.tile(NORMAL, (5, 1)), np.full(5, 0.001))
     prediction = ahead.seen_by(model, T0, moving)
-    with RenderedCamera(model, LINE, settings, np.random.default_rng(0)) as camera:
+    with RenderedCamera(model, READ_LINE, settings, np.random.default_rng(0)) as camera:
         field = camera.windows(T0, moving, search_windows(model, prediction))
     seen = at_middle_row(detect_line(field, model, prediction), model, moving)
     pose = moving(field.t_stamp)
-    return np.where(seen.used, LINE.distance(seen.points_tcp @ pose.rotation.T + pose.translation), np.nan)
+    return np.where(seen.used, READ_LINE.distance(seen.points_tcp @ pose.rotation.T + pose.translation), np.nan)
 
 
 def test_points_seen_on_the_way_are_as_exact_as_those_of_one_instant_where_the_readout_is_told() -> None:
-    at_once, told, untold = errors(QUIET, 0.0), errors(ROLLING, READOUT), errors(ROLLING, 0.0)
+    at_once, told, untold = errors(READ_QUIET, 0.0), errors(ROLLING, READOUT), errors(ROLLING, 0.0)
     assert np.isfinite(at_once).all()
     assert np.isfinite(told).all()
     assert told.max() < at_once.max() + 4e-5
@@ -64,7 +66,7 @@ def test_what_does_not_move_looks_the_same(kind: type[RenderedCamera]) -> None:
     tall = [Window(150, 60, 3, 61)] if kind is RenderedCamera else []
     patches = []
     for settings in (gray, replace(gray, rolling=READOUT)):
-        with kind(CameraModel.default(), LINE, settings, np.random.default_rng(0)) as camera:
+        with kind(CameraModel.default(), READ_LINE, settings, np.random.default_rng(0)) as camera:
             patches.append(camera.windows(0.025, lambda t: tool_over(0.05), windows + tall).patches)
     for one, other in zip(*patches, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -73,8 +75,8 @@ def test_what_does_not_move_looks_the_same(kind: type[RenderedCamera]) -> None:
 @pytest.mark.parametrize("kind", [RenderedCamera, BulletCamera])
 def test_each_row_shows_the_arm_where_it_is_then(kind: type[RenderedCamera]) -> None:
     """A row of the rolling picture is that row of the picture taken at once from where the tool is by then."""
-    with (kind(CameraModel.default(), LINE, QUIET, np.random.default_rng(0)) as at_once,
-          kind(CameraModel.default(), LINE, ROLLING, np.random.default_rng(0)) as rolling):
+    with (kind(CameraModel.default(), READ_LINE, READ_QUIET, np.random.default_rng(0)) as at_once,
+          kind(CameraModel.default(), READ_LINE, ROLLING, np.random.default_rng(0)) as rolling):
         for row in (20, 118, 215):
             window = [Window(60, row, 200, 3)]
             delay = READOUT * ((row + 1) / 239 - 0.5)
@@ -90,7 +92,7 @@ def test_no_pose_is_asked_for_before_the_start_or_behind_the_end_of_the_readout(
         asked.append(t)
         return tool_over(0.0)
 
-    with RenderedCamera(CameraModel.default(), LINE, ROLLING, np.random.default_rng(0)) as camera:
+    with RenderedCamera(CameraModel.default(), READ_LINE, ROLLING, np.random.default_rng(0)) as camera:
         for k in range(20):
             for t in camera.due(0.012 * k, 0.012 * (k + 1)):
                 field = camera.windows(t, pose_at, [Window(0, 0, 20, 3), Window(0, 237, 20, 3)])
@@ -104,9 +106,9 @@ def test_calibration_by_moving_takes_each_point_at_its_own_time() -> None:
     rng = np.random.default_rng(5)
     true = replace(CameraModel.default(), readout=READOUT)
     found = []
-    for pose in calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / np.hypot(1.0, 0.3), UP, 0.065):
-        velocity = 0.3 * pin.exp3(rng.uniform(0, 2 * np.pi) * UP)[:, 0]
-        middle = DRAWN.nearest(pose.act(np.array([0.065, 0.0, 0.0]))[None], UP).s
+    for pose in calibration_poses(ORIGIN, np.array([1.0, 0.3, 0.0]) / np.hypot(1.0, 0.3), NORMAL, 0.065):
+        velocity = 0.3 * pin.exp3(rng.uniform(0, 2 * np.pi) * NORMAL)[:, 0]
+        middle = DRAWN.nearest(pose.act(np.array([0.065, 0.0, 0.0]))[None], NORMAL).s
         points = DRAWN.at(middle + np.linspace(-0.07, 0.07, 9))[0]
         pixels = true.project_tool((points - pose.translation) @ pose.rotation)
         for _ in range(6):
@@ -114,7 +116,7 @@ def test_calibration_by_moving_takes_each_point_at_its_own_time() -> None:
             pixels = true.project_tool((points - late) @ pose.rotation)
         inside = np.all((pixels > 5) & (pixels < (true.width - 5, true.height - 5)), axis=1)
         found.append(Observation(pose, pixels[inside], np.full(inside.sum(), 2e-5), velocity))
-    told, untold = (calibrate(replace(true, readout=one), found, REFERENCE, UP) for one in (READOUT, 0.0))
+    told, untold = (calibrate(replace(true, readout=one), found, REFERENCE, NORMAL) for one in (READOUT, 0.0))
     assert told.residual_after < 5e-6
     assert untold.residual_after > 1e-4
 
