@@ -63,7 +63,7 @@ def _checked(recording: Recording, robot: Robot) -> tuple[Recording, list[str]]:
     if np.isfinite(q).all(axis=1).any():
         require_joint_units(np.nanquantile(q, [0.01, 0.99], axis=0), robot, file=source)
     names = range(1, n + 1)
-    recording, text = plausible(recording, [f"q_{i}" for i in names], [f"tau_{i}" for i in names])
+    recording, text = plausible(recording, [f"q_{i}" for i in names], [f"tau_{i}" for i in names], robot.tau_max)
     warnings += text
     t = recording.t
     if len(t) < 100 or t[-1] - t[0] < _MINIMUM_DURATION:

@@ -1,4 +1,4 @@
-"""Values that cannot be: samples that are not numbers, spikes, positions and clocks that jump.
+"""Values that cannot be: samples that are no numbers, spikes, torques that stand still, positions and clocks that jump.
 
 Single bad samples are left out and named; where a recording as a whole cannot be trusted it is refused. A recording
 without any of it comes back as it is, bit for bit. One check for identification, diagnosis and stiffness alike.
@@ -32,12 +32,18 @@ _STRONGER = 50.0
 """How many times as far from its neighbours as nearly all others a spike of a torque lies ..."""
 _BEYOND = 2.0
 """... and how many times the span of the signal."""
+_STANDS, _MOVES = 0.5, 0.05
+"""A torque that is the same to the last bit so long [s] while its joint moves so far [rad, m] stands still ..."""
+_COARSE = 20
+"""... unless runs of equal values a twentieth as long are usual: then it is the channel's resolution."""
+_DRIVES = 10.0
+"""How many times its largest torque no drive gives; peaks of two to three times the rated one are usual."""
 
 _LARGEST = 1.0e9
 """No arm has larger positions, torques, currents or forces in any usual unit [rad, m, N m, A, N]."""
 
 
-def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[str]
+def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[str], tau_max: Array | None = None
               ) -> tuple[Recording, list[str]]:
     """The recording without samples that cannot be, and named warnings.
 
@@ -45,6 +51,7 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
         recording: to be checked.
         positions: columns of joint positions ``(N,)`` [rad, m].
         torques: columns of torques, currents or forces ``(N,)``.
+        tau_max: largest torque of each joint's drive ``(n,)`` [N m], where ``torques`` are torques; inf where unknown.
 
     Raises:
         InputError: time runs backwards or jumps, a position jumps and stays, more than ``MOST_LEFT_OUT`` is bad, a
@@ -69,11 +76,19 @@ def plausible(recording: Recording, positions: Sequence[str], torques: Sequence[
         recording = _without(recording, bad, worst, "are spikes")
     for name in positions:
         _refuse_jump(recording, name)
+    recording, stuck = _moving_channels(recording, positions, torques)
+    warnings += stuck
     for name in (*positions, *torques):
         largest = float(np.max(np.abs(recording.columns[name]), initial=0.0))
         if largest > _LARGEST:
             raise InputError("values that no arm has; check the column's unit, or leave the column out",
                              file=recording.source, field=name, value=f"{largest:.3g}")
+    for name, most in zip(torques, () if tau_max is None else tau_max, strict=False):
+        usual = float(np.quantile(np.abs(recording.columns[name]), 0.9, method="lower")) if len(recording.t) else 0.0
+        if usual > _DRIVES * most:
+            raise InputError(f"a tenth of the values is beyond {usual:.3g}, and the drive gives {most:.3g} N m; check "
+                             "the column's unit and the drive gain", file=recording.source, field=name,
+                             value=f"{usual:.3g}")
     return recording, warnings
 
 
@@ -148,6 +163,52 @@ def _torque_spikes(tau: Array) -> NDArray[np.bool_]:
         return np.zeros(len(tau), dtype=bool)
     away = _away(tau)
     return np.asarray((away > _STRONGER * np.quantile(away, 0.95)) & (away > _BEYOND * (high - low)) & (away > 0))
+
+
+def _moving_channels(recording: Recording, positions: Sequence[str], torques: Sequence[str]
+                     ) -> tuple[Recording, list[str]]:
+    """The recording without the samples of torques that stand still while their joints move, and their names."""
+    bad, warnings = np.zeros(len(recording.t), dtype=bool), []
+    for name in torques:
+        position = f"q_{name.rsplit('_', 1)[-1]}"
+        here = (_standing(recording.columns[name], recording.columns[position], recording.t)
+                if position in positions else np.zeros(len(recording.t), dtype=bool))
+        if not here.any():
+            continue
+        first, lasts = int(np.argmax(here)), float(np.sum(np.diff(recording.t)[here[1:]]))
+        value = recording.columns[name][first]
+        said = f"stands at {value:.6g} for {lasts:.3g} s from t = {recording.t[first]:.6g} s on"
+        if here.mean() > MOST_LEFT_OUT:
+            raise InputError(f"{said}, while its joint moves; cut the recording there, or leave it out",
+                             file=recording.source, field=name)
+        warnings.append(f"stuck: {name} {said}, while its joint moves; these samples are left out")
+        bad |= here
+    return (_without(recording, bad, "tau", "stand still") if bad.any() else recording), warnings
+
+
+def _standing(tau: Array, q: Array, t: Array) -> NDArray[np.bool_]:
+    """Samples ``(N,)`` of runs in which a torque does not change at all while its joint moves.
+
+    Args:
+        tau: torque ``(N,)``.
+        q: position of its joint ``(N,)`` [rad, m].
+        t: times ``(N,)`` [s].
+    """
+    ends = np.flatnonzero(np.append(np.diff(tau) != 0.0, True)) if len(tau) else np.empty(0, dtype=int)
+    begins = np.concatenate([[0], ends[:-1] + 1]).astype(int) if len(ends) else ends
+    lasts = t[ends] - t[begins]
+    standing = np.zeros(len(tau), dtype=bool)
+    if not np.any(lasts >= _STANDS):
+        return standing
+    way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q)))])
+    # At its largest value a torque is cut off by its drive.
+    shorter = lasts[lasts < lasts.max()]
+    usual = float(np.quantile(shorter, 0.99)) if len(shorter) else np.inf
+    long = ((lasts >= max(_STANDS, _COARSE * usual)) & (way[ends] - way[begins] >= _MOVES)
+            & (np.abs(tau[begins]) < np.max(np.abs(tau))))
+    for begin, end in zip(begins[long], ends[long], strict=True):
+        standing[begin : end + 1] = True
+    return standing
 
 
 def _refuse_jump(recording: Recording, name: str) -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ideal_robot.errors import InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
@@ -16,7 +17,13 @@ _ANSWER_MAX = 0.4
 
 
 def at_cycle(arm: Robot, cycle: float) -> Robot:
-    """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it."""
+    """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it.
+
+    Raises:
+        InputError: no cycle that a controller has.
+    """
+    if not (1e-3 <= cycle <= 0.1 and math.isclose(1e3 * cycle, round(1e3 * cycle))):
+        raise InputError("expected whole milliseconds from 0.001 to 0.1 s", field="--cycle", value=cycle)
     grid = 1e-6
     position = math.gcd(round(cycle / grid), round(arm.t_position / grid))
     velocity = math.gcd(position, round(arm.t_velocity / grid))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -89,8 +88,6 @@ def prepared(*, robot: str | None = None, model: Path | None = None, method: str
     """
     if method not in methods():
         raise InputError(f"expected one of {', '.join(methods())}", field="--method", value=method)
-    if cycle is not None and not (1e-3 <= cycle <= 0.1 and math.isclose(1e3 * cycle, round(1e3 * cycle))):
-        raise InputError("expected whole milliseconds from 0.001 to 0.1 s", field="--cycle", value=cycle)
     arm, file = _arm(robot, model, method)
     if cycle is not None:
         arm = at_cycle(arm, cycle)

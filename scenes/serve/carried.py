@@ -70,7 +70,7 @@ class ServedCamera:
             at, self._next = self._next, self._next + period
             t = t0 + at - host
             self._number += 1
-            if self._rng.random() < s.loss:
+            if not self._server.watched or self._rng.random() < s.loss:
                 continue
             poses = [self._pose_at(t + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure)
                      for i in range(s.sub_exposures)]

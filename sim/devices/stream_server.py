@@ -66,6 +66,11 @@ class StreamServer:
         host, port = self._listener.getsockname()
         return str(host), int(port)
 
+    @property
+    def watched(self) -> bool:
+        """Whether there is a client."""
+        return bool(self._clients)
+
     def send(self, kind: int, stamp: float, payload: bytes) -> None:
         """One package to every client; one that does not take it within a tenth of a second is let go.
 

@@ -113,3 +113,39 @@ def test_a_column_of_values_that_no_arm_has_is_refused(name: str) -> None:
     one = recording()
     with pytest.raises(InputError, match=r"no arm has"):
         check(changed(name, slice(None), 1e200 * one.columns[name] if name == "tau_2" else one.columns[name] + 1e10))
+
+
+@pytest.mark.parametrize("share", [0.04, 0.5])
+def test_a_torque_that_stands_still_while_its_joint_moves_is_named(share: float) -> None:
+    one = recording(count=15_000)
+    stands = slice(6000, 6000 + round(share * len(one.t)))
+    tau = np.array(one.columns["tau_2"])
+    tau[stands] = tau[6000]
+    spoilt = Recording({**one.columns, "tau_2": tau})
+    if share > 0.05:
+        with pytest.raises(InputError, match=r"tau_2.*stands at"):
+            check(spoilt)
+        return
+    clean, warnings = check(spoilt)
+    assert any(warning.startswith("stuck: tau_2") for warning in warnings)
+    assert len(one.t) - len(clean.t) == stands.stop - stands.start
+
+
+def test_a_coarse_channel_one_at_its_limit_and_one_at_rest_do_not_stand_still() -> None:
+    one = recording(count=15_000)
+    tau, q = np.array(one.columns["tau_1"]), np.array(one.columns["q_1"])
+    coarse = Recording({**one.columns, "tau_1": 50.0 * np.round(one.columns["q_1"] / 0.4)})
+    limited = Recording({**one.columns, "tau_1": np.clip(5.0 * tau, -60.0, 60.0)})
+    q[3000:6000], tau[3000:6000] = q[3000], tau[3000]
+    q[6000:] += q[5999] - q[6000]
+    rests = Recording({**one.columns, "q_1": q, "tau_1": tau})
+    for sound in (coarse, limited, rests):
+        assert check(sound) == (sound, [])
+
+
+def test_torques_beyond_what_the_drive_gives_are_refused() -> None:
+    one, tau_max = recording(), np.array([200.0, np.inf])
+    assert plausible(one, ["q_1", "q_2"], ["tau_1", "tau_2"], tau_max)[0] is one
+    spoilt = Recording({**one.columns, "tau_1": 1e3 * one.columns["tau_1"]})
+    with pytest.raises(InputError, match=r"tau_1.*the drive gives 200 N m"):
+        plausible(spoilt, ["q_1", "q_2"], ["tau_1", "tau_2"], tau_max)
