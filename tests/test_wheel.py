@@ -58,7 +58,7 @@ def carry_compiled(target: Path) -> None:
     """Gives the installed sources the compiled code of these, which takes a minute to make; their times tell it."""
     for path in (path for name in PACKAGES for path in (ROOT / name).rglob("*")):
         there, times = target / path.relative_to(ROOT), path.stat()
-        if path.suffix in (".nbi", ".nbc"):
+        if path.suffix == ".nbc":
             there.parent.mkdir(exist_ok=True)
             shutil.copy2(path, there)
         elif path.suffix == ".py":

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 
 
 class Chain(NamedTuple):
@@ -79,26 +79,26 @@ def point_mass(chain: Chain, place: Array) -> Chain:
     return chain._replace(mass=mass, com=com, inertia=np.zeros((n, 3, 3)), armature=np.zeros(n))
 
 
-@numba.njit(cache=True, inline="always")
+@jit(inline="always")
 def _cross(a: Array, b: Array, out: Array) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@numba.njit(cache=True, inline="always")
+@jit(inline="always")
 def _turned(R: Array, v: Array, out: Array) -> None:
     for r in range(3):
         out[r] = R[r, 0] * v[0] + R[r, 1] * v[1] + R[r, 2] * v[2]
 
 
-@numba.njit(cache=True, inline="always")
+@jit(inline="always")
 def _turned_back(R: Array, v: Array, out: Array) -> None:
     for r in range(3):
         out[r] = R[0, r] * v[0] + R[1, r] * v[1] + R[2, r] * v[2]
 
 
-@numba.njit(cache=True)
+@jit()
 def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
     """Rotation and position of each joint's frame in the one before it, at ``q (n,)``; written to ``R``, ``p``.
 
@@ -132,7 +132,7 @@ def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
                               + chain.rotation[i, r, 2] * turn[2, c])
 
 
-@numba.njit(cache=True)
+@jit()
 def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, tau: Array) -> None:
     """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau (n,)`` [N m].
 
@@ -209,7 +209,7 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
             moment[i - 1, 2] += (E[2, 0] * x0 + E[2, 1] * x1 + E[2, 2] * x2) + (r0 * y1 - r1 * y0)
 
 
-@numba.njit(cache=True)
+@jit()
 def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
     """[G] (5): joint torques ``(N, n)`` [N m] of positions, velocities and accelerations ``(N, n)``.
 
@@ -235,7 +235,7 @@ def gravity_across(chain: Chain, q: Array) -> Array:
     return np.stack([inverse_dynamics(side, q, still, still) for side in sides], axis=2)
 
 
-@numba.njit(cache=True)
+@jit()
 def mass_matrix(chain: Chain, R: Array, p: Array, M: Array) -> None:
     """Mass matrix at the posture whose frames are ``R``, ``p``, written to ``M (n, n)`` [kg m²], column by column.
 

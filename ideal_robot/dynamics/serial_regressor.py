@@ -5,14 +5,14 @@ About five times as fast as a call of Pinocchio a sample; Pinocchio is the refer
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, _cross, _turned_back, joint_frames
+from ideal_robot.jit import jit
 
 
-@numba.njit(cache=True)
+@jit()
 def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, result: Array) -> None:
     """Columns of the regressor, written to ``result (n, P, N)``: samples last, as filters along time want them.
 

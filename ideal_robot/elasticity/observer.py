@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from ideal_robot.model.arm_with_effects import changes_of, dynamics_with, stiffness_with
 from ideal_robot.model.model import Model
 
@@ -109,7 +109,7 @@ class ArmObserver:
         return result
 
 
-@njit(cache=True)
+@jit()
 def _substeps(q_a: Array, v_a: Array, q0: Array, q1: Array, v0: Array, v1: Array, inverse: Array, load: Array, k: Array,
               d: Array, elastic: Array, steps: int, T: float) -> tuple[Array, Array]:
     """Leapfrog with the mass matrix of the cycle's beginning; motors on the cubic between both ends."""

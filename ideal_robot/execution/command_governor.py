@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, LimitError
+from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 
 ACCELERATION = 2.0
@@ -33,7 +33,7 @@ _SLACK = 1e-9
 """Relative slack of the comparisons, for rounding."""
 
 
-@njit(cache=True)
+@jit()
 def _braking(v: float, a: float, T: float, A: float, J: float) -> float:
     """Acceleration of the next cycle of a braking motion."""
     most = min(A, math.sqrt(2.0 * J * abs(v)))
@@ -41,7 +41,7 @@ def _braking(v: float, a: float, T: float, A: float, J: float) -> float:
     return min(max(wanted, a - J * T), a + J * T)
 
 
-@njit(cache=True)
+@jit()
 def _can_rest(p: float, v: float, a: float, T: float, low: float, high: float, V: float, A: float, J: float) -> bool:
     """Whether the braking motion from here keeps all limits and ends."""
     room = _SLACK * (1.0 + abs(p))
@@ -56,7 +56,7 @@ def _can_rest(p: float, v: float, a: float, T: float, low: float, high: float, V
     return False
 
 
-@njit(cache=True)
+@jit()
 def _governed(q: Array, last: Array, T: float, low: Array, high: Array, V: Array, A: Array, J: Array) -> Array:
     """The commands of the next cycle; ``last (3, n)``, oldest first."""
     result = np.empty(q.size)

@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -25,6 +24,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.command_inverse import command_inverse
 from ideal_robot.feedforward.smoothing import spline_operators
+from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import (
@@ -233,7 +233,7 @@ class _Operators:
         return (self._together @ rows).reshape(3, -1, rows.shape[1])
 
 
-@numba.njit(cache=True)
+@jit()
 def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Array, q_min: Array, q_max: Array
              ) -> Array:
     """The command ``(n,)`` [rad] that makes the position loop see its signal, within the limits.
@@ -260,7 +260,7 @@ def _command(wanted: Array, signal: Array, past: Array, q_c: Array, step_max: Ar
     return command
 
 
-@numba.njit(cache=True)
+@jit()
 def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, preslide: Array
               ) -> tuple[Array, Array, Array]:
     """Friction torque, the bend of its bristles, and how far it has turned since the last reversal, all ``(m, n)``.
@@ -292,7 +292,7 @@ def _friction(drives: Drives, v_m: Array, load: Array, t_position: float, presli
     return torque, bent, turned
 
 
-@numba.njit(cache=True)
+@jit()
 def _position_loop_signal(drives: Drives, q_m: Array, v_m: Array, a_m: Array, acting: Array, further: Array, lag: Array,
                           t_position: float, steps: int, u0: Array, tau0: Array) -> tuple[Array, Array, Array]:
     """The signal ``k_v r + k_ff ṙ`` the position loop must see, and the recursions' values one cycle on.

@@ -11,10 +11,10 @@ twentieth of x_s about the last position counts as motion.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 
 _BEFORE = 0.1
 """How long a motion is taken to have lasted before its first sample [s]."""
@@ -40,7 +40,7 @@ def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
     return np.asarray(_follow(q, start, distance))
 
 
-@numba.njit(cache=True)
+@jit()
 def _follow(q: Array, start: Array, distance: Array) -> Array:
     count, n = q.shape
     z = np.empty((count, n))

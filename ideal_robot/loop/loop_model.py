@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 
 
 def largest_speeds(v_max: Array) -> Array:
@@ -172,7 +172,7 @@ class LoopModel:
         return replace(self, **changes)
 
 
-@numba.njit(cache=True)
+@jit()
 def ripple_torque(ripple: Array, i: int, q: float) -> float:
     """Ripple of joint ``i`` (from 0) at motor angle ``q`` [N m].
 
@@ -188,7 +188,7 @@ def ripple_torque(ripple: Array, i: int, q: float) -> float:
     return torque
 
 
-@numba.njit(cache=True)
+@jit()
 def between(x: float, xs: Array, ys: Array) -> float:
     """``np.interp`` of one number, which compiled takes several times as long.
 
@@ -211,7 +211,7 @@ def between(x: float, xs: Array, ys: Array) -> float:
     return (ys[high] - ys[low]) / (xs[high] - xs[low]) * (x - xs[low]) + ys[low]
 
 
-@numba.njit(cache=True)
+@jit()
 def friction_of_load(per_load: float, per_driven: float, load: float, sense: float) -> float:
     """What the load on a gear's teeth adds to its sliding friction [N m].
 
@@ -224,7 +224,7 @@ def friction_of_load(per_load: float, per_driven: float, load: float, sense: flo
     return (per_load + (per_driven if load * sense > 0.0 else 0.0)) * abs(load)
 
 
-@numba.njit(cache=True)
+@jit()
 def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend: float) -> float:
     """Dry and sliding friction over its dry size after ``dt`` at constant velocity, -… to … (Dahl's model, exact).
 
@@ -244,7 +244,7 @@ def bristles(bent: float, v: float, dt: float, friction: float, dry: float, bend
     return settled + (bent - settled) * np.exp(-abs(v) * dt / bend * min(max(dry / max(friction, 1e-12), 0.2), 5.0))
 
 
-@numba.njit(cache=True)
+@jit()
 def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
     """What joint ``i`` (from 0) turns beyond its motor at motor angle ``q``, and its two derivatives by the angle.
 
@@ -263,7 +263,7 @@ def unevenness(uneven: Array, i: int, q: float) -> tuple[float, float, float]:
     return value, slope, bend
 
 
-@numba.njit(cache=True)
+@jit()
 def behind_uneven_gears(uneven: Array, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
     """Motor angles, velocities and accelerations ``(N, n)`` for wanted gear outputs.
 

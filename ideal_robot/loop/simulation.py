@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.jit import jit
 from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import Drives, LoopModel, bristles, friction_of_load, ripple_torque, unevenness
 
@@ -168,7 +168,7 @@ def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: A
     return further_torque(loop, np.array([t]), q[None], qd[None], qdd[None], load[None], direction[None])[0]
 
 
-@numba.njit(cache=True)
+@jit()
 def _play(chain: Chain, drives: Drives, reference: Array, external: Array, further: Array, state: _Motion, out: Array,
           t_position: float, dt: float, steps_ipo: int, start: int, stop: int) -> None:
     n = len(state.q_m)
@@ -239,7 +239,7 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
             out[0, cycle + 1], out[1, cycle + 1], out[2, cycle + 1] = q_a, q_m, tau
 
 
-@numba.njit(cache=True)
+@jit()
 def _sliding(v: float, torque: float, inertia: float, dt: float, friction: float, drives: Drives, preslide: Array,
              i: int) -> float:
     """Velocity after one step under ``torque`` and friction, which stops a joint but never drives it."""

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
 
-import numba
 import numpy as np
 import scipy
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 from ideal_robot.signals.filtered_at import filtered_at, not_zero
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.stamps import on_its_clock
@@ -270,7 +270,7 @@ def decimated(values: Array, factor: int) -> Array:
 
 
 # Sums in any order: the compiler takes several products at a time.
-@numba.njit(cache=True, fastmath={"reassoc", "contract"})
+@jit(fastmath={"reassoc", "contract"})
 def _thinned_out(rows: Array, taps: Array, factor: int) -> Array:
     """``y_m = Σ_j h_j x_{mf - 10f + j}`` of rows ``(r, N)``, zero beyond their ends, as scipy's ``resample_poly``."""
     N, reach = rows.shape[1], len(taps) // 2

@@ -6,11 +6,11 @@ that do not wait for each other.
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import scipy  # its signal is large, and loaded where it is used
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 
 
 def forwards_and_backwards(sections: Array, values: Array, pad: int) -> Array:
@@ -29,7 +29,7 @@ def forwards_and_backwards(sections: Array, values: Array, pad: int) -> Array:
     return x[pad : len(x) - pad]
 
 
-@numba.njit(cache=True)
+@jit()
 def _run(sections: Array, x: Array, settled: Array, backwards: bool) -> None:
     """Filters ``x (N, m)`` in place, from the state ``settled (S, 2)`` of a constant of the first value's size."""
     N, m = x.shape

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.special import chdtri  # scipy.stats, which has the quantiles too, is large
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 from planning.line.deviation_model import DeviationModel
 from planning.line.kalman import KalmanFilter
 
@@ -335,7 +335,7 @@ def _innovation(track: _Track, measurement: Measurement, H: Array) -> _Innovatio
     return _Innovation(*_compared(track.kf.x, track.kf.P, H, measurement.value, measurement.covariance))
 
 
-@njit(cache=True)
+@jit()
 def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, Array, float, float]:
     innovation, S = z - H @ x, H @ P @ H.T + R
     nis: float = np.sum(innovation * np.linalg.solve(S, innovation))

@@ -9,11 +9,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames
+from ideal_robot.jit import jit
 
 DAMPING = 1e-6
 """Of the least-squares inverse where there are more or fewer than six joints."""
@@ -21,7 +21,7 @@ HALF_TURN = -0.99
 """Cosine of a rotation beyond which its axis is not told well enough."""
 
 
-@njit(cache=True, error_model="numpy")
+@jit(error_model="numpy")
 def log6(R: Array, p: Array, out: Array) -> bool:
     """Twist of a motion, linear before angular, written to ``out (6,)``; whether it turns by less than half a turn.
 
@@ -47,7 +47,7 @@ def log6(R: Array, p: Array, out: Array) -> bool:
     return cosine > HALF_TURN
 
 
-@njit(cache=True)
+@jit()
 def tool_jacobian(chain: Chain, joints: int, tool_R: Array, tool_p: Array, q: Array, J: Array, T_R: Array, T_p: Array
                   ) -> None:
     """Jacobian in the tool's frame, and its pose in the base frame; written to ``J``, ``T_R``, ``T_p``.
@@ -91,7 +91,7 @@ def tool_jacobian(chain: Chain, joints: int, tool_R: Array, tool_p: Array, q: Ar
         T_R[:] = turned
 
 
-@njit(cache=True)
+@jit()
 def newton_step(chain: Chain, joints: int, tool_R: Array, tool_p: Array, target_R: Array, target_p: Array, q: Array,
                 J: Array, error: Array) -> tuple[NDArray[np.floating[Any]], bool]:
     """Change of the joint angles ``(n,)`` towards a pose, and whether its error is less than half a turn.
@@ -120,7 +120,7 @@ def newton_step(chain: Chain, joints: int, tool_R: Array, tool_p: Array, target_
     return J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error), near
 
 
-@njit(cache=True)
+@jit()
 def refined(chain: Chain, joints: int, tool_R: Array, tool_p: Array, targets_R: Array, targets_p: Array, q: Array,
             tolerance: float, most: int) -> int:
     """Nearly right joint angles ``q (N, n)`` of poses are made right in place; how many of them, from the first on.

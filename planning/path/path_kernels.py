@@ -7,12 +7,12 @@ one straight piece more at each end; and likewise ``(K - 2, 4, 3)`` of the surfa
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 
 
-@njit(cache=True)
+@jit()
 def frames_at(
     cubics: Array, ups: Array, knot: float, s: Array
 ) -> tuple[Array, Array, Array, Array, Array]:  # pragma: no cover
@@ -58,7 +58,7 @@ def frames_at(
     return position, tangent, normal, up, curvature
 
 
-@njit(cache=True)
+@jit()
 def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float) -> Array:  # pragma: no cover
     """Arc lengths ``(m,)`` of the feet of ``points (m, 3)`` on the path between ``first`` and ``end``.
 
@@ -104,7 +104,7 @@ def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float)
     return s
 
 
-@njit(cache=True)
+@jit()
 def deviation_basis(
     position: Array,
     directions: tuple[Array, Array],
@@ -162,7 +162,7 @@ def deviation_basis(
     return H
 
 
-@njit(cache=True)
+@jit()
 def displaced_frames(
     position: Array, tangent: Array, normal: Array, up: Array, curvature: Array, deviation: Array, slope: Array
 ) -> tuple[Array, Array, Array]:  # pragma: no cover
@@ -202,7 +202,7 @@ def displaced_frames(
     return points, ahead, out
 
 
-@njit(cache=True, error_model="numpy")
+@jit(error_model="numpy")
 def sensor_errors(
     normal: Array, up: Array, ray: Array, lever: Array, velocity: Array, rate: Array
 ) -> tuple[Array, Array, Array]:  # pragma: no cover

@@ -16,13 +16,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 
 
-@njit(cache=True)
+@jit()
 def distort(x: float, y: float, k: Array) -> tuple[float, float]:
     """Distorts one normalised image point; ``k`` is (k1, k2, p1, p2, k3).
 
@@ -39,7 +39,7 @@ def distort(x: float, y: float, k: Array) -> tuple[float, float]:
     )
 
 
-@njit(cache=True)
+@jit()
 def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
     """Inverts ``distort`` by Newton's method; NaN where the lens model has no inverse.
 
@@ -72,7 +72,7 @@ def undistort(x_d: float, y_d: float, k: Array) -> tuple[float, float]:
     return np.nan, np.nan
 
 
-@njit(cache=True)
+@jit()
 def project_points(points: Array, K: Array, k: Array) -> Array:
     """Pixels ``(m, 2)`` of points ``(m, 3)`` in the camera frame; NaN behind the camera.
 
@@ -96,7 +96,7 @@ def project_points(points: Array, K: Array, k: Array) -> Array:
     return pixels
 
 
-@njit(cache=True)
+@jit()
 def pixel_rays(pixels: Array, K: Array, k: Array) -> Array:
     """Rays ``(m, 3)`` with z = 1 of pixels ``(m, 2)``.
 

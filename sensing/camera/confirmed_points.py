@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 
 
-@njit(cache=True)
+@jit()
 def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], tolerance: float) -> NDArray[np.bool_]:
     """The points that lie within a tolerance of the least-squares line of the others.
 

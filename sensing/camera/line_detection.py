@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 from sensing.camera.camera_model import CameraModel, pixel_rays
 from sensing.camera.confirmed_points import confirmed_points
 from sensing.camera.field import Field
@@ -55,7 +55,7 @@ class LineField:
     reason: str
 
 
-@njit(cache=True)
+@jit()
 def _consensus(
     deviation: Array,
     quality: Array,
@@ -105,7 +105,7 @@ def _consensus(
     return best
 
 
-@njit(cache=True)
+@jit()
 def _sections(
     pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, gray: NDArray[np.uint8],
     windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
@@ -140,7 +140,7 @@ def _sections(
     return found, owner, n
 
 
-@njit(cache=True)
+@jit()
 def _evaluate(
     pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, points: Array, gray: NDArray[np.uint8],
     windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
@@ -189,7 +189,7 @@ def _evaluate(
     return at, lateral, spread, quality, used, any_found
 
 
-@njit(cache=True)
+@jit()
 def _back_project(pixels: Array, points: Array, normal: Array, R: Array, p: Array, K: Array, k: Array) -> Array:
     """Where the pixels' rays meet the planes through ``points``, in the tool frame; NaN of NaN."""
     rays = pixel_rays(pixels, K, k)

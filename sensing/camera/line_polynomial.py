@@ -12,11 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from sensing.sensing_error import SensingError
 
 
@@ -96,7 +96,7 @@ def fit_line_polynomial(
     return LinePolynomial(centre, scale, coefficients, covariance, combination, rms, used, (first, last))
 
 
-@njit(cache=True)
+@jit()
 def _fitted(s: Array, deviation: Array, variance: Array, used: NDArray[np.bool_], degree: int, outlier: float
             ) -> tuple[float, float, Array, NDArray[np.floating[Any]], Array, float, float, float]:
     """The fit of ``fit_line_polynomial``, which clears the points that it drops in ``used``.

@@ -13,17 +13,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 
 MAX_EDGES = 8
 MAX_CANDIDATES = 4
 SQRT2, SQRT_2PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 
 
-@njit(cache=True)
+@jit()
 def _solve(A: Array, b: Array) -> bool:
     """Solves a small system by Gauss elimination; ``A`` becomes its inverse, ``b`` the solution."""
     n = b.size
@@ -57,7 +57,7 @@ def _solve(A: Array, b: Array) -> bool:
     return True
 
 
-@njit(cache=True)
+@jit()
 def fit_section(
     patch: NDArray[np.uint8], start: float, slant: float, width: float, blur: float, polarity: float
 ) -> tuple[float, float, float, float, float]:
@@ -128,7 +128,7 @@ def fit_section(
     return u0, w, c, math.sqrt(residual / max(n - 5, 1)), math.sqrt(A[3, 3])
 
 
-@njit(cache=True)
+@jit()
 def _edges(profile: Array, threshold: float) -> tuple[Array, Array, Array, Array]:
     """Falling and rising edges of a profile: sub-pixel positions and steepness, strongest neighbours only."""
     falling, rising = np.empty(MAX_EDGES), np.empty(MAX_EDGES)
@@ -154,7 +154,7 @@ def _edges(profile: Array, threshold: float) -> tuple[Array, Array, Array, Array
     return falling[:nf], rising[:nr], steep_f[:nf], steep_r[:nr]
 
 
-@njit(cache=True)
+@jit()
 def find_sections(
     patch: NDArray[np.uint8],
     predicted: float,

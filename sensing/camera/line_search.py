@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 from sensing.camera.camera_model import CameraModel, distort
 from sensing.camera.field import Window
 
@@ -105,7 +105,7 @@ class PredictedImage:
     metres: Array
 
 
-@njit(cache=True)
+@jit()
 def _predict(
     points: Array, tangents: Array, normal: Array, R: Array, p: Array, K: Array, k: Array
 ) -> tuple[Array, Integers, Array, Array]:

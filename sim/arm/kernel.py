@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 
 # Rows of the parameter block, columns are joints: the controller first.
 (C_KV, C_KFF, C_KP, C_KI, C_LIMIT, C_INCREMENT) = range(6)
@@ -49,7 +49,7 @@ SHARED = 11
 LOGGED = ("q_c", "q", "tau", "q_m", "q_a", "qd_a", "qd_m", "tau_motor", "tau_gear", "temperature")
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> float:
     """Bristle deflection after ``dt`` at constant velocity: the exact solution, so stable at any step.
 
@@ -68,7 +68,7 @@ def bristle_step(z: float, v: float, g: float, sigma0: float, dt: float) -> floa
     return settled + (z - settled) * math.exp(-abs(v) * sigma0 * dt / g)
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymmetry: float) -> float:
     """Level g(v) of dry friction at the reference temperature and without load [N m].
 
@@ -84,7 +84,7 @@ def dry_level(v: float, coulomb: float, surplus: float, v_stribeck: float, asymm
     return side * (coulomb + surplus * math.exp(-ratio * ratio))
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: float) -> float:
     """Fluid friction at the reference temperature [N m].
 
@@ -97,7 +97,7 @@ def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: floa
     return viscous * v + degressive * math.asinh(v / v_degressive)
 
 
-@njit(cache=True)
+@jit()
 def control_step(p: Array, x: Array, j: int, q_m: float, fraction: float, position_due: bool, velocity_due: bool,
                  low_pass: float, velocity_pass: float, t_position: float, t_velocity: float) -> None:
     """Runs the loops of joint ``j`` that are due; the torque command is left in ``x[X_TORQUE, j]``.
@@ -141,7 +141,7 @@ def control_step(p: Array, x: Array, j: int, q_m: float, fraction: float, positi
         x[X_TORQUE, j] = torque
 
 
-@njit(cache=True)
+@jit()
 def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, links: Array, noise: Array,
                row: Array) -> None:
     """One step of controller, motors and gears; the torque for the links is left in ``links[L_TORQUE]``.

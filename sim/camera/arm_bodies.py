@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
 from sensing.camera.camera_model import CameraModel
@@ -154,7 +154,7 @@ class ArmBodies:
         return Body(int(pybullet.createMultiBody(0.0, -1, seen, physicsClientId=client)), client, colour)
 
 
-@njit(cache=True)
+@jit()
 def in_front(corners: Array, reach: Array, least: Array, most: Array) -> NDArray[np.bool_]:
     """Which boxes may be seen through which windows ``(windows, M)``.
 

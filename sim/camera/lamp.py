@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from ideal_robot.robots.robot import TOOL_TIP, Robot
 from ideal_robot.robots.urdf import without_meshes
 from sim.camera.tool_mesh import TOOL_RADIUS
@@ -128,7 +128,7 @@ def mirrored(lamp: Lamp, points: Array, normal: Array, eye: Array, hidden: Array
     return np.asarray(_blinn(points, lamp.place, normal, eye, lamp.glare, hidden))
 
 
-@njit(cache=True, error_model="numpy")
+@jit(error_model="numpy")
 def _lambert(points: Array, lamp: Array, normal: Array, full: float, falloff: float, shadow: float, hidden: Array
              ) -> Array:
     lit = np.empty(points.shape[0])
@@ -140,7 +140,7 @@ def _lambert(points: Array, lamp: Array, normal: Array, full: float, falloff: fl
     return lit
 
 
-@njit(cache=True, error_model="numpy")
+@jit(error_model="numpy")
 def _blinn(points: Array, lamp: Array, normal: Array, eye: Array, glare: float, hidden: Array) -> Array:
     gray = np.empty(points.shape[0])
     for i in range(points.shape[0]):
@@ -153,7 +153,7 @@ def _blinn(points: Array, lamp: Array, normal: Array, eye: Array, glare: float, 
     return gray
 
 
-@njit(cache=True)
+@jit()
 def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: Array) -> Array:
     """Share of the lamp that each place does not see ``(N,)``: 0 in the light, 1 in the full shadow.
 
@@ -193,7 +193,7 @@ def covered(points: Array, lamp: Array, lamp_radius: float, ends: Array, radii: 
     return share
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def _passing(x: float, y: float, z: float, lamp: Array, ends: Array) -> tuple[float, float]:
     """At which distance the way from a place to the lamp passes a capsule's axis [m], and at which share of the way."""
     d0, d1, d2 = lamp[0] - x, lamp[1] - y, lamp[2] - z

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from sensing.camera.camera_model import undistort
 
 
-@njit(cache=True)
+@jit()
 def add_samples(
     total: Array, image: NDArray[np.uint8], x: Array, y: Array, scale: float, column0: float, row0: float, weight: float
 ) -> None:
@@ -44,7 +44,7 @@ def add_samples(
             total[i, j] += weight * value / n
 
 
-@njit(cache=True)
+@jit()
 def sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: Array) -> tuple[Array, Array]:
     """Undistorted normalised coordinates ``(height, width, n²)`` of ``n`` × ``n`` samples spread over each pixel.
 
@@ -69,7 +69,7 @@ def sample_rays(u0: int, v0: int, height: int, width: int, n: int, K: Array, k: 
     return x, y
 
 
-@njit(cache=True, error_model="numpy")
+@jit(error_model="numpy")
 def on_plane(x: Array, y: Array, R: Array, c: Array, up: Array, place: Array) -> Array:
     """Where rays (x, y, 1) in a camera's frame meet a plane ``(N, 3)`` [m].
 
@@ -92,7 +92,7 @@ def on_plane(x: Array, y: Array, R: Array, c: Array, up: Array, place: Array) ->
     return points
 
 
-@njit(cache=True)
+@jit()
 def extent(x: Array, y: Array) -> tuple[float, float, float, float]:
     """Least x and y, largest x and y of arrays that are not empty."""
     return x.min(), y.min(), x.max(), y.max()

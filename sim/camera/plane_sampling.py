@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from sim.camera.texture import Texture
 
 OUTSIDE = 255.0
@@ -33,7 +33,7 @@ def texel_map(T_plane_camera: pin.SE3, texture: Texture) -> Array:
     return np.asarray(to_texels @ on_plane)
 
 
-@njit(cache=True)
+@jit()
 def sample_plane(image: NDArray[np.uint8], maps: Array, rays: Array, u0: int, v0: int, windows: NDArray[np.int64]
                  ) -> Array:
     """Mean gray value of every pixel of the windows over its samples and the views, one window after the other.

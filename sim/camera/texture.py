@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 from sim.camera.grain import add_grain
 from sim.camera.surface import DrawnLine, Feature
 
@@ -38,7 +38,7 @@ class Texture:
         return columns * self.resolution, rows * self.resolution
 
 
-@njit(cache=True)
+@jit()
 def _stroke_distance(distance: NDArray[np.float32], nearest: NDArray[np.int32], xy: Array, drawn: NDArray[np.bool_],
                      reach: float) -> None:
     """Lowers ``distance`` [texels] of every texel within ``reach`` of a segment, and notes which one is nearest.

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 from scipy.interpolate import CubicSpline
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from sim.contact.clamp_world import ClampWorld
@@ -237,7 +237,7 @@ def _padded(values: Array, length: int) -> Array:
     return np.concatenate([values, np.full(length - len(values), np.nan)])
 
 
-@njit(cache=True)
+@jit()
 def dry_friction(q: Array, level: Array, presliding: float) -> Array:
     """Friction torque ``(N, n)`` of motors that move along ``q``, by Dahl's law dz = dq − |dq| z / presliding.
 

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.file_array import let_go, new_array
+from ideal_robot.jit import jit
 from ideal_robot.row_log import RowLog
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
@@ -160,7 +160,7 @@ class TipContact:
         return self._log.row(index)[2:5].copy() if index >= 0 else np.zeros(3)
 
 
-@njit(cache=True)
+@jit()
 def _contact(tip: Array, before: Array, R: Array, origin: Array, law: Array, waves: Array, row: Array) -> None:
     """The law above at one instant; ``row`` gets the normal force, the force in the base frame, height and tip."""
     x = R.T @ (tip - origin)

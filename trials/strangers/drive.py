@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from trials.strangers.motion import STEP
 
 # Rows of the parameter block, columns are joints. Dry friction:
@@ -46,7 +46,7 @@ def parameters(n: int) -> Array:
     return block
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def dry_level(P: Array, j: int, t: float, q: Array, v: float, load: float) -> float:
     """Level of dry friction of a joint [N m]: what it is once the joint slides.
 
@@ -75,7 +75,7 @@ def dry_level(P: Array, j: int, t: float, q: Array, v: float, load: float) -> fl
     return max(level, 0.0)
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def fluid(P: Array, j: int, t: float, v: float) -> float:
     """Fluid friction over velocity [N m s/rad]; always positive, so that engines can take it implicitly.
 
@@ -91,7 +91,7 @@ def fluid(P: Array, j: int, t: float, v: float) -> float:
                + P[DEGRESSIVE, j] / (P[V_DEGRESSIVE, j] + abs(v)), 0.0)
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def resisted(P: Array, j: int, t: float, q: float) -> float:
     """Torque of place and time that the motor works against [N m].
 
@@ -119,7 +119,7 @@ def resisted(P: Array, j: int, t: float, q: float) -> float:
     return torque
 
 
-@njit(cache=True)
+@jit()
 def drive_step(k: int, every: int, P: Array, x: Array, q: Array, v: Array, load: Array, q_d: Array, qd_d: Array,
                forward: Array, out: Array) -> None:
     """One step of all drives.

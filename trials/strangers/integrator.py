@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from trials.strangers.drive import ACTING, BELIEVED, FLUID, LEVEL, RESULTS, STATES, drive_step
 from trials.strangers.motion import STEP, Motion
 from trials.strangers.plant import BRISTLE, CONSTRAINT, TANH, BalanceSpring, Coupling, Plant, Run
@@ -24,7 +24,7 @@ from trials.strangers.plant import BRISTLE, CONSTRAINT, TANH, BalanceSpring, Cou
 _SWEEPS, _TOLERANCE = 30, 1e-9
 
 
-@njit(cache=True, inline="always")
+@jit(inline="always")
 def _dry(kind: int, v: float, level: float, v_smooth: float, presliding: float, z: float) -> float:
     """Dry friction at a velocity, ``z`` being what the bristles carried before the step, -1 … 1."""
     if kind == TANH:
@@ -38,7 +38,7 @@ def _dry(kind: int, v: float, level: float, v_smooth: float, presliding: float, 
     return level * after + damping
 
 
-@njit(cache=True)
+@jit()
 def _solved(kind: int, a: float, b: float, level: float, v_smooth: float, presliding: float, z: float,
             guess: float) -> float:
     """The velocity with ``a v + dt f(v) = b``; the left side rises with v, so it is bracketed and bisected by secants.
@@ -69,7 +69,7 @@ def _solved(kind: int, a: float, b: float, level: float, v_smooth: float, presli
     return v
 
 
-@njit(cache=True)
+@jit()
 def motor_step(M: Array, push: Array, v: Array, level: Array, fluid: Array, kinds: Array, v_smooth: Array,
                presliding: Array, z: Array, friction: Array) -> None:
     """Velocities after a step ``v (n,)`` in place, bristles ``z`` and the dry and fluid ``friction`` with them.
@@ -108,7 +108,7 @@ def motor_step(M: Array, push: Array, v: Array, level: Array, fluid: Array, kind
             z[j] = towards + (z[j] - towards) * math.exp(-abs(v[j]) * STEP / presliding[j])
 
 
-@njit(cache=True)
+@jit()
 def _solution(M: Array, b: Array) -> Array:
     """``M⁻¹ b`` by Cholesky's factors; NaN rather than an exception where the plant has left its path."""
     n = b.shape[0]
@@ -133,7 +133,7 @@ def _solution(M: Array, b: Array) -> Array:
     return x
 
 
-@njit(cache=True)
+@jit()
 def _step(upper: Array, h: Array, elastic: bool, rotors: Array, push: Array, k_gear: Array, d_gear: Array, half: Array,
           q: Array, v: Array, qa: Array, va: Array, level: Array, fluid: Array, kinds: Array, v_smooth: Array,
           presliding: Array, z: Array, friction: Array, load: Array) -> None:

@@ -13,9 +13,9 @@ import math
 import mujoco
 import numpy as np
 import pinocchio as pin
-from numba import njit
 
 from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
 from trials.strangers.arm import joint_axes, sliding
 from trials.strangers.drive import (
     ACTING,
@@ -98,7 +98,7 @@ def _across(axis: Array) -> Array:
     return np.asarray(across / np.linalg.norm(across))
 
 
-@njit(cache=True)
+@jit()
 def _friction_of(kinds: Array, v: Array, out: Array, v_smooth: Array, presliding: Array, bristle_damping: Array,
                  z: Array, loss: Array, damping: Array, torque: Array, friction: Array) -> None:
     """What MuJoCo gets as friction for the next step: its constraint, its damping, or the torque of bristles."""

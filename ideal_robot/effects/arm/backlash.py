@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -10,9 +9,10 @@ from ideal_robot.effects.base import Effect
 from ideal_robot.effects.domain import ARM_POSITION
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
+from ideal_robot.jit import jit
 
 
-@numba.njit(cache=True)
+@jit()
 def play(q: Array, half_gap: float) -> Array:
     """Play operator: the output follows ``q (N,)`` only when it is half a gap away from it.
 

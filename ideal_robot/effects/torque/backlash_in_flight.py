@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -10,6 +9,7 @@ from ideal_robot.effects.base import EffectParameter
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.effects.torque.joint_elasticity import JointElasticity
+from ideal_robot.jit import jit
 
 _SECONDS = (0.03, 0.05, 0.07, 0.09, 0.12, 0.16)
 """How long a gap takes to be crossed that is looked for [s]: shorter than that the band does not see, longer ones are
@@ -18,7 +18,7 @@ _SHIFTS = (0.0, -0.15, 0.15)
 """By how much the load may change sign elsewhere than the model has it, as a share of its spread."""
 
 
-@numba.njit(cache=True)
+@jit()
 def crossed(acceleration: Array, dt: float, half_gap: float) -> Array:
     """Twist in a gap: at a flank while the load presses there, in free flight between, at rest where it hits the other.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -10,6 +9,7 @@ from ideal_robot.effects.base import EffectParameter
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 from ideal_robot.effects.torque.joint_elasticity import JointElasticity
+from ideal_robot.jit import jit
 
 _HERTZ = (5.0, 6.0, 7.0, 8.2, 9.6, 11.2, 13.0)
 """Resonances behind a motor that stands [Hz] that are looked for: above the band of torques the gear bends as its load
@@ -21,7 +21,7 @@ _STEP = 1e-3
 """[s] of the integration, at most."""
 
 
-@numba.njit(cache=True)
+@jit()
 def swinging(acceleration: Array, inertia: Array, dt: float, stiffness: float) -> Array:
     """Twist of a gear that bends under its arm, from rest under the first load.
 

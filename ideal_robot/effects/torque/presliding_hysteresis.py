@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import Effect
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
+from ideal_robot.jit import jit
 
 _SPEED_OR_DISTANCE = ("reversals at very different accelerations: presliding follows the distance since the reversal, "
                       "friction laws the speed")
 
 
-@numba.njit(cache=True)
+@jit()
 def dahl(q: Array, sigma: float) -> Array:
     """P. R. Dahl's state ``z``: ``dz/dt = (qd - |qd| z) / sigma``, exact over each step of ``q (N,)``; within ±1."""
     z = np.empty(len(q))

@@ -1,0 +1,95 @@
+"""Compiled code that is damaged, or cannot be kept, costs a compilation and nothing else."""
+
+from __future__ import annotations
+
+import importlib.util
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+from numba.core.caching import IndexDataCacheFile
+
+SOURCE = """
+from ideal_robot.jit import jit
+
+@jit()
+def doubled(x):
+    return 2 * x
+"""
+
+
+@pytest.fixture
+def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", "")
+    path = tmp_path / "compiled_here.py"
+    path.write_text(SOURCE, encoding="utf-8")
+    return path
+
+
+def loaded(source: Path) -> ModuleType:
+    """The module as a process of its own would see it."""
+    spec = importlib.util.spec_from_file_location("compiled_here", source)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def hits(module: ModuleType) -> int:
+    return sum(module.doubled.stats.cache_hits.values())
+
+
+def kept(source: Path) -> list[Path]:
+    return sorted((source.parent / "__pycache__").glob("*.nbc"))
+
+
+def refuse(*_: Any, **__: Any) -> Any:
+    raise PermissionError(13, "Permission denied")
+
+
+def test_compiled_code_is_kept_and_each_signature_has_a_file(source: Path) -> None:
+    first = loaded(source)
+    assert (first.doubled(3), first.doubled(1.5)) == (6, 3.0)
+    assert len(kept(source)) == 2
+    again = loaded(source)
+    assert (again.doubled(4), hits(again)) == (8, 1)
+
+
+@pytest.mark.parametrize("damaged", [
+    lambda raw: b"", lambda raw: raw[:20], lambda raw: raw[: len(raw) // 2], lambda raw: raw[:-1],
+    lambda raw: raw[:-40] + bytes([raw[-40] ^ 1]) + raw[-39:], lambda raw: bytes(len(raw))])
+def test_damaged_code_is_compiled_again_and_mended(source: Path, damaged: Callable[[bytes], bytes]) -> None:
+    loaded(source).doubled(3)
+    path, = kept(source)
+    sound = path.read_bytes()
+    path.write_bytes(damaged(sound))
+    module = loaded(source)
+    assert (module.doubled(5), hits(module)) == (10, 0)
+    again = loaded(source)
+    assert (again.doubled(6), hits(again)) == (12, 1)
+
+
+def test_code_of_another_version_of_the_source_does_not_count(source: Path) -> None:
+    loaded(source).doubled(3)
+    source.write_text(SOURCE.replace("2 * x", "3 * x"), encoding="utf-8")
+    assert loaded(source).doubled(3) == 9
+    assert len(kept(source)) == 1
+
+
+def test_where_nothing_can_be_written_code_that_is_there_is_used(source: Path, monkeypatch) -> None:
+    loaded(source).doubled(3)
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    monkeypatch.setattr(IndexDataCacheFile, "_open_for_write", refuse)
+    module = loaded(source)
+    assert (module.doubled(4), hits(module)) == (8, 1)
+    assert (module.doubled(1.5), hits(module)) == (3.0, 1)
+
+
+def test_a_disk_that_is_full_keeps_no_code_and_the_run_goes_on(source: Path, monkeypatch) -> None:
+    monkeypatch.setattr(IndexDataCacheFile, "_open_for_write", refuse)
+    assert loaded(source).doubled(3) == 6
+    assert kept(source) == []
