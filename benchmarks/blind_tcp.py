@@ -2,7 +2,7 @@
 """Blind trials of effects behind the gear, as a device that measures the TCP (and at times arm angles) shows them;
 with ``--force`` of effects that a force sensor shows.
 
-Run: ``python benchmarks/blind_tcp.py --count 80`` (``--write`` puts the tables into docs/diagnosis.md).
+Run: ``python benchmarks/blind_tcp.py --count 80`` (``--write`` puts the tables into docs/evidence*.md).
 Seeds from 6000 on are the reported ones; what they showed was mended on others.
 """
 
@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--kind", choices=KINDS)
     parser.add_argument("--force", action="store_true", help="of a force sensor instead")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/evidence*.md")
     options = parser.parse_args()
     scores: list[Score] = []
     begun = time.monotonic()

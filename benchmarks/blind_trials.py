@@ -1,7 +1,7 @@
 # ruff: noqa: E402 (thread counts must be set before NumPy loads)
 """Blind trials of the diagnosis: draws, diagnoses, scores, and writes the confusion matrix.
 
-Run: ``python benchmarks/blind_trials.py --count 240`` (``--write`` puts the tables into docs/diagnosis.md).
+Run: ``python benchmarks/blind_trials.py --count 240`` (``--write`` puts the tables into docs/evidence*.md).
 Seeds from 16000 on are the reported ones; thresholds were set on others.
 """
 
@@ -56,7 +56,7 @@ def main() -> None:
     parser.add_argument("--oracle", action="store_true", help="diagnose with an oracle too: ratio of held-out errors")
     parser.add_argument("--quiet", action="store_true")
     parser.add_argument("--minutes", type=float, default=1e9, help="stop after that long and report what there is")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/evidence*.md")
     options = parser.parse_args()
     if options.oracle and not ORACLE:
         os.environ["BLIND_ORACLE"] = "1"

@@ -1,7 +1,7 @@
 # ruff: noqa: E402 (thread counts must be set before NumPy loads)
 """Planned motions against random ones: how often they tell apart two causes that a recording could not.
 
-Run: ``python benchmarks/plan_diagnosis.py --pairs 30`` (``--write`` puts the table into docs/diagnosis.md). Seeds are
+Run: ``python benchmarks/plan_diagnosis.py --pairs 30`` (``--write`` puts the table into docs/evidence*.md). Seeds are
 gone through from ``--first`` on until there are enough pairs. What is done is kept in ``--file``, one line a seed, and
 not done again.
 """
@@ -126,7 +126,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=50000)
     parser.add_argument("--length", type=float, default=30.0, help="longest motion [s]")
     parser.add_argument("--file", type=Path, default=Path("out/plan_diagnosis.jsonl"))
-    parser.add_argument("--write", action="store_true", help="put the table into docs/diagnosis.md")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/evidence*.md")
     options = parser.parse_args()
     done: dict[int, dict[str, Any]] = {}
     if options.file.is_file():

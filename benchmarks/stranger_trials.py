@@ -3,7 +3,7 @@
 
 Run: ``python benchmarks/stranger_trials.py --count 45 --first 40000 --json scores.jsonl``. Every recording follows from
 its seed; the engine goes by turns. With ``--json`` each score is a line, and trials that have one are not played again;
-``--write`` puts the tables into docs/diagnosis.md. ``--kind none --share-scale 0.5`` plays empty recordings with all
+``--write`` puts the tables into docs/evidence*.md. ``--kind none --share-scale 0.5`` plays empty recordings with all
 shares of the residual that are asked of an effect halved, and says which factor on them each two engines ask for and
 what it does in the third. ``--kind known`` plays healthy recordings against the model that ``identify`` makes of
 another healthy recording of the same arm.
@@ -89,7 +89,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, metavar="OUT", help="a line per score; what is there is not played again")
     parser.add_argument("--share-scale", type=float, default=1.0,
                         help="factor on all shares that are asked of an effect")
-    parser.add_argument("--write", action="store_true", help="put the tables into docs/diagnosis.md")
+    parser.add_argument("--write", action="store_true", help="put the tables into docs/evidence*.md")
     options = parser.parse_args()
     size = (options.size_min, options.size_max)
     scores: list[Score] = []

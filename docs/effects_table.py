@@ -1,4 +1,4 @@
-"""Writes the table of where effects act into ``docs/diagnosis.md``: ``python -m docs.effects_table``."""
+"""Writes the table of where effects act into ``docs/effects.md``: ``python -m docs.effects_table``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ideal_robot.effects.learned import Unknown
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library
 
-DOCUMENT = Path(__file__).parent / "diagnosis.md"
+DOCUMENT = Path(__file__).parent / "effects.md"
 BEGIN, END = "<!-- where effects act -->", "<!-- end of where effects act -->"
 """Marks around the table in the document."""
 _SMALL = 1e-3

@@ -10,7 +10,7 @@ from pathlib import Path
 from ideal_robot.robots.robot import Robot
 from trials.score import Score, confusion, rates
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "diagnosis.md"
+DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
 @contextmanager
@@ -34,7 +34,8 @@ def tables(scores: Sequence[Score]) -> str:
 
 
 def write_tables(mark: str, text: str) -> None:
-    """Puts text between ``<!-- mark -->`` and ``<!-- end of mark -->`` of the documentation."""
+    """Puts text between ``<!-- mark -->`` and ``<!-- end of mark -->`` of the page of evidence that has them."""
     first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(first)
-    PAGE.write_text(f"{before}{first}{text}\n{last}{rest.partition(last)[2]}", encoding="utf-8")
+    page = next(one for one in sorted(DOCS.glob("evidence*.md")) if first in one.read_text(encoding="utf-8"))
+    before, _, rest = page.read_text(encoding="utf-8").partition(first)
+    page.write_text(f"{before}{first}{text}\n{last}{rest.partition(last)[2]}", encoding="utf-8")
