@@ -39,8 +39,8 @@ def test_run_writes_what_json_names(tmp_path: Path) -> None:
     assert figures["seed"] == 4
     assert figures["method"] == "ideal"
     assert set(figures["control_error_mm"]) == {"mean", "p95", "max"}
-    for kind in ("time_matched", "aligned", "geometric"):
-        assert set(figures["path_error_mm"][kind]) == {"E_car", "E_max"}
+    for alignment in ("time_matched", "aligned", "geometric"):
+        assert set(figures["path_error_mm"][alignment]) == {"E_car", "E_max"}
     assert {"seen", "used"} <= set(figures["fields"])
     assert {"median", "p99", "max"} <= set(figures["cycle_time_ms"])
     assert (tmp_path / figures["recording"]).is_file()

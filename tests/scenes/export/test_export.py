@@ -16,8 +16,8 @@ from ideal_robot.signals.recording import Recording
 from scenes.commands.export import command as export_command
 from scenes.export.rerun_file import write_rerun
 
-app = typer.Typer()
-app.command()(export_command)
+exporting = typer.Typer()
+exporting.command()(export_command)
 
 
 @pytest.fixture
@@ -29,7 +29,7 @@ def recording(tmp_path: Path) -> Path:
 
 def test_several_formats_at_once(recording: Path, tmp_path: Path) -> None:
     words = ["--csv", str(tmp_path / "o.csv"), "--mcap", str(tmp_path / "o.mcap"), "--rosbag2", str(tmp_path / "bag")]
-    done = CliRunner().invoke(app, [str(recording), *words])
+    done = CliRunner().invoke(exporting, [str(recording), *words])
     assert done.exit_code == 0, done.output
     expected = Recording.read(recording).joints("q")
     for name in ("o.csv", "o.mcap", "bag"):
@@ -41,7 +41,7 @@ def test_several_formats_at_once(recording: Path, tmp_path: Path) -> None:
 def test_no_format_or_another_ending_is_refused(words: list[str], recording: Path, tmp_path: Path,
                                                 monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    done = CliRunner().invoke(app, [str(recording), *words])
+    done = CliRunner().invoke(exporting, [str(recording), *words])
     assert isinstance(done.exception, InputError)
     assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
 
@@ -50,7 +50,7 @@ def test_without_the_extra_of_one_format_none_is_written(recording: Path, tmp_pa
                                                          monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
     words = ["--mcap", str(tmp_path / "o.mcap"), "--csv", str(tmp_path / "o.csv"), "--rerun", str(tmp_path / "o.rrd")]
-    done = CliRunner().invoke(app, [str(recording), *words])
+    done = CliRunner().invoke(exporting, [str(recording), *words])
     assert isinstance(done.exception, InputError)
     assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
 
