@@ -1,10 +1,17 @@
-"""Packets from one controller and answers to it: the socket, who the controller is, and what does not count."""
+"""Packets from one controller and answers to it: the sockets, who the controller is, and what does not count.
+
+The sender of the first sound packet is the controller. From then on the system itself keeps its packets apart: they
+come through a socket that is connected to it, so that whoever floods the port fills another queue.
+"""
 
 from __future__ import annotations
 
 import socket
+import sys
 import time
+from collections import deque
 from dataclasses import dataclass
+from typing import Any
 
 from ideal_robot.errors import InputError
 from ideal_robot.rsi.arrivals import received, stamp_arrivals
@@ -14,6 +21,10 @@ from ideal_robot.rsi.stamps import Stamps
 
 _QUEUE = 64
 """Waiting packets that are looked through in one cycle: who floods the port must not hold up the answer."""
+_BEFORE = 100_000
+"""Packets that may have queued up before the controller was known."""
+_READ = 8
+"""Packets of other senders that are read in one cycle, to see whether they are a second controller's."""
 
 
 @dataclass
@@ -26,7 +37,8 @@ class LinkCounts:
         repeated: packets that came again and got the same answer again.
         outdated: packets of a cycle already past; not answered.
         refused: packets that are no message of a controller, or with a time stamp that cannot be; not answered.
-        foreign: packets from another sender; not answered.
+        foreign: packets from another sender, or another port; not answered. In a flood the system drops most uncounted.
+        second: those of them that are sound messages of a controller.
         ignored: optional elements that could not be used.
         implausible: measured positions that cannot be; they count as missing.
         late: answers the controller counted as late.
@@ -34,6 +46,7 @@ class LinkCounts:
         unsent: answers the system did not take.
         last_refused: why the last refused packet was refused.
         last_ignored: which optional elements were ignored last.
+        last_foreign: who sent the last packet from another sender.
     """
 
     cycles: int = 0
@@ -42,6 +55,7 @@ class LinkCounts:
     outdated: int = 0
     refused: int = 0
     foreign: int = 0
+    second: int = 0
     ignored: int = 0
     implausible: int = 0
     late: int = 0
@@ -49,6 +63,16 @@ class LinkCounts:
     unsent: int = 0
     last_refused: str = ""
     last_ignored: str = ""
+    last_foreign: str = ""
+
+    @property
+    def others(self) -> str:
+        """What else came, for a message; empty where nothing did."""
+        said = f"; the last of {self.refused} refused packets: {self.last_refused}" if self.refused else ""
+        if not self.foreign:
+            return said
+        second = f" ({self.second} sound: a second controller; name yours with --controller)" if self.second else ""
+        return f"{said}; {self.foreign} packets from other senders, the last from {self.last_foreign}{second}"
 
     def refuse(self, reason: str) -> None:
         """Counts a packet that is not answered."""
@@ -75,7 +99,8 @@ class PacketLink:
         self.counts, self.arrived = LinkCounts(), 0.0
         self._n, self._controller = n, controller
         self._peer: tuple[str, int] | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket = self._door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._waiting: deque[tuple[bytes, Any, float]] = deque(maxlen=_QUEUE)
         stamp_arrivals(self._socket)
         try:
             self._socket.bind((host, port))
@@ -88,6 +113,11 @@ class PacketLink:
         """Where it listens: host and port."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
+
+    @property
+    def controller(self) -> str:
+        """Who the controller is, as soon as it is known."""
+        return "" if self._peer is None else "{}:{}".format(*self._peer)
 
     def next(self, end: float, patience: float) -> RobMessage:
         """The next message before ``end`` by ``time.perf_counter``, ``patience`` [s] after the last one that counted.
@@ -103,8 +133,9 @@ class PacketLink:
                 break
             if message is not None:
                 return message
-        refused = f"; the last of {self.counts.refused} refused packets: {self.counts.last_refused}"
-        raise RsiError(f"no packet from the controller within {patience:.3g} s{refused if self.counts.refused else ''}")
+        self._look_at_the_door(_QUEUE)
+        known = "" if self._peer is None else f", which is {self.controller}"
+        raise RsiError(f"no packet from the controller within {patience:.3g} s{known}{self.counts.others}")
 
     def newest(self, message: RobMessage, stamps: Stamps, most: int = _QUEUE) -> tuple[RobMessage, int]:
         """The newest of ``message`` and those that wait, and how many were passed over for it.
@@ -140,13 +171,25 @@ class PacketLink:
         """Sends to the controller, if there is one; what the system does not take is an answer that is missing."""
         if self._peer is not None:
             try:
-                self._socket.sendto(answer, self._peer)
+                self._sent(answer, self._peer)
             except OSError:
                 self.counts.unsent += 1
+        self._look_at_the_door(_QUEUE)
 
     def close(self) -> None:
         """Stops listening."""
         self._socket.close()
+        self._door.close()
+
+    def _sent(self, answer: bytes, peer: tuple[str, int]) -> None:
+        if self._socket is self._door:
+            self._socket.sendto(answer, peer)
+            return
+        try:
+            self._socket.send(answer)
+        except ConnectionRefusedError:
+            # What is reported here is that an earlier answer found nobody; this one has not been sent.
+            self._socket.send(answer)
 
     def _read(self) -> RobMessage | None:
         """The next packet, None where it counts for nothing.
@@ -156,7 +199,8 @@ class PacketLink:
             RsiError: the system closed the port.
         """
         try:
-            packet, sender, arrived = received(self._socket, MAX_PACKET + 1)
+            packet, sender, arrived = (self._waiting.popleft() if self._waiting
+                                       else received(self._socket, MAX_PACKET + 1))
         except ConnectionError:
             # Some systems report here that an earlier answer found no one; the silence will show it.
             return None
@@ -165,7 +209,7 @@ class PacketLink:
         except OSError as error:
             raise RsiError(f"the system does not let the port be read any more ({error})") from error
         if (sender != self._peer) if self._peer is not None else (self._controller not in (None, sender[0])):
-            self.counts.foreign += 1
+            self._stranger(packet, sender)
             return None
         try:
             message = parse_rob(packet, self._n)
@@ -175,5 +219,54 @@ class PacketLink:
         if message.ignored:
             self.counts.ignored += len(message.ignored)
             self.counts.last_ignored = " ".join(message.ignored)
-        self._peer, self.arrived = sender, arrived
+        if self._peer is None:
+            self._begin_with(sender)
+        self.arrived = arrived
         return message
+
+    def _begin_with(self, peer: tuple[str, int]) -> None:
+        """Keeps the packets of the controller apart from all others, where the system can."""
+        self._peer, (host, port) = peer, self.address
+        if not sys.platform.startswith("linux") or host == "0.0.0.0":
+            # Listening on every address, the system would have to guess to which of them it is sent.
+            return
+        wire = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            # Only between these two lines may the port have a second owner, which is this program.
+            for each in (self._door, wire):
+                each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            wire.bind((host, port))
+            wire.connect(peer)
+        except OSError:
+            wire.close()
+            return
+        finally:
+            self._door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        wire.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+        stamp_arrivals(wire)
+        wire.settimeout(self._socket.gettimeout())
+        self._socket = wire
+        self._door.settimeout(0.0)
+        self._look_at_the_door(_BEFORE)
+
+    def _look_at_the_door(self, most: int) -> None:
+        """Counts up to so many packets of other senders; those of the controller from before wait to be read."""
+        for i in range(most if self._socket is not self._door else 0):
+            try:
+                packet = received(self._door, MAX_PACKET + 1)
+            except OSError:
+                return
+            if packet[1] == self._peer:
+                self._waiting.append(packet)
+            else:
+                self._stranger(packet[0], packet[1], i < _READ)
+
+    def _stranger(self, packet: bytes, sender: tuple[str, int], read: bool = True) -> None:
+        self.counts.foreign, self.counts.last_foreign = self.counts.foreign + 1, "{}:{}".format(*sender)
+        if not read:
+            return
+        try:
+            parse_rob(packet, self._n)
+        except PacketError:
+            return
+        self.counts.second += 1

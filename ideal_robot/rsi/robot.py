@@ -34,6 +34,8 @@ _QUEUED = 100_000
 """Packets that may have queued up before the first answer."""
 _AHEAD = 3
 """Packets in a row whose time stamp lies too far ahead, after which it is believed."""
+_GRACE = 2
+"""Cycles in which a second controller would show before the first answer."""
 _PACE = 25
 """Packets whose arrival tells the cycle where time stamps do not."""
 _TOO_FAST = 2.5
@@ -107,7 +109,7 @@ class RsiRobot:
                                      np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative)
         self._in_force = InForce(robot.n, relative and self.form.hold_on is True)
         self._first: RobMessage | None = None
-        self._elapsed = self._ahead = self._still = self._late = 0
+        self._elapsed = self._ahead = self._still = self._late = self._back = self._older = 0
         self._missed = self._in_doubt = False
         self.gone_on = 0
         self._answer: bytes | None = None
@@ -133,11 +135,16 @@ class RsiRobot:
         Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
 
         Raises:
-            RsiError: no packet within ``patience`` [s]; the measured arm is elsewhere than its controller says.
+            RsiError: no packet within ``patience`` [s]; a second controller sends, too; the measured arm is elsewhere
+                than its controller says.
         """
         # Packets may have queued up since the port was opened.
         oldest = self._link.next(time.perf_counter() + patience, patience)
+        time.sleep(_GRACE * self.t_ipo)
         first, _ = self._link.newest(oldest, self.stamps, _QUEUED)
+        if self.counts.second:
+            raise RsiError(f"two controllers send, {self._link.controller} and {self.counts.last_foreign}; name yours "
+                           "with --controller, or end the other")
         held = first.actual if first.setpoint is None else first.setpoint
         apart = np.abs(held - first.actual)
         if (apart > _APART).any():
@@ -223,6 +230,7 @@ class RsiRobot:
                     self._link.send(self._answer)
             elif since < 0:
                 self.counts.outdated += 1
+                self._went_back(message.ipoc)
             elif self.stamps.in_step and since - 1 > self.max_lost:
                 self._too_far(since)
             else:
@@ -271,6 +279,14 @@ class RsiRobot:
         if self._ahead >= _AHEAD:
             raise RsiError(f"{since - 1} packets in a row were lost, more than {self.max_lost}; check network and load")
 
+    def _went_back(self, stamp: int) -> None:
+        """A time stamp of before: many in a row that rise are those of a controller that has begun anew."""
+        self._back = self._back + 1 if self._back and self.stamps.newer(self._older, stamp) else 1
+        self._older = stamp
+        if self._back > self.max_lost:
+            raise RsiError(f"the controller's time stamps begin anew (IPOC {stamp} after {self._last.ipoc}): RSI was "
+                           "started again; follow from the beginning")
+
     def _advance(self, message: RobMessage, since: int) -> RobotState:
         newest, waited = self._link.newest(message, self.stamps)
         further = self.stamps.cycles(message.ipoc, newest.ipoc) if newest is not message else 0
@@ -282,7 +298,7 @@ class RsiRobot:
         lost = max(since - 1, waited if self.stamps.rise == 0 else 0)
         self.counts.lost += lost
         self._elapsed += 1 + lost
-        self._ahead = 0
+        self._ahead = self._back = 0
         self.gone_on = lost if self._in_force.repeats else 0
         late = 0 if newest.late is None else max(newest.late - self._late, 0)
         self._late = self._late if newest.late is None else newest.late

@@ -185,7 +185,7 @@ def test_others_and_rubbish_are_not_answered_and_do_not_keep_the_link_alive(pair
     noise = threading.Thread(target=disturb)
     noise.start()
     try:
-        with pytest.raises(RsiError, match=r"no packet from the controller within 0.3 s.*refused.*not XML"):
+        with pytest.raises(RsiError, match=r"no packet from .* within 0.3 s, which is 127.*refused.*not XML"):
             link.cycle(ROBOT.home)
     finally:
         done.set()
@@ -218,3 +218,67 @@ def test_nobody_there_and_nowhere_to_listen() -> None:
 def test_axes_that_cannot_be_are_refused(table) -> None:
     with pytest.raises(InputError, match=r"rsi\.axis_"):
         RsiRobot(replace(ROBOT, data={"rsi": table}), port=0)
+
+
+def test_a_second_controller_before_the_first_answer_is_named() -> None:
+    with RsiRobot(ROBOT, port=0, timeout=0.3) as link:
+        first, second = Controller(link), Controller(link)
+        with first.socket, second.socket:
+            first.send(0)
+            second.send(0)
+            with pytest.raises(RsiError, match=r"two controllers send, 127\.0\.0\.1:\d+ and 127.*--controller"):
+                link.connect(5.0)
+
+
+def test_a_second_controller_a_restart_and_another_port_change_no_command(pair) -> None:
+    """What they send is counted and named, and answered to nobody."""
+    link, controller = pair
+    again = Controller(link)
+    with again.socket:
+        for k in range(1, 5):
+            # The same controller on another port, with time stamps of its own, in another posture.
+            again.send(100 + k, offset=20.0)
+            controller.send(k)
+            state = link.cycle(moved(0.0))
+            np.testing.assert_allclose(state.q, ROBOT.home, atol=1e-9)
+            assert 'A1="0.000000"' in controller.answer()
+        assert again.silent()
+        assert link.counts.second == link.counts.foreign == 4
+        assert link.counts.last_foreign == f"127.0.0.1:{again.socket.getsockname()[1]}"
+        with pytest.raises(RsiError, match=r"4 packets from other senders.*second controller"):
+            link.receive()
+
+
+def test_time_stamps_that_begin_anew_end_the_session(pair) -> None:
+    link, controller = pair
+    for k in (1, 2, 3):
+        controller.send(k)
+        link.cycle(ROBOT.home)
+    for k in range(-500, -480):
+        controller.send(k)
+    with pytest.raises(RsiError, match=r"begin anew.*started again"):
+        link.receive()
+
+
+def test_a_flood_does_not_displace_the_controllers_packets(pair) -> None:
+    """The flood is larger than what the system keeps for a socket."""
+    link, controller = pair
+    size = link._link._door.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        for k in range(1, 6):
+            for _ in range(2 * size // 800):
+                stranger.sendto(b"x" * 800, link.address)
+            controller.send(k)
+            assert link.cycle(ROBOT.home).t == pytest.approx(0.012 * k)
+    assert link.counts.lost == 0
+    assert link.counts.foreign > 0
+
+
+def test_nobody_else_can_listen_there(pair) -> None:
+    link, _ = pair
+    with pytest.raises(InputError, match="cannot listen"):
+        RsiRobot(ROBOT, port=link.address[1])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as thief:
+        thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        with pytest.raises(OSError, match="in use"):
+            thief.bind(link.address)

@@ -158,7 +158,7 @@ def test_increments_whose_loss_no_one_tells_are_found_at_rest(tmp_path: Path) ->
 def test_the_port_that_fails_ends_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
     class Failing:
         def __init__(self, wrapped: socket.socket) -> None:
-            self.wrapped, self.reads = wrapped, 0
+            self.wrapped, self.reads, self.sent = wrapped, 0, 0
 
         def __getattr__(self, name: str):
             return getattr(self.wrapped, name)
@@ -175,15 +175,22 @@ def test_the_port_that_fails_ends_the_run_and_keeps_the_recording(tmp_path: Path
                 raise OSError(100, "Network is down")
             return read(*sizes)
 
-        def sendto(self, data: bytes, to: tuple[str, int]) -> None:
-            self.wrapped.sendto(data, to)
-            if self.reads % 10 == 0:
+        def send(self, data: bytes) -> None:
+            self.wrapped.send(data)
+            self.sent += 1
+            if self.sent % 10 == 0:
                 raise OSError(105, "No buffer space available")
 
     controller = LaggingController(HOME)
     with rsi_server(written(tmp_path, motion()), robot="kr6", method="none", port=0, rest=0.4) as server:
         server.link.timeout = PATIENCE
-        server.link._link._socket = Failing(server.link._link._socket)  # type: ignore[assignment]
+        link, begin = server.link._link, server.link._link._begin_with
+
+        def begin_failing(peer: tuple[str, int]) -> None:
+            begin(peer)
+            link._socket = Failing(link._socket)  # type: ignore[assignment]
+
+        link._begin_with = begin_failing  # type: ignore[method-assign]
         with playing(controller, server.link.address):
             run = server.play(patience=PATIENCE)
     assert run.failure is not None
