@@ -24,7 +24,7 @@ from scenes.follow.live_force import LiveForce
 from scenes.follow.rehearsal import ImaginedCamera, ImaginedForce, rehearse
 from scenes.force.known import Known, force_reference
 from scenes.force.line_camera import GlueCamera
-from scenes.force.result import ForceLog
+from scenes.force.log import ForceLog
 from scenes.force.scene import CameraTrouble, ForceScene
 from scenes.force.task import ForceTask
 from scenes.methods import SceneMethod

@@ -10,41 +10,14 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.file_array import let_go
-from ideal_robot.row_log import RowLog
 from ideal_robot.signals.recording import Recording
-from planning.follower import ForceFollower
 from planning.force.contact import Phase
-from scenes.cycle import CycleLog
+from scenes.force.log import ForceLog
 from scenes.force.scene import ForceScene
 from scenes.shown import ShownRun
 
 AT_A_TIME = 1_000_000
 """Values of which squares are taken at a time."""
-
-
-@dataclass
-class ForceLog(CycleLog):
-    """What is written down while a scene is played.
-
-    Attributes:
-        phase, s, planned: of the follower in each cycle: phase, arc length [m], planned deviation [m].
-        samples: of each cycle with samples: time of the newest [s], normal force [N], innovation squared per value.
-        wrenches: of all samples of the force sensor the time [s] and the wrench [N, N m].
-        fields: for ``glue``: time stamp [s], values used, why not all.
-    """
-
-    phase: list[str] = field(default_factory=list)
-    s: RowLog = field(default_factory=RowLog)
-    planned: RowLog = field(default_factory=RowLog)
-    samples: RowLog = field(default_factory=RowLog)
-    wrenches: RowLog = field(default_factory=RowLog)
-    fields: list[tuple[float, int, str]] = field(default_factory=list)
-
-    def add(self, t: float, follower: ForceFollower) -> None:
-        """One cycle that begins at ``t`` [s]."""
-        self.phase.append(follower.phase.value)
-        self.s.append(follower.s_at(t))
-        self.planned.append(follower.planned())
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from planning.force.tare import Tare
 from planning.path.kinematics import InverseKinematics
 from scenes.force.known import N_D, Known
 from scenes.force.line_camera import GlueCamera, glue_fusion
-from scenes.force.result import ForceLog
+from scenes.force.log import ForceLog
 from scenes.methods import DIRECT, SceneMethod
 from sensing.camera.camera_device import Camera
 from sensing.force.force_calibration import ContactElasticity, ToolLoad

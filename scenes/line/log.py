@@ -6,12 +6,25 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.row_log import RowLog
 from scenes.cycle import CycleLog
-from scenes.line.result import FieldShown
+from sensing.camera.field import Window
 from sensing.camera.line_detection import LineField
+
+
+@dataclass(frozen=True)
+class FieldShown:
+    """One camera field kept for the report: the whole image, and what was found in it."""
+
+    t: float
+    image: NDArray[np.uint8]
+    windows: tuple[Window, ...]
+    pixels: Array
+    used: NDArray[np.bool_]
+    polynomial_pixels: Array
 
 
 @dataclass

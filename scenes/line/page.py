@@ -13,8 +13,9 @@ from matplotlib.patches import Rectangle
 from ideal_robot.arrays import Array
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
+from scenes.line.log import FieldShown
 from scenes.line.replay import line_replay, surface_corners, with_ghost
-from scenes.line.result import FieldShown, LineResult
+from scenes.line.result import LineResult
 from scenes.report.page import Report, write_comparison_files, write_run_files
 from scenes.report.world_table import COLUMNS, world_rows
 from scenes.thinned import step

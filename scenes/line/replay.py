@@ -9,7 +9,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
-from scenes.line.result import FieldShown, LineResult
+from scenes.line.log import FieldShown
+from scenes.line.result import LineResult
 from scenes.report.replay import Replay
 from scenes.report.sensed import sensed_force, sensed_line
 from scenes.thinned import step

@@ -13,11 +13,11 @@ from ideal_robot.arrays import Array
 from ideal_robot.file_array import let_go
 from ideal_robot.signals.recording import Recording
 from scenes.drawn_line import Geometry
+from scenes.line.log import FieldShown
 from scenes.line.scene import LineScene
 from scenes.metrics import PathErrors
 from scenes.shown import ShownRun
 from scenes.thinned import step
-from sensing.camera.field import Window
 from sensing.camera.hand_eye import HandEye
 
 SETTLING = 0.3
@@ -63,18 +63,6 @@ class ControlError:
     def json_mm(self) -> dict[str, float]:
         """The three figures in millimetres."""
         return {"mean": 1e3 * self.mean, "p95": 1e3 * self.p95, "max": 1e3 * self.max}
-
-
-@dataclass(frozen=True)
-class FieldShown:
-    """One camera field kept for the report: the whole image, and what was found in it."""
-
-    t: float
-    image: NDArray[np.uint8]
-    windows: tuple[Window, ...]
-    pixels: Array
-    used: NDArray[np.bool_]
-    polynomial_pixels: Array
 
 
 @dataclass(frozen=True)

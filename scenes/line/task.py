@@ -18,8 +18,7 @@ from ideal_robot.robots.interface import RobotState
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
 from scenes.line.known import START, Known
-from scenes.line.log import LineLog
-from scenes.line.result import FieldShown
+from scenes.line.log import FieldShown, LineLog
 from scenes.methods import DIRECT, SceneMethod
 from sensing.camera.camera_device import Camera
 from sensing.camera.field import Field, Window
