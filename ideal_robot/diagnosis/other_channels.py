@@ -17,7 +17,7 @@ from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import ARM_POSITION, SENSOR, TCP_POSITION, library
-from ideal_robot.effects.arm.backlash import ArmBacklash
+from ideal_robot.effects.backlash import Backlash
 
 
 def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
@@ -63,7 +63,7 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None, bloc
     if made.domain == TCP_POSITION and made.absent:
         # Two axes of three do not tell a length of the arm from an angle, nor a curve from either; play is one over
         # the load.
-        only = tuple((e.name, j) for e in effects if not e.geometric and e.name != ArmBacklash.name
+        only = tuple((e.name, j) for e in effects if not e.geometric and e.name != Backlash.name
                      for j in range(case.robot.n + 1) if only is None or (e.name, j) in only)
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)

@@ -2,8 +2,16 @@
 
 from __future__ import annotations
 
-from ideal_robot.effects.base import Effect, EffectParameter
-from ideal_robot.effects.domain import ARM_POSITION, DOMAINS, MOTOR_TORQUE, SENSOR, TCP_POSITION, Domain
+from ideal_robot.effects.base import (
+    ARM_POSITION,
+    DOMAINS,
+    MOTOR_TORQUE,
+    SENSOR,
+    TCP_POSITION,
+    Domain,
+    Effect,
+    EffectParameter,
+)
 from ideal_robot.effects.fitted import FittedEffect, effect_of
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library, names, register, unregister

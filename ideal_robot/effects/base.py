@@ -14,17 +14,63 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.domain import MOTOR_TORQUE, Domain, channel_name, prefix_of
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
+from ideal_robot.errors import InputError
 
 Theta = tuple[float, ...]
 """Nonlinear parameters of an effect."""
+
+
+@dataclass(frozen=True)
+class Domain:
+    """One kind of measurement with its residual.
+
+    Attributes:
+        name: key.
+        prefix: first part of its channels' names: ``tau`` for ``tau_1 … tau_n``.
+        whole: what an effect belongs to that belongs to no joint, in words.
+    """
+
+    name: str
+    prefix: str
+    whole: str = "the whole arm"
+
+
+MOTOR_TORQUE = Domain("motor_torque", "tau")
+ARM_POSITION = Domain("arm_position", "qa")
+TCP_POSITION = Domain("tcp_position", "tcp")
+SENSOR = Domain("sensor", "line", "the sensor")
+DOMAINS = (MOTOR_TORQUE, ARM_POSITION, TCP_POSITION, SENSOR)
+
+
+def channel_name(prefix: str, joint: int) -> str:
+    """Name of a joint's channel; of the whole arm for joint 0."""
+    return f"{prefix}_{joint}" if joint else prefix
+
+
+def domain_of(prefix: str) -> Domain:
+    """The domain whose channels' names begin like that.
+
+    Raises:
+        InputError: there is none.
+    """
+    for domain in DOMAINS:
+        if domain.prefix == prefix:
+            return domain
+    raise InputError(f"no such channel; known are those of {', '.join(d.prefix for d in DOMAINS)}", field="channel",
+                     value=prefix)
+
+
+def prefix_of(channel: str) -> str:
+    """First part of a channel's name, without the joint's number."""
+    first, _, tail = channel.rpartition("_")
+    return first if tail.isdigit() else channel
 
 
 @dataclass(frozen=True)
@@ -69,8 +115,8 @@ class EffectParameter:
 class Effect(ABC):
     """One physical cause of a residual, and all there is to say about it.
 
-    An effect is a file with a class like this, and a line in ``ideal_robot/effects/registry.py`` (or a call of
-    ``register``, or an entry point, from a package outside).
+    A cause is a class like this, in the file of its family, and a line for each channel it shows in in
+    ``ideal_robot/effects/registry.py`` (or a call of ``register``, or an entry point, from a package outside).
 
     Attributes:
         name: of the cause, key in files and tables; the same cause may have a class for each place where it shows.
@@ -113,7 +159,7 @@ class Effect(ABC):
 
     name: ClassVar[str]
     domain: Domain = MOTOR_TORQUE
-    prefix: ClassVar[str] = ""
+    prefix: str = ""
     theta_names: ClassVar[tuple[str, ...]] = ()
     theta_units: ClassVar[tuple[str, ...]] = ()
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
@@ -137,6 +183,11 @@ class Effect(ABC):
     learned: ClassVar[bool] = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""
+
+    @classmethod
+    def seen_in(cls, prefix: str) -> Self:
+        """The effect as it shows in the channels of a prefix: causes that show in several are made for one."""
+        return cls()
 
     @property
     def channel_prefix(self) -> str:
@@ -273,8 +324,9 @@ class Effect(ABC):
             theta: the nonlinear parameters, in ``theta_units``.
             theta_std: their standard deviations.
         """
+        # Of some causes a recording shows the first coefficients only.
         linear = [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
-                  zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=True)]
+                  zip(self.coefficient_names, self.coefficient_units, coefficients, std, strict=False)]
         return linear + [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                          zip(self.theta_names, self.theta_units, theta, theta_std, strict=True)]
 
@@ -294,3 +346,11 @@ class Effect(ABC):
     def to_data(self) -> dict[str, Any]:
         """What a model file has to remember of it beside name, joint, channel and numbers."""
         return {}
+
+
+class WholeArmEffect(Effect):
+    """An effect that belongs to no joint."""
+
+    def joints(self, signals: Signals) -> Iterator[int]:
+        """The whole arm, or the sensor."""
+        yield 0

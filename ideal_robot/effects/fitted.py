@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter
-from ideal_robot.effects.domain import Domain, prefix_of
+from ideal_robot.effects.base import Domain, Effect, EffectParameter, prefix_of
 from ideal_robot.effects.learned import Unknown
 from ideal_robot.effects.registry import find
 from ideal_robot.effects.signals import Signals

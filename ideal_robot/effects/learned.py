@@ -11,8 +11,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Effect, EffectParameter
-from ideal_robot.effects.domain import MOTOR_TORQUE, TCP_POSITION, Domain, domain_of
+from ideal_robot.effects.base import MOTOR_TORQUE, TCP_POSITION, Domain, Effect, EffectParameter, Theta, domain_of
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
@@ -61,12 +60,11 @@ class Unknown(Effect):
         return {"depends_on": list(self.depends_on), "directed": self.directed,
                 "knots": [list(k) for k in self.knots], "frequency": self.frequency, "prefix": self.domain.prefix}
 
-    def parameters(self, coefficients: Array, std: Array, theta: tuple[float, ...],
-                   theta_std: tuple[float, ...]) -> list[EffectParameter]:
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. None: a curve has no physical numbers."""
         return []
 
-    def columns(self, signals: Signals, joint: int, theta: tuple[float, ...]) -> Array:
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, m)``: the basis functions on the joint's channel."""
         basis = self.basis(signals)
         if self.directed:
@@ -77,7 +75,7 @@ class Unknown(Effect):
             return result
         return signals.on_joint(joint, *basis.T)
 
-    def loop_change(self, coefficients: tuple[float, ...], theta: tuple[float, ...]) -> LoopChange:
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """A curve over the arm's motion is asked of the motor; what lies outside what was seen counts nothing."""
         if self.domain != MOTOR_TORQUE:
             return LoopChange(nowhere="a curve without a cause does not say whether arm or measurement is off")

@@ -35,10 +35,8 @@ class LoopChange:
         uneven: order [1/rad], cosine and sine part [rad] of what the arm turns beyond the motor.
         zero: true angle less the encoder's [rad].
         geometry: shifts ``a``, ``d`` [m] and turns ``alpha``, ``theta`` [rad] of all that is behind the joint.
-        latency: by how much later than stamped a camera's picture was taken [s].
-        latency_rate: growth of that [s/s].
-        picture: errors of points that a camera measures: scale [1], cubic [1/m²], shift along [m], yaw [rad], shift
-            across [m].
+        stamps: whether a camera's pictures were taken at other times than are stamped, see ``CameraErrors``.
+        points: whether the points that a camera measures are off, see ``CameraErrors``.
         wrench: what a force sensor shows when nothing touches the tool [N, N m].
         give: compliance of tool, sensor and surface beyond what is assumed [m/N].
         nowhere: why it does not act; empty where it does.
@@ -64,9 +62,8 @@ class LoopChange:
     zero: float = _place("rigid body, and joint path by inverse kinematics of the corrected arm", 0.0)
     geometry: tuple[float, float, float, float] | None = _place(
         "joint path by inverse kinematics of the corrected arm", None)
-    latency: float = _place("follower: time stamps", 0.0)
-    latency_rate: float = _place("follower: time stamps", 0.0)
-    picture: tuple[float, float, float, float, float] | None = _place("follower: points that the camera measures", None)
+    stamps: bool = _place("follower: time stamps", False)
+    points: bool = _place("follower: points that the camera measures", False)
     wrench: tuple[float, ...] = _place("force controller: measured wrench", ())
     give: float = _place("force controller: contact compliance", 0.0)
     nowhere: str = ""

@@ -1,7 +1,8 @@
 """The library of effects: one table, and the way in for effects of other packages.
 
-To add an effect, write its class (``ideal_robot.effects.base.Effect``) in a file of its own and a line in the table. A
-package outside calls ``register(MyEffect())``, or has an entry point that is found without being imported by anybody:
+To add an effect, write its class (``ideal_robot.effects.base.Effect``) in the file of its family, and a line in the
+table for each channel it shows in. A package outside calls ``register(MyEffect())``, or has an entry point, which is
+found without anybody importing the package:
 
     [project.entry-points."ideal_robot.effects"]
     "my_effect/tau" = "my_package.my_effect:MyEffect"
@@ -17,54 +18,54 @@ from ideal_robot.registry import Registry
 
 _HERE = "ideal_robot.effects."
 _TABLE = {
-    "viscous/tau": "torque.viscous:Viscous",
-    "coulomb/tau": "torque.coulomb:Coulomb",
-    "degressive/tau": "torque.degressive:Degressive",
-    "stribeck/tau": "torque.stribeck:Stribeck",
-    "stribeck/tau_bell": "torque.bell_stribeck:BellStribeck",
-    "asymmetric_friction/tau": "torque.asymmetric_friction:AsymmetricFriction",
-    "load_dependent_friction/tau": "torque.load_dependent_friction:LoadDependentFriction",
-    "load_direction_friction/tau": "torque.load_direction_friction:LoadDirectionFriction",
-    "thermal_drift/tau": "torque.thermal_drift:ThermalDrift",
-    "presliding_hysteresis/tau": "torque.presliding_hysteresis:PreslidingHysteresis",
-    "torque_ripple/tau": "torque.torque_ripple:TorqueRipple",
-    "current_offset/tau": "torque.current_offset:CurrentOffset",
-    "drive_gain/tau": "torque.drive_gain:DriveGain",
-    "rotor_inertia/tau": "torque.rotor_inertia:RotorInertia",
-    "gravity_spring/tau": "torque.gravity_spring:GravitySpring",
-    "cable_spring/tau": "torque.cable_spring:CableSpring",
-    "payload/tau": "torque.payload:Payload",
-    "link_load/tau": "torque.link_load:LinkLoad",
-    "zero_error/tau": "torque.zero_error:ZeroError",
-    "base_tilt/tau": "torque.base_tilt:BaseTilt",
-    "torque_filter/tau": "torque.torque_filter:TorqueFilter",
-    "axis_coupling/tau": "torque.axis_coupling:AxisCoupling",
-    "dead_time/tau": "torque.dead_time:DeadTime",
-    "dead_time/q": "torque.position_dead_time:PositionDeadTime",
-    "joint_elasticity/tau": "torque.joint_elasticity:JointElasticity",
-    "joint_elasticity/tau_resonance": "torque.gear_resonance:GearResonance",
-    "backlash/tau": "torque.backlash:Backlash",
-    "backlash/tau_flight": "torque.backlash_in_flight:BacklashInFlight",
-    "dead_time/qa": "arm.dead_time:ArmDeadTime",
-    "dead_time/qa_all": "arm.common_dead_time:CommonArmDeadTime",
-    "joint_elasticity/qa": "arm.joint_elasticity:ArmElasticity",
-    "transmission_error/qa": "arm.transmission_error:TransmissionError",
-    "backlash/qa": "arm.backlash:ArmBacklash",
-    "backlash/qa_load": "arm.backlash_by_load:ArmBacklashByLoad",
-    "dead_time/tcp": "tcp.dead_time:ToolDeadTime",
-    "joint_elasticity/tcp": "tcp.joint_elasticity:ToolElasticity",
-    "backlash/tcp": "tcp.backlash:ToolBacklash",
-    "backlash/tcp_load": "tcp.backlash_by_load:ToolBacklashByLoad",
-    "transmission_error/tcp": "tcp.transmission_error:ToolTransmissionError",
-    "kinematic_error/tcp": "tcp.kinematic_error:KinematicError",
-    "thermal_growth/tcp": "tcp.thermal_growth:ThermalGrowth",
-    "force_bias/force": "sensor.force_bias:ForceBias",
-    "force_compliance/force_contact": "sensor.force_compliance:ForceCompliance",
-    "camera_latency/line": "sensor.camera_latency:CameraLatency",
-    "camera_scale/line": "sensor.camera_scale:CameraScale",
-    "camera_offset/line": "sensor.camera_offset:CameraOffset",
-    "lens_distortion/line": "sensor.lens_distortion:LensDistortion",
-    "clock_drift/line": "sensor.clock_drift:ClockDrift",
+    "viscous/tau": "friction:Viscous",
+    "coulomb/tau": "friction:Coulomb",
+    "degressive/tau": "friction:Degressive",
+    "stribeck/tau": "friction:Stribeck",
+    "stribeck/tau_bell": "friction:BellStribeck",
+    "asymmetric_friction/tau": "friction:AsymmetricFriction",
+    "load_dependent_friction/tau": "friction:LoadDependentFriction",
+    "load_direction_friction/tau": "friction:LoadDirectionFriction",
+    "thermal_drift/tau": "friction:ThermalDrift",
+    "presliding_hysteresis/tau": "friction:PreslidingHysteresis",
+    "torque_ripple/tau": "ripple:TorqueRipple",
+    "current_offset/tau": "drive:CurrentOffset",
+    "drive_gain/tau": "drive:DriveGain",
+    "rotor_inertia/tau": "drive:RotorInertia",
+    "gravity_spring/tau": "loads:GravitySpring",
+    "cable_spring/tau": "loads:CableSpring",
+    "payload/tau": "loads:Payload",
+    "link_load/tau": "loads:LinkLoad",
+    "zero_error/tau": "kinematics:ZeroError",
+    "base_tilt/tau": "loads:BaseTilt",
+    "torque_filter/tau": "drive:TorqueFilter",
+    "axis_coupling/tau": "drive:AxisCoupling",
+    "dead_time/tau": "drive:LateTorque",
+    "dead_time/q": "drive:LatePosition",
+    "joint_elasticity/tau": "elasticity:JointElasticity",
+    "joint_elasticity/tau_resonance": "elasticity:GearResonance",
+    "backlash/tau": "backlash:Backlash",
+    "backlash/tau_flight": "backlash:BacklashInFlight",
+    "dead_time/qa": "drive:LateMeasurement",
+    "dead_time/qa_all": "drive:LateMeasurement",
+    "joint_elasticity/qa": "elasticity:JointElasticity",
+    "transmission_error/qa": "ripple:TransmissionError",
+    "backlash/qa": "backlash:BacklashByMotion",
+    "backlash/qa_load": "backlash:Backlash",
+    "dead_time/tcp": "drive:LateMeasurement",
+    "joint_elasticity/tcp": "elasticity:JointElasticity",
+    "backlash/tcp": "backlash:BacklashByMotion",
+    "backlash/tcp_load": "backlash:Backlash",
+    "transmission_error/tcp": "ripple:TransmissionError",
+    "kinematic_error/tcp": "kinematics:KinematicError",
+    "thermal_growth/tcp": "kinematics:ThermalGrowth",
+    "force_bias/force": "force:ForceBias",
+    "force_compliance/force_contact": "force:ForceCompliance",
+    "camera_latency/line": "camera:CameraLatency",
+    "camera_scale/line": "camera:CameraScale",
+    "camera_offset/line": "camera:CameraOffset",
+    "lens_distortion/line": "camera:LensDistortion",
+    "clock_drift/line": "camera:ClockDrift",
 }
 """Name of the cause and prefix of its channel → class, in the order in which effects are tried and listed."""
 
@@ -115,5 +116,5 @@ def _effect(key: str) -> Effect:
     """The one object of an effect; searches tell effects apart by it."""
     if key not in _made:
         found = EFFECTS.get(key)
-        _made[key] = found() if isinstance(found, type) else found
+        _made[key] = found.seen_in(key.partition("/")[2]) if isinstance(found, type) else found
     return _made[key]

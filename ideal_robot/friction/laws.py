@@ -1,13 +1,164 @@
-"""The friction laws of [G] 3.1.1, and one with its own parameters in each direction."""
+"""Friction laws: the seam, those of [G] 3.1.1 and two more, and a law for each joint.
+
+A law is one object for everybody: identification fits it, the diagnosis takes its terms as effects
+(``ideal_robot/effects/friction.py``), the loop that the feedforward inverts tabulates it. To add one, write its class
+and a line in the table ``LAWS``; a package outside calls ``LAWS.register("my_law", MyLaw)`` or has an entry point of
+the group ``ideal_robot.friction``.
+"""
 
 from __future__ import annotations
 
-from typing import ClassVar
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.friction.base import FrictionModel
+from ideal_robot.errors import InputError
+from ideal_robot.friction.presliding import sliding_direction
+from ideal_robot.registry import Registry
+
+
+class FrictionModel(ABC):
+    """Friction torque ``(…, n)`` [N m] of joint velocity ``(…, n)`` [rad/s], positive where it brakes positive motion.
+
+    A law is linear in its ``coefficients`` and may have ``shape`` parameters in which it is not. Parameters do not
+    claim to be physical; they force the sum of all losses of a multistage gear into a formula ([G] 3.1.1).
+
+    Two refinements go with every law. *Presliding*: its ``sign(qd)`` becomes a direction with memory, which turns over
+    only after the joint has moved some distance and stays when it rests. *Load*: dry friction in proportion to the
+    torque the gear transmits, ``a_load |load| sign(qd)``; tooth forces rub.
+
+    Args:
+        coefficients: ``(m, n)``, one row per name in ``names_of``.
+        shape: ``(s, n)``, one row per shape name; the presliding distance last where there is one.
+        presliding: whether the last row of ``shape`` is the presliding distance [rad].
+        loaded: whether the last row of ``coefficients`` is ``a_load`` [1].
+
+    Attributes:
+        key: name of the law in files, tables and on the command line.
+        coefficient_names, coefficient_units: ``{F}`` and ``{v}`` in a unit stand for those of torque and velocity.
+        shape_names, shape_units, shape_bounds: of the law proper, without the refinements.
+        each_brakes: whether each coefficient brakes by itself and so may not be negative; else only their sum has to.
+        holds_offset: whether dry friction has a size of its own in each direction, so that half their difference is a
+            constant torque.
+        automatic: whether the automatic choice among laws tries it.
+    """
+
+    key: ClassVar[str]
+    coefficient_names: ClassVar[tuple[str, ...]]
+    coefficient_units: ClassVar[tuple[str, ...]]
+    shape_names: ClassVar[tuple[str, ...]] = ()
+    shape_units: ClassVar[tuple[str, ...]] = ()
+    shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ()
+    each_brakes: ClassVar[bool] = False
+    holds_offset: ClassVar[bool] = False
+    automatic: ClassVar[bool] = False
+
+    def __init__(self, coefficients: Array, shape: Array | None = None, *, presliding: bool = False,
+                 loaded: bool = False) -> None:
+        self.coefficients = np.array(coefficients, dtype=float)
+        n = self.coefficients.shape[1]
+        self.shape = np.empty((0, n)) if shape is None else np.array(shape, dtype=float).reshape(-1, n)
+        self.presliding = presliding
+        self.loaded = loaded
+        rows = len(self.coefficient_names) + loaded, len(self.shape_names) + presliding
+        if (len(self.coefficients), len(self.shape)) != rows:
+            raise ValueError(f"{self.key}: expected {rows[0]} coefficients and {rows[1]} shape parameters per joint")
+        self.coefficients.setflags(write=False)
+        self.shape.setflags(write=False)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return int(self.coefficients.shape[1])
+
+    @classmethod
+    @abstractmethod
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """One array like ``qd (…, n)`` per coefficient of the law proper; ``direction`` stands for ``sign(qd)``.
+
+        Args:
+            qd: velocities ``(…, n)`` [rad/s].
+            direction: of sliding ``(…, n)``, -1 … 1.
+            shape: shape parameters of the law proper ``(s, n)``.
+        """
+
+    @staticmethod
+    def by_load(load: Array, direction: Array) -> Array:
+        """Dry friction of a unit ``a_load``, like ``load`` and ``direction``, which have the same shape."""
+        return np.abs(load) * direction
+
+    def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
+                  direction: Array | None = None) -> Array:
+        """Regressor ``(…, n, m)`` with respect to the ``m`` coefficients of each joint; arguments as in ``torque``.
+
+        Args:
+            qd: velocities ``(…, n)`` [rad/s].
+            load: torque that the gears transmit ``(…, n)`` [N m].
+            q: positions ``(…, n)`` [rad].
+            direction: of sliding ``(…, n)``, -1 … 1.
+        """
+        return np.stack(self._columns(qd, load, q, direction), axis=-1)
+
+    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
+               direction: Array | None = None) -> Array:
+        """Friction torque ``(…, n)`` [N m]; without memory zero at rest, where no law can know what friction balances.
+
+        Args:
+            qd: joint velocity ``(…, n)`` [rad/s].
+            load: torque the gear transmits ``(…, n)`` [N m]; zero if not given. Only loaded laws look at it.
+            q: joint position ``(N, n)`` [rad], consecutive in time: what the memory of presliding follows. Without it
+                the direction is that of gross sliding, ``sign(qd)``.
+            direction: of motion ``(…, n)``, -1 to 1, of who knows how sharply it changes; laws with presliding know it.
+        """
+        columns = self._columns(qd, load, q, direction)
+        return np.sum([c * column for c, column in zip(self.coefficients, columns, strict=True)], axis=0)
+
+    def _columns(self, qd: Array, load: Array | None, q: Array | None, direction: Array | None) -> list[Array]:
+        qd = np.asarray(qd, dtype=float)
+        if self.presliding and q is not None:
+            direction = sliding_direction(q, qd, self.shape[-1])
+        elif direction is None:
+            direction = np.sign(qd)
+        columns = self.columns(qd, direction, self.shape)
+        if self.loaded:
+            columns.append(self.by_load(np.zeros_like(qd) if load is None else load, direction))
+        return columns
+
+    def altered(self, coefficients: Array | None = None, shape: Array | None = None) -> Self:
+        """The same law with other coefficients ``(m, n)`` or another shape ``(s, n)``."""
+        return type(self)(self.coefficients if coefficients is None else coefficients,
+                          self.shape if shape is None else shape, presliding=self.presliding, loaded=self.loaded)
+
+    @property
+    def nonnegative(self) -> np.ndarray:
+        """Mask ``(m,)`` of the coefficients that brake by themselves and so may not be negative."""
+        return np.array([self.each_brakes] * len(self.coefficient_names) + [True] * self.loaded)
+
+    @property
+    def names(self) -> tuple[tuple[str, str], ...]:
+        """Names and units of the coefficients, refinements included."""
+        own = tuple(zip(self.coefficient_names, self.coefficient_units, strict=True))
+        return (*own, ("a_load", "1")) if self.loaded else own
+
+    @property
+    def names_of_shape(self) -> tuple[tuple[str, str], ...]:
+        """Names and units of the shape parameters, refinements included."""
+        own = tuple(zip(self.shape_names, self.shape_units, strict=True))
+        return (*own, ("presliding", "{x}")) if self.presliding else own
+
+    @property
+    def label(self) -> str:
+        """The law in words."""
+        extras = [word for word, on in (("presliding", self.presliding), ("load", self.loaded)) if on]
+        return self.key.replace("_", " ") + (f" with {' and '.join(extras)}" if extras else "")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for the model file."""
+        return {"law": self.key, "coefficients": self.coefficients.tolist(), "shape": self.shape.tolist(),
+                "presliding": self.presliding, "loaded": self.loaded}
 
 
 class ViscousCoulomb(FrictionModel):
@@ -20,6 +171,8 @@ class ViscousCoulomb(FrictionModel):
     key = "viscous_coulomb"
     coefficient_names = ("Fv", "Fc")
     coefficient_units = ("{F} / ({v})", "{F}")
+    each_brakes = True
+    automatic = True
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
@@ -33,6 +186,7 @@ class CubeRoot(FrictionModel):
     key = "cube_root"
     coefficient_names = ("a1", "a2", "a3")
     coefficient_units = ("{F} / ({v})", "{F}", "{F} / ({v})^(1/3)")
+    automatic = True
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
@@ -55,7 +209,8 @@ class Arctan(FrictionModel):
     coefficient_units = ("{F} / ({v})", "{F}", "{F}")
     shape_names = ("a4",)
     shape_units = ("1 / ({v})",)
-    shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((1.0, 300.0),)
+    shape_bounds = ((1.0, 300.0),)
+    automatic = True
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
@@ -66,7 +221,8 @@ class Arctan(FrictionModel):
 class Stribeck(FrictionModel):
     """[G] (4): ``a1 qd + a2 sign(qd) + a3 exp(-a4 |qd|) sign(qd)``: falls with speed at very low speed.
 
-    [G] prints ``exp(-a4 qd)``, written for positive velocity; here it is odd like the other terms.
+    [G] prints ``exp(-a4 qd)``, written for positive velocity; here it is odd like the other terms. [G] leaves it out of
+    the choice among laws, as it depends too much on operating conditions.
     """
 
     key = "stribeck"
@@ -74,12 +230,26 @@ class Stribeck(FrictionModel):
     coefficient_units = ("{F} / ({v})", "{F}", "{F}")
     shape_names = ("a4",)
     shape_units = ("1 / ({v})",)
-    shape_bounds: ClassVar[tuple[tuple[float, float], ...]] = ((1.0, 1000.0),)
+    shape_bounds = ((1.0, 1000.0),)
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
         """See ``FrictionModel.columns``."""
         return [qd, direction, np.exp(-shape[0] * np.abs(qd)) * direction]
+
+
+class BellStribeck(Stribeck):
+    """``a1 qd + a2 sign(qd) + a3 exp(-(a4 qd)²) sign(qd)``: flat at standstill, falls fastest about ``1/a4``.
+
+    B. Armstrong-Hélouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994, (5) with exponent 2.
+    """
+
+    key = "bell_stribeck"
+
+    @classmethod
+    def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
+        """See ``FrictionModel.columns``."""
+        return [qd, direction, np.exp(-((shape[0] * qd) ** 2)) * direction]
 
 
 class Asymmetric(FrictionModel):
@@ -88,9 +258,108 @@ class Asymmetric(FrictionModel):
     key = "asymmetric"
     coefficient_names = ("Fv+", "Fc+", "Fv-", "Fc-")
     coefficient_units = ("{F} / ({v})", "{F}", "{F} / ({v})", "{F}")
+    each_brakes = True
+    holds_offset = True
+    automatic = True
 
     @classmethod
     def columns(cls, qd: Array, direction: Array, shape: Array) -> list[Array]:
         """See ``FrictionModel.columns``."""
         forward = qd > 0
         return [qd * forward, np.maximum(direction, 0.0), qd * ~forward, np.minimum(direction, 0.0)]
+
+
+_HERE = "ideal_robot.friction.laws:"
+LAWS: Registry[type[FrictionModel]] = Registry("friction law", "ideal_robot.friction", {
+    "viscous_coulomb": _HERE + "ViscousCoulomb",
+    "cube_root": _HERE + "CubeRoot",
+    "arctan": _HERE + "Arctan",
+    "stribeck": _HERE + "Stribeck",
+    "bell_stribeck": _HERE + "BellStribeck",
+    "asymmetric": _HERE + "Asymmetric",
+})
+"""Key → law."""
+
+
+def law_of(key: str) -> type[FrictionModel]:
+    """The law of a key.
+
+    Raises:
+        InputError: no such law.
+    """
+    if key not in LAWS:
+        raise InputError(f"no such friction law; there are {', '.join(LAWS.names())}", field="friction", value=key)
+    return LAWS.get(key)
+
+
+class PerJointFriction:
+    """One single-joint law per joint; torque ``(…, n)`` of velocity ``(…, n)`` like every friction model.
+
+    Args:
+        laws: ``n`` laws of one joint each.
+    """
+
+    def __init__(self, laws: Sequence[FrictionModel]) -> None:
+        if any(law.n != 1 for law in laws):
+            raise ValueError("expected laws of one joint each")
+        self.laws = tuple(laws)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.laws)
+
+    def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
+               direction: Array | None = None) -> Array:
+        """Friction torque ``(…, n)`` [N m]; arguments as in ``FrictionModel.torque``.
+
+        Args:
+            qd: velocities ``(…, n)`` [rad/s].
+            load: torque that the gears transmit ``(…, n)`` [N m].
+            q: positions ``(…, n)`` [rad].
+            direction: of sliding ``(…, n)``, -1 … 1.
+        """
+        qd = np.asarray(qd, dtype=float)
+        others = (load, q, direction)
+        parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in others))
+                 for j, law in enumerate(self.laws)]
+        return np.concatenate(parts, axis=-1)
+
+    def sliding(self, q: Array, qd: Array) -> Array:
+        """Direction of sliding ``(N, n)`` of the joints whose friction builds up over a displacement; NaN for others.
+
+        Args:
+            q: positions ``(N, n)`` [rad], consecutive in time.
+            qd: velocities ``(N, n)`` [rad/s].
+        """
+        result = np.full(np.shape(q), np.nan)
+        for j, law in enumerate(self.laws):
+            if law.presliding:
+                result[:, [j]] = sliding_direction(q[:, [j]], qd[:, [j]], law.shape[-1])
+        return result
+
+    def turned(self, q: Array, qd: Array) -> Array:
+        """How far friction has turned ``(N, n)``, -1 to 1: as ``sliding`` says, in other joints at once.
+
+        Args:
+            q: positions ``(N, n)`` [rad], consecutive in time.
+            qd: velocities ``(N, n)`` [rad/s].
+        """
+        sliding = self.sliding(q, qd)
+        return np.where(np.isnan(sliding), np.sign(qd), sliding)
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """Plain values for the model file, one entry per joint."""
+        return [law.to_dict() for law in self.laws]
+
+    @classmethod
+    def from_dict(cls, values: list[dict[str, Any]]) -> PerJointFriction:
+        """Reads what ``to_dict`` wrote."""
+        return cls([law_of(entry["law"])(np.array(entry["coefficients"]), np.array(entry["shape"]),
+                                         presliding=bool(entry.get("presliding")), loaded=bool(entry.get("loaded")))
+                    for entry in values])
+
+    @classmethod
+    def none(cls, n: int) -> PerJointFriction:
+        """No friction at all."""
+        return cls([ViscousCoulomb(np.zeros((2, 1))) for _ in range(n)])

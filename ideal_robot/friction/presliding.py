@@ -1,12 +1,13 @@
 """Direction of sliding with memory: what takes the place of ``sign(qd)`` near a reversal and at rest.
 
-Before a contact slides it bends. Dahl's model of that, solved for one step of position, is ::
+Before a contact slides it bends. Dahl's model of that (P. R. Dahl 1968), ``dz/dt = (qd - |qd| z) / x_s``, solved for
+one step of position, is ::
 
     z(k) = s + (z(k-1) - s) exp(-|q(k) - q(k-1)| / x_s) ,   s = sign(q(k) - q(k-1))
 
 with the presliding distance x_s: ±1 in gross sliding, in between after a reversal, unchanged at rest. It needs no
-time and no velocity. Position noise would still wear it down at rest, step by step; so only what leaves a band of a
-twentieth of x_s about the last position counts as motion.
+time and no velocity. Position noise would still wear it down at rest, step by step; so in a law only what leaves a band
+of a twentieth of x_s about the last position counts as motion.
 """
 
 from __future__ import annotations
@@ -41,6 +42,15 @@ def sliding_direction(q: Array, qd: Array, distance: Array) -> Array:
 
 
 @jit()
+def dahl(q: Array, distance: float) -> Array:
+    """Direction of sliding ``(N,)`` along exact positions ``(N,)`` of one joint, unbent at first: without the band."""
+    z = np.zeros(len(q))
+    for k in range(1, len(q)):
+        z[k] = _bent(z[k - 1], q[k] - q[k - 1], distance)
+    return z
+
+
+@jit()
 def _follow(q: Array, start: Array, distance: Array) -> Array:
     count, n = q.shape
     z = np.empty((count, n))
@@ -51,12 +61,17 @@ def _follow(q: Array, start: Array, distance: Array) -> Array:
         for k in range(1, count):
             away = q[k, j] - last
             step = max(away - band, 0.0) + min(away + band, 0.0)
-            if step == 0.0:
-                z[k, j] = z[k - 1, j]
-                continue
-            last += step
-            s = 1.0 if step > 0.0 else -1.0
-            behind = z[k - 1, j] - s
-            # In gross sliding nothing is behind, and the exponential is what costs time.
-            z[k, j] = s + behind * np.exp(-abs(step) / distance[j]) if behind != 0.0 else s
+            z[k, j] = z[k - 1, j]
+            if step != 0.0:
+                last += step
+                z[k, j] = _bent(z[k - 1, j], step, distance[j])
     return z
+
+
+@jit()
+def _bent(z: float, step: float, distance: float) -> float:
+    """Dahl's model over one step."""
+    s = 1.0 if step > 0.0 else -1.0
+    behind = z - s
+    # In gross sliding nothing is behind, and the exponential is what costs time.
+    return s + behind * np.exp(-abs(step) / distance) if behind != 0.0 else s

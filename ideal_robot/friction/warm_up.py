@@ -13,7 +13,7 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.friction.base import FrictionModel
+from ideal_robot.friction.laws import FrictionModel
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ideal_robot.friction import Asymmetric
 from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 
@@ -19,9 +18,9 @@ def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[i
     """
     warnings = []
     parameters = model.parameters
-    asymmetric = {f"offset_{j + 1}" for j, law in enumerate(model.friction.laws) if isinstance(law, Asymmetric)}
+    within_friction = {f"offset_{j + 1}" for j, law in enumerate(model.friction.laws) if law.holds_offset}
     silent = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
-              if dark and p.name not in asymmetric]
+              if dark and p.name not in within_friction]
     if silent:
         warnings.append(f"not-excited: the motion says nothing about {', '.join(silent)}; nominal values are kept")
     vague = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)

@@ -15,14 +15,10 @@ import numpy as np
 from scipy import optimize
 
 from ideal_robot.arrays import Array
-from ideal_robot.friction import Arctan, CubeRoot, FrictionModel, PerJointFriction, ViscousCoulomb
-from ideal_robot.friction.laws import Asymmetric
+from ideal_robot.friction import FrictionModel, PerJointFriction
 from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.identification.friction_projection import FoldEquations, FrictionProjection
 from ideal_robot.signals.preprocess import FilteredSignals
-
-AUTO: tuple[type[FrictionModel], ...] = (ViscousCoulomb, CubeRoot, Arctan, Asymmetric)
-"""Laws the automatic choice tries. [G] leaves (4) out: its effect depends too much on operating conditions."""
 
 _FOLDS = 6
 _WORTH = 0.02
@@ -57,7 +53,7 @@ class Candidate:
     @cached_property
     def braking(self) -> np.ndarray:
         """Mask of the coefficients that may not be negative: they would drive the joint instead of braking it."""
-        return braking(self.make([1.0] * len(self.bounds)))
+        return self.make([1.0] * len(self.bounds)).nonnegative
 
     def make(self, shape: Sequence[float], coefficients: Array | None = None) -> FrictionModel:
         """A law of one joint; unit coefficients unless given."""
@@ -65,14 +61,6 @@ class Candidate:
         c = np.ones(rows) if coefficients is None else coefficients
         return self.law(c[:, None], np.array(shape, dtype=float)[:, None], presliding=self.presliding,
                         loaded=self.loaded)
-
-
-def braking(law: FrictionModel) -> np.ndarray:
-    """Mask ``(m,)`` of a law's coefficients that brake by themselves and so may not be negative.
-
-    Those of the degressive laws are not among them, one by one: only their sum has to brake (``brakes``).
-    """
-    return np.array([name.startswith(("Fv", "Fc", "a_load")) for name, _ in law.names])
 
 
 def brakes(law: FrictionModel, fastest: float) -> bool:
@@ -284,7 +272,6 @@ def with_coefficients(laws: Sequence[FrictionModel], coefficients: Array) -> Per
     result, at = [], 0
     for law in laws:
         rows = len(law.coefficients)
-        result.append(type(law)(coefficients[at : at + rows, None], law.shape, presliding=law.presliding,
-                                loaded=law.loaded))
+        result.append(law.altered(coefficients[at : at + rows, None]))
         at += rows
     return PerJointFriction(result)

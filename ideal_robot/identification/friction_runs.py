@@ -91,7 +91,7 @@ def _shape_derivative(law: FrictionModel, qd: Array) -> Array:
     for i in range(len(law.shape)):
         step = np.zeros_like(law.shape)
         step[i] = 1e-5 * law.shape[i]
-        up, down = (type(law)(law.coefficients, law.shape + sign * step).torque(qd[:, None])[:, 0] for sign in (1, -1))
+        up, down = (law.altered(shape=law.shape + sign * step).torque(qd[:, None])[:, 0] for sign in (1, -1))
         columns.append((up - down) / (2 * step[i, 0]))
     return np.column_stack(columns) if columns else np.empty((len(qd), 0))
 

@@ -10,12 +10,10 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, full_regressor, torques, with_link_parameters
 from ideal_robot.dynamics.consistency import Consistency, consistent_parameters
-from ideal_robot.friction import Asymmetric, FrictionModel, PerJointFriction, law_of
+from ideal_robot.friction import LAWS, FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.friction_choice import (
-    AUTO,
     FrictionChoice,
     brakes,
-    braking,
     candidates,
     with_coefficients,
 )
@@ -125,7 +123,8 @@ class JointProblem:
 
     def _laws(self, wanted: str, load: Sequence[Array], noise: Array, barred: frozenset[int],
               ) -> tuple[list[FrictionModel], list[dict[str, float]]]:
-        options = candidates(AUTO, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
+        automatic = [law for _, law in LAWS if law.automatic]
+        options = candidates(automatic, refine=True) if wanted == "auto" else candidates([law_of(wanted)], refine=False)
         if len(options) == 1 and not options[0].bounds:
             return [options[0].make(()) for _ in range(self._robot.n)], [{} for _ in range(self._robot.n)]
         choice = FrictionChoice(self._signals, self._W, self._y - self._W @ self._prior.start, load, noise,
@@ -136,11 +135,11 @@ class JointProblem:
                variance: Array) -> tuple[Solution, PerJointFriction]:
         rigid = self._W.copy()
         for j, law in enumerate(laws):
-            if isinstance(law, Asymmetric):
+            if law.holds_offset:
                 # An offset is the difference of the two dry frictions; the law has it, so it is no parameter itself.
                 rigid[:, :, self._base.names.index(f"offset_{j + 1}")] = 0.0
         W = np.concatenate([rigid, self._columns(laws, load)], axis=2)
-        nonnegative = np.concatenate([np.zeros(self._base.count, dtype=bool), *[braking(law) for law in laws]])
+        nonnegative = np.concatenate([np.zeros(self._base.count, dtype=bool), *[law.nonnegative for law in laws]])
         solution = self._solved(W, nonnegative, variance)
         friction = with_coefficients(laws, solution.value[self._base.count :])
         fastest = np.max(np.abs(self._velocity), axis=0)

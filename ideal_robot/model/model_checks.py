@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.effects.domain import SENSOR
+from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
 from ideal_robot.model.controller_model import ControllerModel
 

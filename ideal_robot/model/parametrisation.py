@@ -124,7 +124,6 @@ def shape_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | 
     for i in range(len(law.shape)):
         step = np.zeros_like(law.shape)
         step[i] = 1e-4 * law.shape[i]
-        up, down = (type(law)(law.coefficients, law.shape + sign * step, presliding=law.presliding, loaded=law.loaded)
-                    for sign in (1.0, -1.0))
+        up, down = (law.altered(shape=law.shape + sign * step) for sign in (1.0, -1.0))
         result[:, i] = (up.torque(qd, load, q) - down.torque(qd, load, q))[:, 0] / (2.0 * step[i, 0])
     return result

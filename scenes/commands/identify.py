@@ -25,7 +25,8 @@ def command(
     drive_data: Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, "
                                                          "cycles; default: beside the URDF.")] = None,
     friction: Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
-                                               "viscous_coulomb, cube_root, arctan, stribeck or asymmetric.")] = "auto",
+                                               "viscous_coulomb, cube_root, arctan, stribeck, "
+                                               "bell_stribeck or asymmetric.")] = "auto",
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
     decimate_to: Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
                                                            "filter.")] = None,

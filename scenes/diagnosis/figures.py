@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
-from ideal_robot.effects.domain import TCP_POSITION, prefix_of
+from ideal_robot.effects.base import TCP_POSITION, prefix_of
 
 _BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
 _CURVE = 0.5

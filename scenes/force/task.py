@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.sensor_change import SensorChange
+from ideal_robot.effects.force import ForceErrors
 from ideal_robot.elasticity.observer import ArmObserver
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
@@ -51,7 +51,7 @@ class ForceTask:
     def __init__(self, cell: Known, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
                  elasticity: ContactElasticity, rng: np.random.Generator,
                  friction: FrictionAtWork | None = None) -> None:
-        known = SensorChange.of(cell.model.effects if method.knows_model else ())
+        known = ForceErrors.of(cell.model.effects if method.knows_model else ())
         tool = replace(tool, bias=tool.bias + known.wrench)
         self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
         self.assumed_stiffness = assumed = known.stiffness(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.sensor_change import SensorChange
+from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.elasticity.deflection import GearDeflection
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.method import Setting
@@ -36,7 +36,7 @@ RECENT = 32
 
 def assumed_latency(model: Model) -> float:
     """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
-    return SensorChange.of(model.effects).latency
+    return CameraErrors.of(model.effects).late_by(0.0)
 
 
 class LineTask:
@@ -71,7 +71,7 @@ class LineTask:
         self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
         self._deflection = GearDeflection(model, self._T) if model is not None else None
         effects = () if model is None else model.effects
-        self._known, self._arm = SensorChange.of(effects), CorrectedArm(cell.robot, effects)
+        self._known, self._arm = CameraErrors.of(effects), CorrectedArm(cell.robot, effects)
         self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
         self._state = self.feedforward.init(follower.q_start)
         for measured in moved:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ideal_robot.diagnosis.validation.result import Diagnosis
-from ideal_robot.effects.domain import prefix_of
+from ideal_robot.effects.base import prefix_of
 from ideal_robot.effects.registry import names
 from ideal_robot.errors import InputError
 

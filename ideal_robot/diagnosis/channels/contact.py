@@ -15,8 +15,8 @@ from ideal_robot.diagnosis.channels.frames import frames_along
 from ideal_robot.diagnosis.channels.noise import noise_in_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.channels.wrench import FEWEST, Wrench, rows_of, sensor_regression
+from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE
 from ideal_robot.effects.learned import spline_basis
-from ideal_robot.effects.sensor.force_compliance import ASSUMED_GIVE, CONTACT_FORCE
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import lowpass, resampled
 from ideal_robot.signals.recording import Recording

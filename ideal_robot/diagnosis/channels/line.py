@@ -18,9 +18,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.arm_angle import arm_angles, deflection
 from ideal_robot.diagnosis.channels.blocks import Blocks
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.effects import SENSOR, Signals
+from ideal_robot.effects import SENSOR, Signals, library
+from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
 from ideal_robot.effects.learned import spline_basis
-from ideal_robot.effects.sensor.seen_line import ACROSS, ALONG, CUBIC, DRIFT, SCALE, SPEED, YAW
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
@@ -35,6 +35,8 @@ BLOCK = 3
 _STEP = 0.002
 _WIDTH = 0.012
 _OUTLIER = 8.0
+_SEEN = 0.002
+"""Of the squares of what an error does across the line, the share below which another line does it as well."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +60,45 @@ class LineRegression(Regression):
     def decimated_signals(self) -> Signals:
         """The signals as they are."""
         return self.signals
+
+
+@dataclasses.dataclass(frozen=True)
+class _SeenPoints:
+    """Points of the line ``(N,)``, and what moves them across it.
+
+    Attributes:
+        t: time stamps since the recording's begin ``(N,)`` [s].
+        out: from the optical axis in the tool frame ``(N, 3)`` [m].
+        rotation: of the tool ``(N, 3, 3)``.
+        normal: what of a motion in the base frame changes the lateral deviation ``(N, 3)``.
+        speed: change of the lateral deviation per second by which the picture was taken later ``(N,)`` [m/s].
+        curves: orthonormal, of all curves that the line may be ``(N, p)``.
+    """
+
+    t: Array
+    out: Array
+    rotation: Array
+    normal: Array
+    speed: Array
+    curves: Array
+
+    def beside(self, values: Array) -> Array:
+        """What no curve explains of values ``(N,)``."""
+        return np.asarray(values - self.curves @ (self.curves.T @ values))
+
+    def signals(self) -> dict[str, Array]:
+        """What a unit of each error of a camera does that no other line would do ``(N,)``."""
+        result = {}
+        errors = [error for effect in library() if isinstance(effect, CameraEffect) for error in effect.errors]
+        for error in errors:
+            if isinstance(error, PointError):
+                whole = np.einsum("ki,kij,kj->k", self.normal, self.rotation, error.moved(self.out))
+            elif isinstance(error, StampError):
+                whole = error.late(self.t) * self.speed
+            left = self.beside(whole)
+            if not error.optional or float(np.sum(left**2)) > _SEEN * float(np.sum(whole**2)):
+                result[error.signal] = left
+        return result
 
 
 def line_regression(recording: Recording, robot: Robot, torque: Regression,
@@ -92,33 +133,14 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     t = tangent[rows]
     # A point that moves along its line comes to where the line has another deviation.
     normal = np.cross(up, t) - slope[:, None] * t
-    axis = _axis(recording, points)
-    out = points[rows] - axis
-    out[:, 2] = 0.0
-    turn = rotation[number[rows]]
-    radius = np.sum(out**2, axis=1)
-
-    def across(du: Array) -> Array:
-        return np.asarray(np.einsum("ki,kij,kj->k", normal, turn, du))
-
     moved = velocity[number[rows]] + np.cross(turning[number[rows]], lever[rows])
-    extra = {SPEED: -np.sum(normal * moved, axis=1), ALONG: across(np.tile([1.0, 0.0, 0.0], (len(rows), 1))),
-             YAW: across(np.column_stack([-out[:, 1], out[:, 0], np.zeros(len(rows))])), SCALE: across(out),
-             CUBIC: across(radius[:, None] * out)}
     times = stamps[number[rows]] - begin
-    extra[DRIFT] = times * extra[SPEED]
-    aside = across(np.tile([0.0, 1.0, 0.0], (len(rows), 1)))
     basis, sizes, _ = np.linalg.svd(W, full_matrices=False)
     basis = basis[:, sizes > 1e-6 * sizes[0]]
-
-    def beside(values: Array) -> Array:
-        """What no curve explains."""
-        return np.asarray(values - basis @ (basis.T @ values))
-
-    extra = {name: beside(values) for name, values in extra.items()}
-    if float(np.sum(beside(aside) ** 2)) > 0.002 * float(np.sum(aside**2)):
-        extra[ACROSS] = beside(aside)
-    residual = beside(d[rows])
+    seen_points = _SeenPoints(times, from_axis(points[rows], _axis(recording, points)), rotation[number[rows]], normal,
+                              -np.sum(normal * moved, axis=1), basis)
+    extra = seen_points.signals()
+    residual = seen_points.beside(d[rows])
     s0 = torque.signals
     grid = torque.filtered.t - begin
 

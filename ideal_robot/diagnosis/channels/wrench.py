@@ -16,7 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.noise import noise_in_band
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import SENSOR
-from ideal_robot.effects.sensor.force_bias import MOMENTS
+from ideal_robot.effects.force import MOMENTS
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, resampled
 from ideal_robot.signals.recording import Recording

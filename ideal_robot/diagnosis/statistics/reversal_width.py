@@ -15,7 +15,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import direction_of
 from ideal_robot.diagnosis.statistics.least_squares import Design, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.friction.base import FrictionModel
+from ideal_robot.friction import FrictionModel
 from ideal_robot.model.model import Model
 
 _WIDTHS = (0.0003, 0.001, 0.002, 0.004, 0.008)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ideal_robot.diagnosis.statistics.candidate import Candidate
 from ideal_robot.diagnosis.statistics.estimate import Estimate
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
-from ideal_robot.effects.torque.torque_filter import TorqueFilter
+from ideal_robot.effects.drive import TorqueFilter
 
 _ITERATIONS = 3
 """Fits after which the chord of the delay has become the delay."""

@@ -11,7 +11,6 @@ from ideal_robot.diagnosis.channels.motor_torque import about_model
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.estimate import Estimate
 from ideal_robot.diagnosis.statistics.with_parameters import with_parameters
-from ideal_robot.identification.friction_choice import braking
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import parameter_vector
 
@@ -47,7 +46,7 @@ def _driving(model: Model, change: np.ndarray) -> np.ndarray:
     mask = np.zeros(len(value), dtype=bool)
     at = model.base.count
     for law in model.friction.laws:
-        mask[at : at + len(law.coefficients)] = braking(law)
+        mask[at : at + len(law.coefficients)] = law.nonnegative
         at += len(law.coefficients)
     return np.asarray(mask & (value < 0.0))
 

@@ -13,7 +13,6 @@ from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.validation.oracle import named_camera_effect
 from ideal_robot.effects import SENSOR, FittedEffect, effect_of
-from ideal_robot.effects.sensor.seen_line import CUBIC, SCALE, SPEED
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -84,7 +83,7 @@ def test_columns_are_what_moved_points_do(gantry_robot: Robot) -> None:
         return seen.y[:, 0], dict(seen.signals.extra)
 
     extra = lines(recording)[1]
-    for name, key, step in ((SCALE, "points", 2e-3), (CUBIC, "cubic", 0.5), (SPEED, "late", 5e-4)):
+    for name, key, step in (("line_scale", "points", 2e-3), ("line_cubic", "cubic", 0.5), ("line_speed", "late", 5e-4)):
         high, low = lines(made(**{key: step}))[0], lines(made(**{key: -step}))[0]
         slope, column = (high - low) / (2.0 * step), extra[name]
         assert np.linalg.norm(slope - column) < 0.1 * np.linalg.norm(column), name

@@ -5,7 +5,7 @@ import pytest
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import library
-from ideal_robot.effects.torque.backlash_in_flight import crossed
+from ideal_robot.effects.backlash import crossed
 from ideal_robot.signals.preprocess import lowpass
 from tests.ideal_robot.effects.pendulum import INERTIA, signals_of, through_gear
 from trials.report import arm_of

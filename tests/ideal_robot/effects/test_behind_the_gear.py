@@ -11,8 +11,7 @@ import pytest
 
 from ideal_robot.diagnosis.channels.frames import frames_along
 from ideal_robot.effects import FittedEffect, Signals, effect_of, library
-from ideal_robot.effects.sensor.force_bias import MOMENTS
-from ideal_robot.effects.sensor.force_compliance import CONTACT_FORCE
+from ideal_robot.effects.force import CONTACT_FORCE, MOMENTS
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 

@@ -5,7 +5,7 @@ import pytest
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import library
-from ideal_robot.effects.torque.gear_resonance import swinging
+from ideal_robot.effects.elasticity import swinging
 from ideal_robot.signals.preprocess import lowpass
 from tests.ideal_robot.effects.pendulum import INERTIA, signals_of, through_gear
 from trials.report import arm_of

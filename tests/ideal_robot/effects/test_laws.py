@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect, Signals, effect_of, library
+from ideal_robot.effects.drive import LateTorque
 from ideal_robot.effects.learned import Unknown
-from ideal_robot.effects.torque.dead_time import DeadTime
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction, ViscousCoulomb
 
@@ -139,7 +139,7 @@ def test_a_delay_is_exact_where_the_chord_is_as_long(delay):
     t = np.arange(0.0, 4.0, 1e-3)
     still = np.zeros((len(t), 1))
     torque = np.sin(2.0 * np.pi * 8.0 * t)[:, None]
-    effect = DeadTime()
+    effect = LateTorque()
     theta = effect.consistent_theta(np.array([delay]), (1e-3,))
     signals = Signals(t, still, still, still, still, torque, still)
     late = torque[:, 0] + delay * effect.columns(signals, 1, theta)[:, 0, 0]

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects import rigid_derivatives
-from ideal_robot.effects.rigid_derivatives import RigidDerivatives
+from ideal_robot.effects import signals
+from ideal_robot.effects.signals import RigidDerivatives
 from ideal_robot.robots.robot import Robot
 
 ROBOT = Robot.load("kr6")
@@ -57,7 +57,7 @@ def test_what_memory_does_not_hold_is_computed_anew(monkeypatch) -> None:
     again = [kept.by(joint) for joint in (1, 2, 2)]
     assert len(calls) == count
     np.testing.assert_array_equal(again[:2], first)
-    monkeypatch.setattr(rigid_derivatives, "_KEPT", 1.0)
+    monkeypatch.setattr(signals, "_KEPT", 1.0)
     other = [dropped.by(joint) for joint in (1, 2, 2, 1)]
     assert len(calls) == count + 3 * count // 2
     np.testing.assert_array_equal(other, [first[0], first[1], first[1], first[0]])

@@ -14,7 +14,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward import arm_of_its_type as arm_of_its_type_module
 from ideal_robot.feedforward.arm_of_its_type import RIPPLE, arm_of_its_type
 from ideal_robot.feedforward.training_motion import training_motion
-from ideal_robot.friction.per_joint import PerJointFriction
+from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
 from tests.ideal_robot.feedforward.plant import ROBOT, motion

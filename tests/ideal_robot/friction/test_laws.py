@@ -16,10 +16,10 @@ def example(law: type[FrictionModel], refined: bool, n: int = 3) -> FrictionMode
                presliding=refined, loaded=refined)
 
 
-@pytest.fixture(params=[(key, refined) for key in LAWS for refined in (False, True)], ids=str)
+@pytest.fixture(params=[(key, refined) for key in LAWS.names() for refined in (False, True)], ids=str)
 def law(request: pytest.FixtureRequest) -> FrictionModel:
     key, refined = request.param
-    return example(LAWS[key], refined)
+    return example(LAWS.get(key), refined)
 
 
 def test_shape_of_torque_follows_velocity(law: FrictionModel) -> None:

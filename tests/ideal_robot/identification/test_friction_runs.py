@@ -14,11 +14,11 @@ SPEEDS = np.concatenate([s * np.geomspace(0.02, 2.0, 15) for s in (-1.0, 1.0)])
 
 
 def example(law: type[FrictionModel]) -> FrictionModel:
-    shape = {"arctan": [[6.0]], "stribeck": [[20.0]]}.get(law.key)
+    shape = {"arctan": [[6.0]], "stribeck": [[20.0]], "bell_stribeck": [[20.0]]}.get(law.key)
     return law(np.array([[4.0], [10.0], [5.0], [9.0]])[: len(law.coefficient_names)], shape)
 
 
-@pytest.mark.parametrize("law", list(LAWS.values()), ids=list(LAWS))
+@pytest.mark.parametrize("law", [law for _, law in LAWS], ids=LAWS.names())
 def test_every_law_is_found_again_within_its_deviations(law: type[FrictionModel]) -> None:
     rng = np.random.default_rng(3)
     what = example(law)

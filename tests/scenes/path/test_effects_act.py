@@ -17,7 +17,8 @@ from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
-from ideal_robot.effects.sensor_change import SensorChange
+from ideal_robot.effects.camera import CameraErrors
+from ideal_robot.effects.force import ForceErrors
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.effects_in_loop import with_effects
 from ideal_robot.loop.from_model import loop_model
@@ -136,13 +137,13 @@ def test_points_of_a_wrong_camera_are_put_right() -> None:
     effects = (FittedEffect("camera_scale", 0, "line", (1.0 - focal / wrong,)),
                FittedEffect("lens_distortion", 0, "line", (k1 / height**2,)),
                FittedEffect("camera_offset", 0, "line", (-shift[0], -yaw, 0.0)))
-    right = SensorChange.of(effects).points(measured, axis)
+    right = CameraErrors.of(effects).points(measured, axis)
     assert np.max(np.linalg.norm(measured - points, axis=1)) > 2e-3
     assert np.max(np.linalg.norm(right - points, axis=1)) < 0.1 * np.max(np.linalg.norm(measured - points, axis=1))
 
 
 def test_time_stamps_of_a_drifting_clock_are_put_right() -> None:
-    known = SensorChange.of((FittedEffect("camera_latency", 0, "line", (-0.008,)),
+    known = CameraErrors.of((FittedEffect("camera_latency", 0, "line", (-0.008,)),
                              FittedEffect("clock_drift", 0, "line", (0.001,))))
     stamps = np.array([0.0, 1.0, 10.0])
     taken = stamps - 0.008 + 0.001 * stamps
@@ -152,8 +153,8 @@ def test_time_stamps_of_a_drifting_clock_are_put_right() -> None:
 def test_force_reading_and_contact_are_put_right() -> None:
     """[L] (3): a tip pressed 0.2 mm deep into what gives more than was assumed, read by a sensor with a bias."""
     assumed, true, bias, depth = 20000.0, 14000.0, np.array([2.0, -1.0, 0.5, 0.1, 0.0, 0.05]), 2e-4
-    known = SensorChange.of((FittedEffect("force_bias", 0, "force", tuple(bias)),
-                             FittedEffect("force_compliance", 0, "force_contact", (1.0 / true - 1.0 / assumed,))))
+    known = ForceErrors.of((FittedEffect("force_bias", 0, "force", tuple(bias)),
+                            FittedEffect("force_compliance", 0, "force_contact", (1.0 / true - 1.0 / assumed,))))
     force = true * depth
     read = ToolLoad(known.wrench, 0.0, np.zeros(3), np.zeros(2)).contact(
         np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]) + bias, np.eye(3))

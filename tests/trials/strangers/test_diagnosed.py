@@ -9,7 +9,7 @@ import pytest
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import Signals
-from ideal_robot.effects.torque.axis_coupling import AxisCoupling
+from ideal_robot.effects.drive import AxisCoupling
 from ideal_robot.identification.idim import identify
 from trials.report import arm_of
 from trials.strangers.score import Score, score

@@ -1,1 +1,0 @@
-"""Effects as measured arm angles show them."""

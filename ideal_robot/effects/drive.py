@@ -1,0 +1,312 @@
+"""Drive and logger: motors, what is read as their torque, and signals that are recorded late."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar, Self
+
+import numpy as np
+from scipy import ndimage
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import (
+    ARM_POSITION,
+    TCP_POSITION,
+    Effect,
+    EffectParameter,
+    Theta,
+    WholeArmEffect,
+    domain_of,
+)
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.signals import Signals
+
+HOLD = 5e-4
+"""What a torque is early by in every drive, at most [s]: it is held over a cycle of the loop, a millisecond or less,
+and acts half a cycle after its stamp in the mean."""
+
+
+class CurrentOffset(Effect):
+    """``tau = o``: a constant the model does not have."""
+
+    name = "current_offset"
+    coefficient_names = ("offset",)
+    absorbed_by_base = True
+    source = "[J] section 3: offset of the current sensors"
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, np.ones_like(signals.t))
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. A constant torque."""
+        return LoopChange(offset=coefficients[0])
+
+
+class DriveGain(Effect):
+    """``tau = g tau_model``: the joint's whole torque scaled; ``g`` is the relative error of the drive gain.
+
+    Inertia and gravity couple the joints, so that a gain of one drive alone is no change of inertias.
+    """
+
+    name = "drive_gain"
+    coefficient_names = ("relative error of the gain",)
+    coefficient_units = ("1",)
+    absorbed_by_base = True
+    source = "[J] (15): drive gains"
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, signals.torque[:, joint - 1])
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. A gain is positive and not wrong by a factor of three."""
+        return bool(np.abs(coefficients[0]) < 2.0 and coefficients[0] > -0.7)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. The controller asks in units of what is read."""
+        return LoopChange(gain=coefficients[0])
+
+
+class RotorInertia(Effect):
+    """``tau = I_a qdd``: rotor, brake or coupling inertia times the gear ratio squared, missing in the model."""
+
+    name = "rotor_inertia"
+    coefficient_names = ("change of rotor inertia",)
+    coefficient_units = ("kg m²",)
+    absorbed_by_base = True
+    # Ten numbers of a body can do what one inertia does, and bend with gears and filters besides.
+    sooner_than = ("link_load",)
+    source = "[J] (1): I_a"
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, signals.qdd[:, joint - 1])
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Inertia of the motor."""
+        return LoopChange(rotor_inertia=coefficients[0])
+
+
+class AxisCoupling(Effect):
+    """Inertia, viscous and dry friction of a motor that turns at ``qd_j + r qd_i``, ``r = ±1``, as in many wrists.
+
+        tau_j = I qdd_i + F_v qd_i + F_c sign(qd_j + r qd_i)      (and, where the shaft carries it back,
+        tau_i = I qdd_j + F_v qd_j + r F_c sign(qd_j + r qd_i)) .
+
+    theta is the partner axis ``i``, the sense ``r`` and whether both joints feel it (2) or only ``j`` (1).
+    """
+
+    name = "axis_coupling"
+    theta_names = ("partner axis", "sense", "joints that feel it")
+    theta_units = ("", "", "")
+    coefficient_names = ("inertia", "viscous friction", "Coulomb friction")
+    coefficient_units = ("kg m²", "N m s/rad", "N m")
+    discriminating_motion = (
+        ("thermal_drift", "the same motion again after an hour's rest: only warming comes back"),
+    )
+    source = "J. Swevers et al., IEEE CSM 27(5), 2007; M. Gautier, wrist of the Stäubli RX 90"
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """Every axis near by, both senses; what both joints feel is named after the higher-numbered one."""
+        return [(float(i), sense, sides) for i in range(1, signals.n + 1) if i != joint and abs(i - joint) <= 2
+                for sense in (1.0, -1.0) for sides in ((1.0, 2.0) if joint > i else (1.0,))]
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """There has to be another axis."""
+        return signals.n > 1
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 3)``."""
+        j, i, sense = joint - 1, int(theta[0]) - 1, theta[1]
+        together = signals.direction(signals.qd[:, j] + sense * signals.qd[:, i], joint)
+        result = signals.on_joint(joint, signals.qdd[:, i], signals.qd[:, i], together)
+        if theta[2] > 1.5:
+            result[:, i] = np.column_stack([signals.qdd[:, j], signals.qd[:, j], sense * together])
+        return result
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. The shaft has inertia and friction, not less than none.
+
+        Small terms may come out below zero: the negative ones are less than a fifth of the largest.
+        """
+        i, sense = int(theta[0]) - 1, theta[1]
+        sizes = np.array([np.std(signals.qdd[:, i]), np.std(signals.qd[:, i]), 1.0])
+        parts = coefficients * sizes * np.array([sense, sense, 1.0])
+        return bool(-np.min(parts) < 0.2 * np.max(parts))
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. The three coefficients and the partner, which is a choice and has no deviation."""
+        return super().parameters(coefficients, std, theta, (0.0,) * 3)
+
+
+class DeadTime(Effect):
+    """Something is recorded late by ``delta``; the arm moves as it did.
+
+    Attributes:
+        longest: delay beyond which it is none of a recording [s].
+        held: the open interval of delays that are in every drive, for a torque is held over a cycle [s].
+    """
+
+    name = "dead_time"
+    coefficient_names = ("delay",)
+    coefficient_units = ("s",)
+    source = "first-order expansion of a pure delay"
+    longest: ClassVar[float] = 0.06
+    held: ClassVar[tuple[float, float]] = (0.0, 0.0)
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Milliseconds, not tenths of a second; not what a drive does."""
+        low, high = self.held
+        return bool(abs(coefficients[0]) < self.longest and not low < coefficients[0] < high)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Nowhere: it is in the recording alone."""
+        return LoopChange(nowhere="only the record is late: the arm moves as it did")
+
+
+class LateTorque(DeadTime):
+    """The torque of one joint is recorded late by ``delta``: ``tau_j(t) = tau_model,j(t - delta)``.
+
+    To first order ``-delta d tau_model/dt``, by which it competes with a soft gear, whose trace is the *second*
+    derivative of the load. The column is the chord ``(tau_model(t - theta) - tau_model(t))/theta``, exact where
+    theta has become ``delta``. Negative: the torque is early, i.e. the position is late.
+    """
+
+    theta_names = ("chord",)
+    theta_units = ("s",)
+    theta_is_physical = False
+    discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("joint_elasticity", "the same path at half and at double speed: a delay grows with the torque's rate, a soft "
+                             "gear with its second derivative"),
+        ("presliding_hysteresis", "long strokes with few reversals at high speed: hysteresis shows after reversals "
+                                  "only, a delay everywhere"),
+    )
+    caution = 2.5
+    at_all_frequencies = True
+    held = (-HOLD, 0.0)
+    _shortest = 5e-5
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """A tangent, and chords to either side."""
+        return [(delay,) for delay in (1e-3, -1e-3, 8e-3, -8e-3)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """The longest delay to either side."""
+        return [(-self.longest, self.longest)]
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        torque = signals.torque[:, joint - 1]
+        return signals.on_joint(joint, (delayed(torque, theta[0], signals.dt) - torque) / theta[0])
+
+    def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
+        """The chord as long as the delay, where it is exact."""
+        delay = float(np.clip(coefficients[0], -self.longest, self.longest))
+        return (float(np.copysign(max(abs(delay), self._shortest), delay)),)
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. The delay alone; the chord is only how it was computed."""
+        return [EffectParameter(self.coefficient_names[0], float(coefficients[0]), float(std[0]), "s")]
+
+
+class TorqueFilter(WholeArmEffect, LateTorque):
+    """The torques of all joints pass one lag ``T`` before they are recorded: ``tau(t) = tau_model(t - T)``.
+
+    Averaging, filters of any order and a clock of their own look alike well below their corner: a delay. One number
+    for the whole arm (joint 0), tried before any joint has a delay of its own; negative where the positions are late. A
+    column of a filter of first order was tried: it weakens fast motion, too, and was named where nothing was filtered.
+    """
+
+    name = "torque_filter"
+    coefficient_names = ("time constant",)
+    caution = 1.0
+    sooner_than = ("dead_time",)
+    at_all_frequencies = False
+    discriminating_motion = ()
+    source = "first-order expansion of a filter: its group delay at low frequency"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """Of one joint alone it is that joint's delay."""
+        return signals.n > 1
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        late = np.column_stack([delayed(torque, theta[0], signals.dt) for torque in signals.torque.T])
+        return np.asarray((late - signals.torque)[:, :, None] / theta[0])
+
+
+class LatePosition(DeadTime):
+    """The position of one joint is recorded late by ``delta``: every torque is computed from an old angle.
+
+    ``delta tau = delta (dtau/dq_j qd_j + dtau/dqd_j qdd_j + dtau/dqdd_j d(qdd_j)/dt)`` on all joints, from differences
+    of the rigid body.
+    """
+
+    prefix = "q"
+    caution = 2.5
+    at_all_frequencies = True
+    held = (0.0, HOLD)
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """With one joint alone it is the torque's delay with the other sign."""
+        return signals.n > 1 and signals.rigid is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        if signals.derivatives is None or len(signals.t) < 3:
+            return np.zeros((len(signals.t), signals.n, 1))
+        j = joint - 1
+        column = signals.derivatives.along(joint, signals.qd[:, j], signals.qdd[:, j], signals.rate(signals.qdd[:, j]))
+        column[:, j] += signals.rate(signals.torque[:, j] - signals.load[:, j])
+        return np.asarray(column[:, :, None])
+
+
+class LateMeasurement(DeadTime):
+    """An arm angle, all of them by one clock, or the TCP is late by ``delta``: to first order ``-delta qd``.
+
+    Args:
+        prefix: of the channels it is seen in; ``qa_all`` for all arm angles alike.
+    """
+
+    longest = 0.1
+
+    def __init__(self, prefix: str = ARM_POSITION.prefix) -> None:
+        self.prefix, self.domain = prefix, domain_of(prefix.partition("_")[0])
+
+    @classmethod
+    def seen_in(cls, prefix: str) -> Self:
+        """See ``Effect.seen_in``."""
+        return cls(prefix)
+
+    def joints(self, signals: Signals) -> Iterator[int]:
+        """Each joint by itself, or the whole arm; of one joint alone both are the same."""
+        if self.prefix == ARM_POSITION.prefix:
+            yield from super().joints(signals)
+        elif signals.n > 1 or self.domain == TCP_POSITION:
+            yield 0
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """At the TCP the frames have to be known."""
+        return self.domain != TCP_POSITION or signals.frames is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``, at the TCP ``(N, 3, 1)``."""
+        if joint > 0:
+            return signals.on_joint(joint, -signals.qd[:, joint - 1])
+        if self.domain != TCP_POSITION:
+            return np.asarray(-signals.qd[:, :, None])
+        if signals.frames is None:
+            return np.zeros((len(signals.t), 3, 1))
+        return np.asarray(-np.einsum("kij,kj->ki", signals.frames.jacobian, signals.qd)[:, :, None])
+
+
+def delayed(values: Array, delay: float, dt: float) -> Array:
+    """A signal that is late, by cubic splines between samples; the ends are held.
+
+    Args:
+        values: the signal ``(N,)``, in any unit.
+        delay: by which it is late [s].
+        dt: between samples [s].
+    """
+    return np.asarray(ndimage.shift(values, delay / dt, order=3, mode="nearest"))

@@ -1,0 +1,400 @@
+"""Friction that differs from the model's: terms of the friction laws, and what load, warmth and reversals make of them.
+
+The laws are those of ``ideal_robot.friction``, the same objects that identification fits.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, EffectParameter, Theta
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.signals import Signals
+from ideal_robot.friction import laws
+from ideal_robot.friction.presliding import dahl
+
+_TURNS = 0.3
+"""Change of friction at one end of the speeds, over that at the other, up to which it may have the other sign."""
+_SPEED_OR_DISTANCE = ("reversals at very different accelerations: presliding follows the distance since the reversal, "
+                      "friction laws the speed")
+
+
+class LawTerm(Effect):
+    """A term of a friction law that the model lacks, or has in another size.
+
+    Attributes:
+        law: the law.
+        term: index of the term among its columns.
+    """
+
+    law: ClassVar[type[laws.FrictionModel]]
+    term: ClassVar[int]
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, self.friction(signals.qd[:, joint - 1], signals.sliding_direction(joint), theta))
+
+    def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
+        """The term ``(N,)`` with a unit coefficient.
+
+        Args:
+            qd: velocities ``(N,)`` [rad/s].
+            direction: of sliding ``(N,)``, -1 to 1.
+            theta: shape of the law, in ``theta_units``.
+        """
+        return self.law.columns(qd, direction, np.array(theta))[self.term]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Friction over speed."""
+        return LoopChange(friction_curve=True)
+
+
+class Viscous(LawTerm):
+    """``tau = a_1 qd`` ([G] (1)): more, or less, viscous friction than the model has."""
+
+    name = "viscous"
+    law, term = laws.ViscousCoulomb, 0
+    coefficient_names = ("change of viscous friction",)
+    coefficient_units = ("N m s/rad",)
+    absorbed_by_base = True
+    source = "[G] (1)"
+
+
+class Coulomb(LawTerm):
+    """``tau = a_2 sign(qd)`` ([G] (1)): more, or less, dry friction than the model has."""
+
+    name = "coulomb"
+    law, term = laws.ViscousCoulomb, 1
+    coefficient_names = ("change of Coulomb friction",)
+    absorbed_by_base = True
+    source = "[G] (1)"
+
+
+class Degressive(LawTerm):
+    """``tau = a_3 arctan(a_4 qd)`` ([G] (3)); ``a_4 → 0`` of a wide range comes close to ``qd^(1/3)`` of [G] (2).
+
+    Physically the rise is upwards, ``a_3 > 0``: with a falling characteristic it is the Stribeck effect.
+    """
+
+    name = "degressive"
+    law, term = laws.Arctan, 2
+    theta_names = ("a_4",)
+    theta_units = ("s/rad",)
+    coefficient_names = ("a_3",)
+    of_slow_motion = True
+    standstill = 1
+    discriminating_motion = (("viscous", "constant-velocity runs over the whole range of speeds"),)
+    source = "[G] (2), (3)"
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """From a bend at the fastest speed of the recording to one at a fortieth of it."""
+        top = _top_speed(signals, joint)
+        return [(factor / top,) for factor in (2.0, 4.0, 8.0, 16.0, 40.0)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """The bend lies inside the range of speeds that was driven."""
+        top = _top_speed(signals, joint)
+        return [(1.5 / top, 80.0 / top)]
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. The characteristic bends downwards from a rise."""
+        return bool(coefficients[0] > 0.0)
+
+
+class Stribeck(LawTerm):
+    """``tau = a_3 sign(qd) exp(-a_4 |qd|)`` with ``a_3 > 0`` ([G] (4), written for both directions).
+
+    theta is ``v_s = 1 / a_4``, the speed at which the excess has fallen to 37 %.
+    """
+
+    name = "stribeck"
+    law, term = laws.Stribeck, 2
+    theta_names = ("v_s",)
+    theta_units = ("rad/s",)
+    coefficient_names = ("excess at standstill",)
+    of_slow_motion = True
+    standstill = -1
+    discriminating_motion = (
+        ("degressive", "constant-velocity runs at ten speeds, the slowest below 1 % of the highest"),
+    )
+    source = "[G] (4)"
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """From a fiftieth of the top speed to a third of it."""
+        top = _top_speed(signals, joint)
+        return [(top * factor,) for factor in (0.02, 0.05, 0.1, 0.2, 0.35)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """The fall is over within the range of speeds that was driven."""
+        top = _top_speed(signals, joint)
+        return [(0.01 * top, 0.5 * top)]
+
+    def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
+        """See ``LawTerm.friction``. In units of ``v_s`` the law's ``a_4`` is one."""
+        return self.law.columns(qd / theta[0], direction, np.ones(1))[self.term]
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Friction is larger, not smaller, near standstill."""
+        return bool(coefficients[0] > 0.0)
+
+
+class BellStribeck(Stribeck):
+    """``tau = a_3 sign(qd) exp(-(qd/v_s)²)``: friction is flat at standstill, and falls fastest about ``v_s``.
+
+    Which of the two forms a gear has is a matter of its lubricant and its surfaces: exponents from a half to two and
+    more are published. Of the one fitted by the other a rise near standstill is left that looks like ``degressive``.
+    """
+
+    law = laws.BellStribeck
+    prefix = "tau_bell"
+    source = "B. Armstrong-Hélouvry, P. Dupont, C. Canudas de Wit, Automatica 30(7), 1994, (5): exponent 2"
+
+    @property
+    def at_motor(self) -> bool:
+        """See ``Effect.at_motor``."""
+        return True
+
+
+class AsymmetricFriction(LawTerm):
+    """``tau = d_v |qd| + d_c sign(qd)^2``: half the differences of viscous and dry friction between the directions.
+
+    With ``Fv+, Fv-`` for the two directions ``d_v = (Fv+ - Fv-)/2``, and likewise ``d_c``; while the joint moves
+    ``d_c`` cannot be told from a constant offset, so only the viscous part is evidence where an offset is fitted too.
+    """
+
+    name = "asymmetric_friction"
+    law = laws.Asymmetric
+    coefficient_names = ("half difference of viscous friction",)
+    coefficient_units = ("N m s/rad",)
+    of_slow_motion = True
+    source = "A. Janot, M. Gautier, M. Brunot, data set EMPS: friction of a worn ball screw"
+
+    def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
+        """See ``LawTerm.friction``. More in the one direction, as much less in the other."""
+        forward, _, backward, _ = self.law.columns(qd, direction, np.array(theta))
+        return forward - backward
+
+
+class LoadDependentFriction(Effect):
+    """``tau = mu |tau_load - I qdd| sign(qd)`` with ``mu > 0``: teeth pressed together by their load.
+
+    theta is the inertia ``I`` that is counted among links but sits on the motor's side of the gear: motions tell the
+    sum of the two only, and what a gear carries is a matter of which is which.
+    """
+
+    name = "load_dependent_friction"
+    theta_names = ("inertia before the gear",)
+    theta_units = ("kg m²",)
+    coefficient_names = ("friction per load",)
+    coefficient_units = ("1",)
+    discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
+        ("coulomb", "the same strokes at postures of high and of low gravity load"),
+    )
+    source = "P. Hamon, M. Gautier, P. Garrec, IROS 2010: dry friction depending on load"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The load has to vary, or the effect is Coulomb friction."""
+        load = np.abs(signals.borne(joint))
+        return bool(np.std(load) > 0.05 * (np.mean(load) + 1e-12))
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """A tenth, half and most of what the load has of inertia."""
+        largest = _inertia_of_load(signals, joint)
+        return [(share * largest,) for share in (0.1, 0.5, 0.9)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Between nothing and all."""
+        largest = _inertia_of_load(signals, joint)
+        return [(1e-3 * largest, largest)]
+
+    def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
+        """See ``Effect.bounds_near``. As the bounds: all of them are of one scale."""
+        return self.bounds(signals, joint)
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        carried, direction = self.carried(signals, joint, theta), signals.sliding_direction(joint)
+        return signals.on_joint(joint, laws.FrictionModel.by_load(carried, direction))
+
+    def carried(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """What the teeth carry ``(N,)`` [N m]: the load and what else may be weight, without the inertia before them.
+
+        Args:
+            signals: of ``N`` samples.
+            joint: from 1.
+            theta: the inertia [kg m²].
+        """
+        # Files of earlier versions have no theta.
+        before = theta[0] if theta else 0.0
+        return np.asarray(signals.borne(joint) - before * signals.qdd[:, joint - 1])
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""
+        return bool(0.0 < coefficients[0] < 1.0)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Friction by load."""
+        return LoopChange(friction_per_load=coefficients[0])
+
+
+class LoadDirectionFriction(LoadDependentFriction):
+    """``tau = mu/2 (|tau_c| s + tau_c |s|)``, ``tau_c = tau_load - I qdd``, ``s = sign(qd)``, ``mu > 0``.
+
+    That is ``mu tau_c`` where ``tau_c qd > 0``, so that the motor drives, and none where the load does: teeth lose more
+    in the one sense of power than in the other. What a gear loses in both is ``load_dependent_friction``; a gear that
+    has both laws shows both. theta is as there.
+
+    Half of it is a share of the load itself. Where the model's parameters or a gain can take that half the other one
+    alone is seen, which is ``load_dependent_friction`` of half the size: masses that other joints show, or that are
+    known, tell the two apart.
+    """
+
+    name = "load_direction_friction"
+    coefficient_names = ("friction per load driven",)
+    discriminating_motion = (
+        ("load_dependent_friction", "strokes against and with gravity, of all joints or with masses known from before"),
+        ("coulomb", "the same strokes at postures of high and of low gravity load"),
+        ("drive_gain", "slow strokes up and down: a gain shows in both alike"),
+    )
+    source = ("P. Hamon, M. Gautier, P. Garrec, IROS 2010: dry friction depending on load, "
+              "other where the load drives than where the motor does")
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        carried, direction = self.carried(signals, joint, theta), signals.sliding_direction(joint)
+        both = laws.FrictionModel.by_load(carried, direction)
+        return signals.on_joint(joint, 0.5 * (both + carried * np.abs(direction)))
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Friction by load where the motor drives it."""
+        return LoopChange(friction_per_driven_load=coefficients[0])
+
+
+class PreslidingHysteresis(Effect):
+    """``tau = F (z - sign(qd))`` with Dahl's ``z``: dry friction lags behind the reversal by a displacement ``sigma``.
+
+    The column is the difference to Coulomb friction, so that the coefficient is the dry friction that hysteresis takes
+    part in; fitted jointly with Coulomb friction itself.
+    """
+
+    name = "presliding_hysteresis"
+    theta_names = ("sigma",)
+    theta_units = ("rad",)
+    coefficient_names = ("hysteretic friction",)
+    discriminating_motion = (
+        ("degressive", _SPEED_OR_DISTANCE),
+        ("stribeck", _SPEED_OR_DISTANCE),
+        ("backlash", "reversals at postures with and without load on the gear"),
+    )
+    tail_alone = True
+    source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """Fractions of the range that was driven."""
+        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
+        return [(span * factor,) for factor in (0.002, 0.006, 0.02, 0.06)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Short of a joint's range by far: else it is a spring."""
+        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
+        return [(0.0005 * span, 0.15 * span)]
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        z = dahl(np.ascontiguousarray(signals.q[:, joint - 1]), theta[0])
+        return signals.on_joint(joint, z - signals.sliding_direction(joint))
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Friction opposes motion."""
+        return bool(coefficients[0] > 0.0)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Friction builds up over the displacement."""
+        return LoopChange(presliding=theta[0])
+
+
+class WarmingEffect(Effect):
+    """An effect that grows with warmth ``w``: the temperature above that of the start [K], or ``w = 1 - exp(-t/T)``.
+
+    The latter is the warm-up of a first-order body. theta is ``T``; ``T = 0`` stands for "by temperature".
+    """
+
+    theta_names = ("T",)
+    theta_units = ("s",)
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """By time with constants from a tenth of the recording to three of it; by temperature if it varies."""
+        span = float(signals.t[-1] - signals.t[0])
+        starts: list[Theta] = [(span * factor,) for factor in (0.1, 0.3, 1.0, 3.0)]
+        if signals.temperature is not None and float(np.ptp(signals.temperature[:, joint - 1])) > 0.5:
+            starts.append((0.0,))
+        return starts
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Faster than a twentieth of the recording is no warming, slower than four times it is a straight line."""
+        span = float(signals.t[-1] - signals.t[0])
+        return [(0.05 * span, 4.0 * span)]
+
+    def warmth(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """``w (N,)`` [1 or K]; none by a temperature that was not measured.
+
+        Args:
+            signals: of ``N`` samples.
+            joint: from 1.
+            theta: ``T`` [s].
+        """
+        if theta[0] > 0.0:
+            return np.asarray(1.0 - np.exp(-signals.t / theta[0]))
+        if signals.temperature is None:
+            return np.zeros_like(signals.t)
+        return np.asarray(signals.temperature[:, joint - 1] - signals.temperature[0, joint - 1])
+
+
+class ThermalDrift(WarmingEffect):
+    """Viscous and dry friction change with the gear's warmth: ``tau = w (d_v qd + d_c sign(qd))``."""
+
+    name = "thermal_drift"
+    coefficient_names = ("change of viscous friction", "change of Coulomb friction")
+    coefficient_units = ("N m s/rad", "N m")
+    source = "[G] Figs 3, 12"
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        warm = self.warmth(signals, joint, theta)
+        friction = laws.ViscousCoulomb.columns(signals.qd[:, joint - 1], signals.sliding_direction(joint), np.empty(0))
+        return signals.on_joint(joint, *(warm * column for column in friction))
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. A gear that warms up loses friction, slow or fast; [G] Fig 12 has it rise nowhere.
+
+        Less at one end of the speeds and more at the other is another curve over speed, not another temperature.
+        """
+        top = float(np.percentile(np.abs(signals.qd[:, joint - 1]), 99))
+        slow, fast = float(coefficients[1]), float(coefficients[1] + coefficients[0] * top)
+        return slow * fast > -_TURNS * max(slow**2, fast**2)
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. Changes per kelvin where temperature was used."""
+        if theta[0] > 0.0:
+            return super().parameters(coefficients, std, theta, theta_std)
+        units = ("N m s/(rad K)", "N m/K")
+        return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
+                zip(self.coefficient_names, units, coefficients, std, strict=True)]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Nowhere: the loop is not told how warm the gear is."""
+        return LoopChange(nowhere="how warm a gear is when a path begins cannot be told from the time since a "
+                                  "recording began; method adapted follows friction while the arm works")
+
+
+def _top_speed(signals: Signals, joint: int) -> float:
+    return float(np.percentile(np.abs(signals.qd[:, joint - 1]), 99)) + 1e-12
+
+
+def _inertia_of_load(signals: Signals, joint: int) -> float:
+    """Slope of the load over the joint's acceleration [kg m²]."""
+    qdd = signals.qdd[:, joint - 1] - np.mean(signals.qdd[:, joint - 1])
+    return max(float(qdd @ signals.load[:, joint - 1] / (qdd @ qdd + 1e-12)), 1e-9)

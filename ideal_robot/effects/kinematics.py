@@ -1,0 +1,123 @@
+"""Kinematics: joints whose zeros or places are elsewhere than the drawings say, links that grow with warmth."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import TCP_POSITION, Effect, EffectParameter, Theta
+from ideal_robot.effects.friction import WarmingEffect
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.signals import LEVER, Signals
+
+
+class ZeroError(Effect):
+    """The true angle is ``q_j + e``: ``delta tau = e d tau_rigid/d q_j`` on all joints; gravity betrays it.
+
+    Masses that are free to change take most of it, so it is looked for against a model known before.
+    """
+
+    name = "zero_error"
+    coefficient_names = ("angle",)
+    coefficient_units = ("rad",)
+    absorbed_by_base = True
+    source = "derivative of [G] (5) by one angle"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The rigid body has to be known as a function, and the angle has to matter to it."""
+        if signals.rigid is None:
+            return False
+        return bool(np.max(np.abs(self.columns(signals, joint, ()))) > 1e-6 * np.max(np.abs(signals.load)) + 1e-12)
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        if signals.derivatives is None:
+            return np.zeros((len(signals.t), signals.n, 1))
+        return signals.derivatives.by(joint)[0][:, :, None]
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Degrees, not another mounting."""
+        return bool(abs(coefficients[0]) < 0.2)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. The rigid body is at other angles, and so is the tool."""
+        return LoopChange(zero=coefficients[0])
+
+
+class KinematicError(Effect):
+    """Errors of one joint's Denavit–Hartenberg parameters: shifts along and turns about its axis and the common normal.
+
+        delta x = da x_j + dd z_j + dalpha x_j × (x - p_j) + dtheta z_j × (x - p_j)
+
+    ``x_j`` is the common normal of the joint's axis and the next one; it turns with the joint. ``d`` and ``theta`` of
+    the first joint are left out: they are where the measuring device stands.
+    """
+
+    name = "kinematic_error"
+    domain = TCP_POSITION
+    depends_on_joint = False
+    geometric = True
+    coefficient_names = ("a", "d", "alpha", "theta")
+    coefficient_units = ("m", "m", "rad", "rad")
+    source = "J. Denavit, R. S. Hartenberg 1955; first-order kinematic calibration"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The frames have to be known."""
+        return signals.frames is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, 3, 4)``."""
+        frames = signals.frames
+        if frames is None:
+            return np.zeros((len(signals.t), 3, 4))
+        x, z = frames.normal[:, joint - 1], frames.axis[:, joint - 1]
+        lever = frames.tool - frames.position[:, joint - 1]
+        columns = np.stack([x, z, np.cross(x, lever), np.cross(z, lever)], axis=2)
+        if joint == 1:
+            columns[:, :, [1, 3]] = 0.0
+        columns[:, :, np.max(np.abs(columns), axis=(0, 1)) < LEVER] = 0.0
+        return columns
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. Those that can be seen at all."""
+        every = super().parameters(coefficients, std, theta, theta_std)
+        return [parameter for parameter in every if parameter.value != 0.0]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. The arm's geometry behind the joint."""
+        return LoopChange(geometry=(coefficients[0], coefficients[1], coefficients[2], coefficients[3]))
+
+
+class ThermalGrowth(WarmingEffect):
+    """The link behind a joint grows with warmth: ``delta x = e w (p_(j+1) - p_j)``."""
+
+    name = "thermal_growth"
+    domain = TCP_POSITION
+    depends_on_joint = False
+    geometric = True
+    coefficient_names = ("strain",)
+    coefficient_units = ("1",)
+    source = "linear expansion, 12e-6/K for steel, 24e-6/K for aluminium"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The frames have to be known."""
+        return signals.frames is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, 3, 1)``."""
+        frames = signals.frames
+        if frames is None:
+            return np.zeros((len(signals.t), 3, 1))
+        end = frames.tool
+        if joint < signals.n:
+            end, axis = frames.position[:, joint], frames.axis[:, joint]
+            if np.allclose(frames.jacobian[:, :, joint], axis, atol=1e-9):
+                # Behind the link a joint slides: its way is no length of the link.
+                end = end - axis * signals.q[:, joint, None]
+        warm = self.warmth(signals, joint, theta)
+        return np.asarray(((end - frames.position[:, joint - 1]) * warm[:, None])[:, :, None])
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Nowhere: the loop is not told how warm the link is."""
+        return LoopChange(nowhere="how warm a link is when a path begins cannot be told from the time since a "
+                                  "recording began, and the positional interface gives no temperature")

@@ -1,0 +1,250 @@
+"""Gravity and load: bodies that the model does not know, springs against gravity, a base that leans."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import Effect, EffectParameter, Theta, WholeArmEffect
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.signals import Signals
+
+_G = 9.80665
+_UPRIGHT = 1e-6
+"""Weight that the first axis carries, over the most that any does, up to which it stands upright."""
+_LEAST_RANGE = 0.3
+"""Range of a joint over which a balancing spring's sine can be told from a line at all [rad]."""
+_LEAST_WEIGHT = 0.02
+"""Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
+
+
+class Payload(WholeArmEffect):
+    """Mass, first moments and inertias added to the last link, [G] (5) with that link's columns only.
+
+    It acts on all joints, so it belongs to the whole arm (joint 0).
+    """
+
+    name = "payload"
+    coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+    coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
+    absorbed_by_base = True
+    # Moments without mass are no body but how gears, rotors or filters bend what a motion shows.
+    without_which_none = (0,)
+    # Its weight at a lever turns the wrist with gravity, which none of these do; its mass the strong joints show alone.
+    enough_of_most = (1, 2, 3)
+    # On the axis of the flange a body turns like the link before; tools are changed, links are not.
+    sooner_than = ("link_load",)
+    source = "[G] (5)"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The regressor of the last link has to be known."""
+        return signals.payload is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
+        if signals.payload is None:
+            return np.zeros((len(signals.t), signals.n, 10))
+        return signals.payload
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``.
+
+        A body has mass, or one has been taken off: its first moments then share the sign of a plausible lever.
+        """
+        mass, first = float(coefficients[0]), float(np.linalg.norm(coefficients[1:4]))
+        return abs(mass) > 1e-9 and first < 3.0 * abs(mass) + 1e-9
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. Mass, and the centre in the frame of the last joint."""
+        m = float(coefficients[0])
+        centre = [EffectParameter(f"c_{axis}", float(coefficients[i + 1]) / m,
+                                  float(np.hypot(std[i + 1] / m, coefficients[i + 1] * std[0] / m**2)), "m")
+                  for i, axis in enumerate("xyz")]
+        return [EffectParameter("mass", m, float(std[0]), "kg"), *centre]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. A body on the last link."""
+        return LoopChange(body=coefficients)
+
+
+class LinkLoad(Effect):
+    """Mass, first moments and inertias added to one link, [G] (5) with its columns; against a model known before.
+
+    A body away from the axis turns with it: without its inertia a load on the first links would be looked for further
+    out. On the last link it is a payload. Of the mass and the lever often the product alone shows, so the numbers are
+    reported as they are.
+    """
+
+    name = "link_load"
+    coefficient_names = Payload.coefficient_names
+    coefficient_units = Payload.coefficient_units
+    absorbed_by_base = True
+    # Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
+    without_which_none = (0, 1, 2, 3)
+    source = "[G] (5)"
+
+    def joints(self, signals: Signals) -> Iterator[int]:
+        """All links but the last."""
+        yield from range(1, signals.n)
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The regressor of the links has to be known."""
+        return signals.bodies is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
+        if signals.bodies is None:
+            return np.zeros((len(signals.t), signals.n, 10))
+        return np.asarray(signals.bodies(joint))
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
+        return bool(np.any(np.abs(coefficients) > 1e-9))
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. A body on the link."""
+        return LoopChange(body=coefficients)
+
+
+class BaseTilt(WholeArmEffect):
+    """Gravity has components across the base frame's z axis: ``tau = g_x tau_x(q) + g_y tau_y(q)``.
+
+    ``tau_x`` is what the rigid body feels of 1 m/s² of gravity along the base's x axis, so the effect needs no inertia
+    of its own: one cause for all joints (joint 0). To first order in the angle; a turn about the vertical is none.
+
+    About a first axis that stood upright, gravity did nothing and no motion told the first moments: of these a model
+    has what the URDF says. Leaning, they turn that axis by ``c cos q_1 + s sin q_1``, [G] (5), beside what the links
+    further out do; both numbers are free, up to the moment that the whole arm has about the axis.
+    """
+
+    name = "base_tilt"
+    coefficient_names = ("gravity along x", "gravity along y", "unknown moments, cosine", "unknown moments, sine")
+    coefficient_units = ("m/s²", "m/s²", "N m", "N m")
+    # Moments of a base that does not lean turn nothing.
+    without_which_none = (0, 1)
+    source = "[G] (5) with another direction of gravity"
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """What gravity across does has to be known, and there has to be more than one joint to tell it from springs."""
+        return signals.n > 1 and signals.gravity_across is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 4)``."""
+        result = np.zeros((len(signals.t), signals.n, 4))
+        if signals.gravity_across is None:
+            return result
+        result[:, :, :2] = signals.gravity_across(signals.q)
+        if not _carries_weight(signals) and np.any(result[:, 0, :2]):
+            result[:, 0, 2:] = np.column_stack([np.cos(signals.q[:, 0]), np.sin(signals.q[:, 0])])
+        return result
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Below 15°; what hangs from a wall or a ceiling is mounted so on purpose."""
+        across, unknown = np.hypot(*coefficients[:2]), np.hypot(*coefficients[2:])
+        if unknown > 0.0 and signals.gravity_across is not None:
+            known = np.linalg.norm(np.asarray(signals.gravity_across(signals.q))[:, 0], axis=1)
+            if unknown > across * float(np.max(known)):
+                return False
+        return bool(across < 0.26 * _G)
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. The angle, and the direction in which the base's z axis leans."""
+        x, y = (float(v) for v in coefficients[:2])
+        size = float(np.hypot(x, y))
+        across = float(np.hypot(x * std[0], y * std[1]) / max(size, 1e-12))
+        along = float(np.hypot(y * std[0], x * std[1]) / max(size, 1e-12) ** 2)
+        return [EffectParameter("angle", size / _G, across / _G, "rad"),
+                EffectParameter("direction", float(np.arctan2(-y, -x)), along, "rad")]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. Gravity from elsewhere; the moments are the URDF's."""
+        return LoopChange(gravity=(coefficients[0], coefficients[1]))
+
+
+class CableSpring(Effect):
+    """``tau = k q``: a linear spring on one joint, a cable or hose; its rest position goes into the constant offset."""
+
+    name = "cable_spring"
+    coefficient_names = ("stiffness",)
+    coefficient_units = ("N m/rad",)
+    of_angle_alone = True
+    source = "hose packs and cables along the arm"
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``."""
+        return signals.on_joint(joint, signals.q[:, joint - 1])
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. The motor works against the pull: a spring holds back, it does not push on."""
+        return bool(coefficients[0] > 0.0)
+
+
+class GravitySpring(Effect):
+    """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
+
+    With lever ratio ``rho`` of the two attachment points and the angle ``phi`` at which they are in line, the length
+    in units of the longer lever is ``l = sqrt(1 + rho^2 + 2 rho cos(q - phi))`` and the torque
+
+        tau = c_1 sin(q - phi) + c_2 sin(q - phi) / l ,
+
+    the first term from the stiffness, the second from the preload; the first alone is like gravity.
+    """
+
+    name = "gravity_spring"
+    theta_names = ("phi", "rho")
+    theta_units = ("rad", "1")
+    coefficient_names = ("stiffness term", "preload term")
+    coefficient_units = ("N m", "N m")
+    discriminating_motion = (
+        ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
+    )
+    flexible = True
+    caution = 1.5
+    of_angle_alone = True
+    source = "[J] section 2"
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """Eight directions, two lever ratios."""
+        return [(float(phi), rho) for phi in np.arange(8) * np.pi / 4 for rho in (0.35, 0.7)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """Any direction; levers neither equal (the spring would vanish) nor one of them zero (no torque)."""
+        return [(-np.pi, 3.0 * np.pi), (0.1, 0.9)]
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """Over a small range the shape is a straight line; where gravity does nothing none is balanced."""
+        if np.ptp(signals.q[:, joint - 1]) <= _LEAST_RANGE:
+            return False
+        if signals.weight is None:
+            return True
+        weight, torque = (np.max(np.abs(values[:, joint - 1])) for values in (signals.weight, signals.torque))
+        return bool(weight > _LEAST_WEIGHT * torque)
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        phi, rho = theta
+        angle = signals.q[:, joint - 1] - phi
+        length = np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle))
+        return signals.on_joint(joint, np.sin(angle), np.sin(angle) / length)
+
+    def like_the_model(self, signals: Signals, joint: int) -> Array:
+        """See ``Effect.like_the_model``. Gravity's two components, turned with the joint."""
+        q = signals.q[:, joint - 1]
+        return signals.on_joint(joint, np.sin(q), np.cos(q))
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. As they are, with the angle within one turn."""
+        found = super().parameters(coefficients, std, theta, theta_std)
+        angle = found[2]
+        return [*found[:2], EffectParameter(angle.name, float(np.angle(np.exp(1j * angle.value))), angle.std,
+                                            angle.unit), found[3]]
+
+
+def _carries_weight(signals: Signals) -> bool:
+    """Whether gravity turns the first axis of the upright arm."""
+    if signals.weight is None:
+        return True
+    size = np.abs(signals.weight).max(axis=0)
+    return bool(size[0] > _UPRIGHT * size.max())

@@ -1,0 +1,204 @@
+"""Gears and motors that do not turn evenly: what repeats with the joint's position."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Self
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.base import ARM_POSITION, TCP_POSITION, Effect, EffectParameter, Theta, domain_of
+from ideal_robot.effects.elasticity import shows_gear, turned_arm
+from ideal_robot.effects.loop_change import LoopChange
+from ideal_robot.effects.signals import Signals
+
+
+class TorqueRipple(Effect):
+    """``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre) from the data.
+
+    The order is found by scanning the residual over position. With fewer than four and a half periods within the range
+    that was driven a spring, gravity or an odd shape may explain it as well (``told_from``), with fewer than two
+    nothing shows that it repeats.
+    """
+
+    name = "torque_ripple"
+    theta_names = ("order",)
+    theta_units = ("1/rad",)
+    coefficient_names = ("cosine", "sine")
+    coefficient_units = ("N m", "N m")
+    source = "motor cogging and gear meshing; order = periods per joint turn"
+    scanned = True
+    told_from = 4.5
+    least_periods: ClassVar[float] = 2.0
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """Orders on a grid of a third of a period over the range; the residual narrows them down."""
+        low, high = self.bounds(signals, joint)[0]
+        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
+        count = int(np.clip((high - low) * span / 2.0, 2, 4000))
+        return [(float(order),) for order in np.linspace(low, high, count)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """From a few periods in the range to what the sampling resolves in the slowest quarter of the motion.
+
+        What is too fast for the band in the rest of it is taken out of columns and residual alike.
+        """
+        span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
+        speed = np.abs(signals.qd[:, joint - 1])
+        moving = speed[speed > 0.05 * speed.max()] if speed.max() > 0 else speed
+        typical = float(np.percentile(moving, 25.0)) + 1e-12 if len(moving) else 1e-12
+        low = 2.0 * np.pi * self.least_periods / span
+        high = max(0.35 * 2.0 * np.pi / signals.dt / typical, 2.0 * low)
+        return [(low, min(high, low + 3000.0 * 2.0 / span))]
+
+    def bounds_near(self, signals: Signals, joint: int, theta: Theta) -> list[tuple[float, float]]:
+        """See ``Effect.bounds_near``. Within half a period over the range, where the scan's peak is."""
+        width = 1.5 / float(np.ptp(signals.q[:, joint - 1]))
+        return [(max(theta[0] - width, self.bounds(signals, joint)[0][0]), theta[0] + width)]
+
+    def periods(self, signals: Signals, joint: int, theta: Theta) -> float:
+        """See ``Effect.periods``."""
+        return theta[0] * float(np.ptp(signals.q[:, joint - 1])) / (2.0 * np.pi)
+
+    def starts_from_residual(self, signals: Signals, joint: int, residual: Array,
+                             use: np.ndarray) -> tuple[list[Theta], int]:
+        """See ``Effect.starts_from_residual``. Orders at the highest peaks of the residual's spectrum over position.
+
+        Slow ones have their own peak: what bends over the range would else be all that is seen.
+        """
+        low, high = self.bounds(signals, joint)[0]
+        part, counts = self.visible_part(signals, joint, residual, use)
+        q = signals.q[:, joint - 1]
+        between = 2.0 * np.pi * self.told_from / (float(np.ptp(q)) + 1e-12)
+        orders, tries = spectral_peaks(q, part, counts, (max(low, between), high))
+        if self.least_periods < self.told_from:
+            slow, more = spectral_peaks(q, part, counts, (low, between), peaks=1)
+            orders, tries = orders + slow, tries + more
+        return [(order,) for order in orders], tries
+
+    def visible_part(self, signals: Signals, joint: int, residual: Array,
+                     use: np.ndarray) -> tuple[Array, np.ndarray]:
+        """What of a residual ``(N, c)`` a ripple of this joint could be ``(N,)``, and which samples count ``(N,)``.
+
+        Args:
+            signals: at the rows of the residual.
+            joint: from 1.
+            residual: of all channels ``(N, c)``, in their units.
+            use: samples that count ``(N, c)``.
+        """
+        return residual[:, joint - 1], use[:, joint - 1]
+
+    def wave(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """Cosine and sine over the joint's position ``(N, 2)``.
+
+        Args:
+            signals: of ``N`` samples.
+            joint: from 1.
+            theta: the order [1/rad].
+        """
+        phase = theta[0] * signals.q[:, joint - 1]
+        return np.column_stack([np.cos(phase), np.sin(phase)])
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 2)``."""
+        return signals.on_joint(joint, *self.wave(signals, joint, theta).T)
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. Amplitude, phase and order."""
+        a, b = (float(v) for v in coefficients)
+        size = float(np.hypot(a, b))
+        sigma = float(np.hypot(a * std[0], b * std[1]) / max(size, 1e-12))
+        return [EffectParameter("amplitude", size, sigma, self.coefficient_units[0]),
+                EffectParameter("phase", float(np.arctan2(b, a)), sigma / max(size, 1e-12), "rad"),
+                EffectParameter("order", theta[0], theta_std[0] if theta_std else 0.0, "1/rad")]
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. The ripple itself."""
+        return LoopChange(ripple=(theta[0], coefficients[0], coefficients[1]))
+
+
+class TransmissionError(TorqueRipple):
+    """``q_a - q = a cos(k q) + b sin(k q)``: as ``torque_ripple``, of the position instead of the torque.
+
+    Args:
+        prefix: of the channels it is seen in, of arm angles or of the TCP.
+    """
+
+    name = "transmission_error"
+    coefficient_units = ("rad", "rad")
+    # Fewer are how bodies bend a gear over the range.
+    least_periods = 4.5
+    source = "kinematic error of gears, k a multiple of the gear ratio"
+
+    def __init__(self, prefix: str = ARM_POSITION.prefix) -> None:
+        self.domain = domain_of(prefix)
+
+    @classmethod
+    def seen_in(cls, prefix: str) -> Self:
+        """See ``Effect.seen_in``."""
+        return cls(prefix)
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """See ``shows_gear``."""
+        return shows_gear(self.domain, signals, joint)
+
+    def visible_part(self, signals: Signals, joint: int, residual: Array,
+                     use: np.ndarray) -> tuple[Array, np.ndarray]:
+        """See ``TorqueRipple.visible_part``.
+
+        Residual of the TCP ``(N, 3)`` along the joint's motion, so that its spectrum is that of the angle.
+        """
+        if self.domain != TCP_POSITION:
+            return super().visible_part(signals, joint, residual, use)
+        if signals.frames is None:
+            return np.zeros(len(residual)), use[:, 0]
+        lever = signals.frames.jacobian[:, :, joint - 1]
+        return np.asarray(np.einsum("ki,ki->k", lever, residual)), np.all(use, axis=1)
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 2)``, at the TCP ``(N, 3, 2)``."""
+        return turned_arm(self.domain, signals, joint, self.wave(signals, joint, theta))
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. The gear turns unevenly."""
+        return LoopChange(uneven=(theta[0], coefficients[0], coefficients[1]))
+
+
+def spectral_peaks(q: Array, residual: Array, use: np.ndarray, band: tuple[float, float],
+                   peaks: int = 3) -> tuple[list[float], int]:
+    """Orders at the highest peaks of a residual's spectrum over position.
+
+    The residual is summed in narrow bins of position; the Fourier transform of those sums is that of the residual at
+    the (unevenly spread) positions.
+
+    Args:
+        q: position ``(N,)`` [rad or m].
+        residual: ``(N,)``, in any unit.
+        use: samples that count ``(N,)``.
+        band: lowest and highest order [1/rad or 1/m].
+        peaks: how many.
+
+    Returns:
+        The orders, highest peak first, and how many periods the band has room for.
+    """
+    low, high = band
+    span = float(np.ptp(q)) + 1e-12
+    # Fine enough that a bin is an eighth of the shortest period.
+    count = int(np.clip(8.0 * high * span / (2.0 * np.pi), 64, 1 << 17))
+    index = np.clip(((q - q.min()) / span * count).astype(int), 0, count - 1)
+    sums = np.bincount(index, residual * use, count)
+    weights = np.bincount(index, use.astype(float), count)
+    padded = 4 * count
+    step = 2.0 * np.pi / (span * padded / count)
+    power = np.abs(np.fft.rfft(sums, padded)) ** 2 / max(weights.sum(), 1.0)
+    orders = step * np.arange(len(power))
+    power = np.where((orders >= low) & (orders <= high), power, 0.0)
+    tries = max(int((high - low) * span / (2.0 * np.pi)), 1)
+    found: list[float] = []
+    for _ in range(peaks):
+        k = int(np.argmax(power))
+        if power[k] <= 0.0:
+            break
+        found.append(float(orders[k]))
+        power[max(0, k - 8) : k + 9] = 0.0
+    return found, tries

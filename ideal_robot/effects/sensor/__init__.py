@@ -1,1 +1,0 @@
-"""Effects of force sensors and cameras."""

@@ -1,1 +1,0 @@
-"""Effects as a measured TCP shows them."""

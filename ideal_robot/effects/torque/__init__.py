@@ -1,1 +1,0 @@
-"""Effects as motor torques show them."""
