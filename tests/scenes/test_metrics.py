@@ -20,12 +20,14 @@ T = np.arange(0.0, 1.5, 0.012)
 FINE = np.arange(-0.2, 1.8, 0.002)
 
 
-def test_a_pure_delay_is_a_time_matched_error_only():
-    errors = path_errors(T, circle(T), FINE, circle(FINE - 0.015))
-    chord = 2 * RADIUS * np.sin(0.5 * SPEED / RADIUS * 0.015)
+@pytest.mark.parametrize("delay", [0.015, 0.0007, -0.0007, -0.015])
+def test_a_pure_delay_is_a_time_matched_error_only(delay):
+    """Also of an arm that is early, as one is that is led by more than its delay."""
+    errors = path_errors(T, circle(T), FINE, circle(FINE - delay))
+    chord = 2 * RADIUS * np.sin(0.5 * SPEED / RADIUS * abs(delay))
     assert errors.time_matched.E_car == pytest.approx(chord, rel=1e-4)
-    assert errors.delay == pytest.approx(0.015, abs=1e-6)
-    assert errors.aligned.E_max < 1e-7
+    assert errors.delay == pytest.approx(delay, abs=1e-6)
+    assert errors.aligned.E_max < 1e-6
     # What is left is the sagitta of the desired polyline's 12 ms chords.
     assert errors.geometric.E_max < (SPEED * 0.012) ** 2 / (8 * RADIUS) * 1.01
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -10,6 +12,7 @@ import pytest
 
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import ContactSettings, Phase, surface_model
+from planning.force.direct_force import DirectForceFeedback
 from planning.force.force_follower import SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.line.fusion import DeviationFilter
@@ -27,8 +30,7 @@ class Seen:
     seen: bool = True
 
 
-@pytest.fixture
-def follower() -> SurfaceFollower:
+def above_the_surface(**camera: Any) -> SurfaceFollower:
     """Above a straight reference of 0.5 m along the base's y, resting at its start."""
     robot = Robot.load("kr6")
     x = np.linspace(0.0, 0.5, 300)
@@ -36,10 +38,44 @@ def follower() -> SurfaceFollower:
     profile = SpeedProfile.plan(robot, reference, 0.2)
     biases = {"camera": (0.003, 0.0005, 1e-6), "force": (0.3, 0.002)}
     fusion = DeviationFilter(surface_model(reference, 0.3), biases=biases)
-    made = SurfaceFollower(robot, reference, profile, 20, ContactSettings(), fusion=fusion, lateral=True)
+    made = SurfaceFollower(robot, reference, profile, 20, ContactSettings(), fusion=fusion, **camera)
     for k in range(6):
         made.observe(0.012 * k, made.q_start)
     return made
+
+
+@pytest.fixture
+def follower() -> SurfaceFollower:
+    return above_the_surface(lateral=True)
+
+
+class Pressed(NamedTuple):
+    """What a job with an arm that goes where it is told has left, for the cycles in which the tip travels."""
+
+    s: np.ndarray
+    force: np.ndarray
+    map: np.ndarray
+    sigma: np.ndarray
+
+
+def pressed(surface: Callable[[np.ndarray], np.ndarray]) -> Pressed:
+    """A tip like a spring on a surface of this height over arc length, felt by a sensor that is a cycle late."""
+    follower = above_the_surface()
+    fk, up, late, rows = follower.robot.fk(), np.array([0.0, 0.0, 1.0]), (0.06, np.zeros(3)), []
+    while follower.phase is not Phase.DONE:
+        t = late[0] + follower.robot.t_ipo
+        follower.update_force(np.array([late[0]]), late[1][None])
+        q = follower.horizon(t)[0]
+        follower.observe(t, q)
+        tip = fk(q)
+        s, _, height = follower.reference.project(tip.translation[None], follower.s_at(t))
+        force = follower.settings.elasticity * max(float((surface(s) - height)[0]), 0.0)
+        late = (t, tip.rotation.T @ (force * up))
+        if follower.phase is Phase.TRAVEL:
+            mean, covariance = follower.fusion.deviation(s)
+            rows.append((s[0], force, mean[0, 1], np.sqrt(covariance[-1, -1])))
+        assert t < 8.0
+    return Pressed(*np.array(rows).T)
 
 
 def field(follower: SurfaceFollower, t: float, lateral: float, *, height: float = 0.004, scatter: float = 0.0,
@@ -125,3 +161,42 @@ def test_approach_ends_with_touch_and_travel_begins_when_the_force_has_settled(f
     # The touch says where the surface is: the right force, so no deviation from where the tip is.
     deviation, _ = follower.fusion.deviation(np.zeros(1))
     assert deviation[0, 1] == pytest.approx(0.01, abs=5e-4)
+
+
+def test_the_map_shows_the_surface_that_was_felt() -> None:
+    """A bump of 3 mm and a step of 1 mm, as no sum of waves: the force enters the filter all along the way."""
+    def surface(s: np.ndarray) -> np.ndarray:
+        return 3e-3 * np.exp(-(((s - 0.2) / 0.04) ** 2)) + 1e-3 / (1.0 + np.exp(-(s - 0.35) / 0.01))
+
+    job = pressed(surface)
+    assert job.force.min() > 10.0
+    off = (job.map - (surface(job.s) - 20.0 / 5000.0))[job.s > 0.05]
+    assert np.abs(off).max() < 1.5e-4
+    assert np.all(np.abs(off) < 3.0 * job.sigma[job.s > 0.05])
+
+
+def test_the_expected_torques_do_the_work_of_the_wanted_force(follower: SurfaceFollower) -> None:
+    """τ_d of [L] 2.2: τ_dᵀ δq = Fᵀ δx for any small motion, as long as there is contact, and none before."""
+    q_d, fk = np.tile(follower.q_start, (20, 1)), follower.robot.fk()
+    assert not follower.contact_torque(q_d).any()
+    up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
+    follower.update_force(np.array([0.03]), 20.0 * up[None])
+    torque = follower.contact_torque(q_d)
+    assert torque.shape == q_d.shape
+    for joint in range(6):
+        step = 1e-6 * np.eye(6)[joint]
+        raised = (fk(q_d[0] + step).translation - fk(q_d[0] - step).translation)[2]
+        np.testing.assert_allclose(torque[:, joint] * 2e-6, 20.0 * raised, atol=1e-10)
+
+
+@pytest.mark.parametrize(("k_p", "k_d"), [(2e-5, 0.0), (0.0, 5e-5), (1e-5, 4e-5)])
+def test_direct_force_feedback_follows_its_law(follower: SurfaceFollower, k_p: float, k_d: float) -> None:
+    """[L] (1): the command rises by K_p Δs in every cycle, and by K_d times what Δs has changed by."""
+    feedback, fk = DirectForceFeedback(follower, k_p, k_d), follower.robot.fk()
+    up = follower.history.pose(0.03).rotation.T @ np.array([0.0, 0.0, 1.0])
+    follower.update_force(np.array([0.03]), 20.0 * up[None])
+    error, heights = np.array([0.0, 4.0, 4.0, -3.0, -3.0, 8.0]), []
+    for one in error:
+        feedback.update(follower.settings.force + one)
+        heights.append(fk(feedback.command(0.06, np.tile(follower.q_start, (20, 1)))).translation[2])
+    np.testing.assert_allclose(np.diff(heights), (k_p * error + k_d * np.diff(error, prepend=0.0))[1:], atol=1e-7)

@@ -15,10 +15,10 @@ def watch() -> StopConditions:
     return StopConditions(Robot.load("kr6"), StopLimits(force=50.0, lost=0.1))
 
 
-def motion(robot: Robot, speed: float, acceleration: float = 0.0) -> np.ndarray:
+def motion(robot: Robot, speed: float, acceleration: float = 0.0, joint: int = 1) -> np.ndarray:
     t = robot.t_ipo * np.arange(12)
     q = np.tile(robot.home, (12, 1))
-    q[:, 1] += speed * t + 0.5 * acceleration * t**2
+    q[:, joint] += speed * t + 0.5 * acceleration * t * (t - t[-1])
     return q
 
 
@@ -34,8 +34,8 @@ def test_what_is_allowed_passes(watch: StopConditions) -> None:
     (lambda w, r: w.force(1.0, float("nan")), "force", "nan N is above the limit 50.0 N"),
     (lambda w, r: w.contact(1.0, 0.85), "contact", "150 ms ago, allowed are 100 ms"),
     (lambda w, r: w.approach(1.0, 0.06, 0.05), "contact", "no contact within 50 mm"),
-    (lambda w, r: w.command(1.0, motion(r, 1.2 * r.v_max[1])), "velocity", "joint 2 would need velocity"),
-    (lambda w, r: w.command(1.0, motion(r, 0.0, 1.3 * r.a_max[1])), "acceleration", "joint 2 would need acceleration"),
+    (lambda w, r: w.command(1.0, motion(r, 1.1 * r.v_max[1])), "velocity", "joint 2 would need velocity"),
+    (lambda w, r: w.command(1.0, motion(r, 0.0, 1.1 * r.a_max[1])), "acceleration", "joint 2 would need acceleration"),
     (lambda w, r: w.command(1.0, np.tile(r.q_max + 0.01, (5, 1))), "position", "would need position"),
 ])
 def test_what_is_not_allowed_stops(watch: StopConditions, call: object, cause: str, text: str) -> None:
@@ -43,6 +43,28 @@ def test_what_is_not_allowed_stops(watch: StopConditions, call: object, cause: s
         call(watch, Robot.load("kr6"))  # type: ignore[operator]
     assert caught.value.cause == cause
     assert "stopped at t = 1.000 s" in str(caught.value)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.4])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("joint", range(6))
+def test_joints_may_use_their_share_of_the_limits_and_no_thousandth_more(joint: int, sign: float, share: float) -> None:
+    robot = Robot.load("kr6")
+    watch = StopConditions(robot, StopLimits(share=share))
+    speed, acceleration = sign * share * robot.v_max[joint], sign * share * robot.a_max[joint]
+    for q_d, cause in ((lambda k: motion(robot, k * speed, joint=joint), "velocity"),
+                       (lambda k: motion(robot, 0.0, k * acceleration, joint), "acceleration")):
+        watch.command(1.0, q_d(0.999))
+        with pytest.raises(EmergencyStopError) as caught:
+            watch.command(1.0, q_d(1.001))
+        assert caught.value.cause == cause
+    limit = (robot.q_max if sign > 0 else robot.q_min)[joint]
+    q = np.tile(robot.home, (5, 1))
+    q[:, joint] = limit - 1e-4 * sign
+    watch.command(1.0, q)
+    q[3, joint] = limit + 1e-4 * sign
+    with pytest.raises(EmergencyStopError, match="position"):
+        watch.command(1.0, q)
 
 
 def test_limits_have_to_make_sense() -> None:

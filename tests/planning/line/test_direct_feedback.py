@@ -8,7 +8,7 @@ import pytest
 from ideal_robot.errors import InputError
 from planning.line.direct_feedback import DirectFeedback
 from planning.line.line_follower import LineFollower
-from tests.planning.cell import Camera, T, displaced, distance, joint_path, kr6, profile, reference, sine_points
+from tests.planning.cell import Camera, Seen, T, displaced, distance, joint_path, kr6, profile, reference, sine_points
 
 DISPLACED = displaced(sine_points(), turn=0.0, along=0.0)
 
@@ -52,6 +52,26 @@ def test_latency_limits_the_gain() -> None:
     turns = [np.sum(np.diff(np.sign(np.diff(c[20:]))) != 0) for c in (prompt, late)]
     assert np.ptp(late[40:]) > 3 * np.ptp(prompt[40:])
     assert turns[1] > 2
+
+
+def test_the_command_follows_the_law() -> None:
+    """[L] (1): the correction grows by K_p Δs in every cycle, and by K_d times what Δs has changed by."""
+    signals = np.array([0.0, 0.004, 0.004, 0.007, -0.002, -0.002])
+
+    def corrections(k_p: float, k_d: float) -> np.ndarray:
+        follower = LineFollower(kr6(), reference(), profile(), joint_path=joint_path())
+        feedback, pose, found = DirectFeedback(follower, k_p, k_d), kr6().fk()(follower.q_start), []
+        frames = follower.reference.frames(follower.reference.project(pose.translation[None], 0.0)[0])
+        for signal in signals:
+            points = pose.actInv((frames.position + signal * frames.normal)[0])[None].repeat(3, axis=0)
+            feedback.update(Seen(0.0, points, np.full(3, 3e-5), np.ones(3, dtype=bool), True), pose)
+            feedback.command(0.0)
+            found.append(feedback.correction)
+        return np.array(found)
+
+    for k_p, k_d in ((0.1, 0.0), (0.0, 0.5), (0.2, 0.7)):
+        expected = np.cumsum(k_p * signals + k_d * np.diff(signals, prepend=0.0))
+        np.testing.assert_allclose(corrections(k_p, k_d), expected, atol=1e-8)
 
 
 def test_negative_gain_is_refused() -> None:

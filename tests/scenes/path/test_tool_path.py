@@ -8,7 +8,7 @@ import pytest
 
 from ideal_robot.errors import InputError
 from scenes.path.shapes import shape_of
-from scenes.path.tool_path import Line, Shape, duration, tool_path, travel
+from scenes.path.tool_path import Arc, Line, Shape, duration, tool_path, travel
 
 CYCLE = 0.012
 
@@ -42,6 +42,21 @@ def test_the_tool_stops_at_corners_and_nowhere_else():
     assert len(starts) == 3
     circle = tool_path(shape_of("circle", 0.3), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
     assert np.all(circle.speed[10:-10] > 0.1)
+
+
+@pytest.mark.parametrize("degrees", [0.2, 2.0, 15.0, 90.0])
+def test_no_corner_is_too_flat_to_stop_at(degrees):
+    """Driven through, a corner asks for any acceleration; where pieces meet in a tangent it is that of the curve."""
+    turn = np.radians(degrees)
+    line, angle = Line((0.3, 0.0)), Line((0.3 + 0.3 * np.cos(turn), 0.3 * np.sin(turn)))
+    arc = Arc((0.3, 0.5), turn)
+    sharp, smooth = (tool_path(Shape((0.0, 0.0), (line, last)), pin.SE3.Identity(), 0.4, 3.0, CYCLE)
+                     for last in (angle, arc))
+    at_corner = [path.speed[np.argmin(np.linalg.norm(path.positions[:, :2] - (0.3, 0.0), axis=1))]
+                 for path in (sharp, smooth)]
+    assert at_corner[0] < 0.05
+    if 0.5 * turn > 0.05:
+        assert at_corner[1] > 0.3
 
 
 @pytest.mark.parametrize(("length", "speed"), [(0.4, 0.5), (0.02, 0.5), (0.1, 0.02)])

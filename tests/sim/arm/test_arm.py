@@ -182,12 +182,12 @@ def test_extra_torque_acts_on_the_motor() -> None:
 def test_payload_is_carried() -> None:
     torques = []
     for mass in (0.0, 4.0):
-        with arm_of(IDEAL.replace(payload_mass=mass, payload_com=(0.0, 0.0, 0.1))) as arm:
+        with arm_of(IDEAL.replace(payload_mass=mass, payload_com=(0.06, -0.05, 0.1))) as arm:
             for _ in range(10):
                 state = arm.cycle(ROBOT.home)
             torques.append(state.tau)
     data = ROBOT.pinocchio.createData()
-    com = ROBOT.fk()(ROBOT.home).act(np.array([0.0, 0.0, 0.1]))
+    com = ROBOT.fk()(ROBOT.home).act(np.array([0.06, -0.05, 0.1]))
     jacobian = pin.computeFrameJacobian(ROBOT.pinocchio, data, ROBOT.home, ROBOT.tool_id,
                                         pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     lever = com - ROBOT.fk()(ROBOT.home).translation
@@ -252,6 +252,16 @@ def test_the_true_kinematics_can_differ_from_the_urdf() -> None:
         twist = pin.log3(same.liMi[joint].rotation.T @ data.liMi[joint].rotation)
         assert 1e-6 < np.linalg.norm(twist) <= 2e-3
         np.testing.assert_allclose(data.liMi[joint].translation, same.liMi[joint].translation, atol=1e-12)
+
+
+def test_the_true_axes_are_turned_against_the_drawn_ones() -> None:
+    """By at most ``twist_error`` about each axis of the joint before, whatever the joint's own angle and zero."""
+    error = 2e-3
+    placements = draw_specimen(ROBOT, IDEAL.replace(twist_error=error)).model.jointPlacements
+    drawn = ROBOT.pinocchio.jointPlacements
+    turns = np.array([pin.log3(placements[j].rotation @ drawn[j].rotation.T) for j in range(1, ROBOT.n + 1)])
+    assert np.all(np.abs(turns) <= error)
+    assert np.all(np.linalg.norm(turns, axis=1) > 0.1 * error)
 
 
 @pytest.mark.parametrize("elastic", [False, True])

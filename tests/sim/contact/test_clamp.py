@@ -8,10 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from ideal_robot.elasticity.payload_stiffness import identify_from_payloads
 from ideal_robot.robots.robot import Robot
 from sim.contact.clamp import ClampedArm, dry_friction
 from sim.contact.clamp_world import ClampWorld
-from sim.contact.payload_rig import loaded_pose
+from sim.contact.payload_rig import hang_payloads, loaded_pose
 
 Q = np.array([0.3, -1.2, 1.6, 0.4, -0.9, 0.2])
 
@@ -55,13 +56,21 @@ def test_friction_opposes_motion_and_is_a_loop() -> None:
     assert torque[-1, 0] == pytest.approx(-50.0, rel=1e-6)
 
 
-def test_payload_bends_gears_as_springs() -> None:
-    """Δx = J K⁻¹ Jᵀ ΔF for a small load and rigid links."""
+@pytest.mark.parametrize("lever", [np.zeros(3), np.array([0.4, -0.3, 0.2])], ids=["flange", "lever"])
+def test_payload_bends_gears_as_a_body_of_its_mass_does(lever: np.ndarray) -> None:
+    """k (q_m − q) = G(q), G of the arm with one more body at the lever's end; and the gears are found from it."""
     robot = Robot.load("kr500")
     world = ClampWorld.ideal(robot)
-    light = loaded_pose(robot, world, Q, 0.0, np.zeros(3))
-    heavy = loaded_pose(robot, world, Q, 10.0, np.zeros(3))
-    jacobian = pin.computeFrameJacobian(robot.pinocchio, robot.pinocchio.createData(), Q, robot.tool_id,
-                                        pin.LOCAL_WORLD_ALIGNED)[:3]
-    expected = jacobian @ np.diag(1 / world.stiffness) @ jacobian.T @ np.array([0.0, 0.0, -98.1])
-    np.testing.assert_allclose(heavy.translation - light.translation, expected, rtol=0.02, atol=1e-7)
+    postures, masses = np.array([Q, Q + 0.4, Q - 0.3]), np.array([0.0, 200.0])
+    carrying = robot.pinocchio.copy()
+    flange = carrying.frames[robot.tool_id]
+    carrying.inertias[flange.parentJoint] += flange.placement.act(pin.Inertia(200.0, lever, np.zeros((3, 3))))
+    q = Q.copy()
+    for _ in range(30):
+        q = Q - pin.computeGeneralizedGravity(carrying, carrying.createData(), q) / world.stiffness
+    seen = robot.fk()(q).inverse() * loaded_pose(robot, world, Q, 200.0, lever)
+    np.testing.assert_allclose(pin.log6(seen).vector, 0.0, atol=1e-8)
+    recording = hang_payloads(robot, world, postures, masses, lever, np.random.default_rng(0), samples=1,
+                              tracker=(0.0, 0.0))
+    for one in identify_from_payloads([recording], robot):
+        assert one.stiffness == pytest.approx(world.stiffness[one.joint - 1], rel=0.02)
