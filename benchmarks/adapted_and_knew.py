@@ -17,11 +17,10 @@ import numpy as np
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.line.kind import run
-from scenes.line.scene import LineScene
 from scenes.methods import ADAPTED, IDEAL
 from scenes.models import own_model
-from scenes.options import chosen
-from scenes.scene import OWN
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import OWN, chosen
 
 CHANGES: dict[str, dict[str, Any]] = {
     "nothing": {},

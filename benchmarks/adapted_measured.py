@@ -26,8 +26,8 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import identify
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
-from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess

@@ -28,11 +28,11 @@ from scenes import load_scene
 from scenes.commands.common import whole_numbers
 from scenes.methods import ADAPTED
 from scenes.models import model_for
-from scenes.options import chosen
 from scenes.path.cell import PathCell
-from scenes.path.scene import PathScene, joint_path
+from scenes.scene_files.path_scene import PathScene, joint_path
+from scenes.scene_files.scene import chosen
 from sim.arm.arm import SimulatedArm
-from sim.arm.friction import steady_friction
+from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 

@@ -27,8 +27,7 @@ from sensing.camera.hand_eye import Observation, calibrate, calibration_poses
 from sensing.camera.line_detection import LineField, PredictedLine, detect_line, search_windows
 from sensing.camera.line_polynomial import fit_line_polynomial
 from sim.camera.camera import CameraSettings, RenderedCamera
-from sim.camera.surface import DrawnLine, Feature
-from sim.camera.texture import Texture, paint
+from sim.camera.surface import DrawnLine, Feature, Texture, paint
 
 AHEAD = np.linspace(0.02, 0.11, 5)
 QUIET = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0)
@@ -220,7 +219,7 @@ def calibration(seeds: int) -> list[dict[str, Any]]:
 
 def calibration_in_scenes(seeds: int) -> list[dict[str, Any]]:
     """The simulated arm driven over the line of a scene, all world effects on; lateral error left."""
-    from ideal_robot.elasticity.deflection import GearDeflection
+    from ideal_robot.elasticity.observer import GearDeflection
     from scenes import load_scene
     from scenes.line.calibration import calibrate_by_moving
     from scenes.line.cell import set_up

@@ -22,8 +22,8 @@ from ideal_robot.feedforward.base import Feedforward  # noqa: E402
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation  # noqa: E402
 from ideal_robot.feedforward.friction_curve import FrictionCurve  # noqa: E402
 from ideal_robot.feedforward.ideal import IdealRobot  # noqa: E402
-from ideal_robot.feedforward.linear_inverse import LinearInverse  # noqa: E402
 from ideal_robot.feedforward.precorrection import Precorrection  # noqa: E402
+from ideal_robot.feedforward.training import LinearInverse  # noqa: E402
 from ideal_robot.loop.from_model import loop_model  # noqa: E402
 from ideal_robot.loop.impulse_response import LinearLoop  # noqa: E402
 from ideal_robot.model.model import Model  # noqa: E402

@@ -23,8 +23,8 @@ from scenes import load_scene
 from scenes.line import play
 from scenes.line.cell import prepared
 from scenes.line.kind import run
-from scenes.line.task import LineTask
-from scenes.options import chosen
+from scenes.online.line_task import LineTask
+from scenes.scene_files.scene import chosen
 from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import RenderedCamera
 

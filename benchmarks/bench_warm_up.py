@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
-from sim.arm.friction import steady_friction
+from sim.arm.drive import steady_friction
 from sim.arm.world import World
 
 COMPRESSION = 60.0

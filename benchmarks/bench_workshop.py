@@ -15,7 +15,7 @@ import numpy as np
 from scenes import load_scene
 from scenes.line.kind import run
 from scenes.line.result import LineResult
-from scenes.options import chosen
+from scenes.scene_files.scene import chosen
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.path.kinematics import InverseKinematics
 from sim.arm.arm import SimulatedArm
-from sim.arm.friction import steady_friction
+from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 

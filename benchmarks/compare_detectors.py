@@ -22,8 +22,8 @@ import numpy as np
 from benchmarks.bench_camera import AHEAD, UP, clutter, over, sine
 from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import DETECTORS
 from sensing.camera.line_detection import DetectionSettings, PredictedLine, search_windows
+from sensing.camera.opencv_detector import DETECTORS
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.camera.surface import DrawnLine, Feature
 

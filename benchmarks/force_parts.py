@@ -33,16 +33,15 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
 from planning.force.contact import Phase
-from scenes.cycle import CycleSettings, play_cycles
-from scenes.force.cell import Cell, set_up
+from scenes.force.cell import Cell, set_up, true_tip
 from scenes.force.play import BRAKING, LONGEST, REST, calibrated, friction_shown, methods
-from scenes.force.scene import ForceScene
-from scenes.force.task import ForceTask
-from scenes.force.world import true_tip
 from scenes.methods import IDEAL, method_of
+from scenes.online.cycle import CycleSettings, play_cycles
+from scenes.online.force_task import ForceTask
+from scenes.scene_files.force_scene import ForceScene
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from sim.equipment.equipped_arm import CarriedForceSensor, EquippedArm
+from sim.equipped_arm import CarriedForceSensor, EquippedArm
 
 LATER = 10
 """Cycles after which the forces of a cycle have arrived."""

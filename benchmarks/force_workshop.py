@@ -18,8 +18,8 @@ import numpy as np
 from scenes import load_scene
 from scenes.force.kind import run
 from scenes.force.result import ForceResult
-from scenes.force.scene import ForceScene
 from scenes.methods import DIRECT
+from scenes.scene_files.force_scene import ForceScene
 
 FRICTION = (0.05, 0.4)
 UNSTOPPED = {"force": 1e4, "lost": 60.0}

@@ -17,11 +17,11 @@ from matplotlib.figure import Figure
 
 from scenes import load_scene
 from scenes.line.cell import prepared
-from scenes.line.gains import best_gains
+from scenes.line.compare import best_gains
 from scenes.line.play import play
 from scenes.line.result import LineResult
 from scenes.methods import ADAPTED, DIRECT, IDEAL, NONE, SENSOR_PATH
-from scenes.options import chosen
+from scenes.scene_files.scene import chosen
 
 TITLES = {"none": "none", "direct_feedback": "direct feedback, best gain", "sensor_path": "sensor path, no model",
           "ideal_points": "ideal, raw points", "ideal": "ideal, polynomial", "adapted": "ideal, adapted",

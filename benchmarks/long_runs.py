@@ -30,11 +30,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import ideal_robot as ir  # noqa: E402
 from benchmarks import bench_identify  # noqa: E402
 from ideal_robot.robots.robot import Robot  # noqa: E402
-from ideal_robot.signals.column_store import ColumnStore  # noqa: E402
+from ideal_robot.row_log import ColumnStore  # noqa: E402
 from ideal_robot.signals.recording import Recording  # noqa: E402
 from scenes import load_scene, run_scene  # noqa: E402
-from scenes.sweep import jobs, sweep  # noqa: E402
-from scenes.sweep_file import SweepFile  # noqa: E402
+from scenes.sweep import (  # noqa: E402
+    SweepFile,
+    jobs,
+    sweep,
+)
 
 LINE, FORCE = 1.2, 0.8
 """Lengths of the paths [m]; a longer play goes slower."""

@@ -25,7 +25,7 @@ from scenes.methods import IDEAL
 from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import closed
 from scenes.path.close_loop_result import CloseLoopResult
-from scenes.path.scene import PathScene
+from scenes.scene_files.path_scene import PathScene
 
 Formula = Callable[[Array, Array, Array], Array]
 """``(q, qd, direction) -> torque (N,)`` [N m] that the motor has to give besides; ``q``, ``qd`` are ``(N, n)``."""

@@ -22,8 +22,8 @@ from scenes.commands.common import whole_numbers
 from scenes.methods import ADAPTED, IDEAL, NONE
 from scenes.metrics import PathErrors
 from scenes.models import own_model
-from scenes.options import chosen
 from scenes.path.kind import run
+from scenes.scene_files.scene import chosen
 
 OFF: dict[str, dict[str, Any]] = {
     "nothing": {},

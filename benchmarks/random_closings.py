@@ -23,14 +23,14 @@ import numpy as np
 from benchmarks.outside_library import close_outside, crossed_drag, place_friction, slack_at_first
 from benchmarks.random_lines import closed_line
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.plain import plain
+from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.models import model_for
 from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import closed
 from scenes.path.close_loop_result import CloseLoopResult
-from scenes.path.scene import PathScene
+from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
 from sim.arm.world import World
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from scenes import load_scene
 from scenes.line.close_loop import closed, undeclared_effects
-from scenes.line.scene import LineScene
+from scenes.scene_files.line_scene import LineScene
 
 SIZES = {"camera.stamp_offset": (2e-3, 10e-3), "camera.stamp_drift": (6e-4, 3e-3),
          "calibration.focal_percent": (1.0, 4.0),

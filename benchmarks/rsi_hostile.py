@@ -15,12 +15,11 @@ import time
 
 import numpy as np
 
-from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from scenes.rsi.server import RsiServer
-from tests.sim.devices.lagging_controller import LaggingController, playing
-from tests.sim.devices.mutator import mutated
+from tests.sim.devices.controllers import LaggingController, mutated, playing
 
 _BURST = 60
 """Packets between two cycles: what fits into a socket's buffer beside the controller's own."""

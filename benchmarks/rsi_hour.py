@@ -24,9 +24,9 @@ import pandas as pd
 
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
+from scenes.online.processes import undisturbed
 from scenes.rsi.setup import rsi_server
-from scenes.rsi.undisturbed import undisturbed
-from tests.sim.devices.lagging_controller import LaggingController
+from tests.sim.devices.controllers import LaggingController
 
 CYCLE = 0.004
 

@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rsi.format import RsiFormat
-from scenes.rsi.run import RsiRun
+from ideal_robot.rsi.message import RsiFormat
+from scenes.rsi.server import RsiRun
 from scenes.rsi.setup import rsi_server
 
 

@@ -20,12 +20,11 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
-from ideal_robot.rsi.link import LinkCounts
+from ideal_robot.rsi.link import LinkCounts, Stamps
 from ideal_robot.rsi.message import RobMessage
-from ideal_robot.rsi.stamps import Stamps
-from scenes.cycle import CycleLog, CycleSettings, play_cycles
+from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.result import silent
-from scenes.rsi.cycle_log import CycleLog as RsiLog
+from scenes.rsi.server import CycleLog as RsiLog
 from scenes.rsi.server import RsiServer
 
 INPUTS = ("jumps", "walk", "nan", "ends")
@@ -126,7 +125,7 @@ class _Lawless(Feedforward):
 
 
 class _Impossible:
-    """A task whose plan is what ``Horizons`` says, behind a feedforward; a ``scenes.cycle.Task``."""
+    """A task whose plan is what ``Horizons`` says, behind a feedforward; a ``scenes.online.cycle.Task``."""
 
     n_d = ROWS
 

@@ -24,12 +24,11 @@ from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
-from scenes.line.scene import LineScene
 from scenes.methods import ADAPTED, IDEAL
 from scenes.models import own_model
-from scenes.options import chosen
-from scenes.sweep import jobs, sweep
-from scenes.sweep_file import SweepFile
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import chosen
+from scenes.sweep import SweepFile, jobs, sweep
 
 WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.2}, 2.0: {"mean": 0.3}}
 """Bounds by speed [mm]: of the mean over all runs, of the worst run's mean, of each run's 95 %."""

@@ -23,9 +23,9 @@ from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.path.cell import set_up
-from scenes.path.scene import PathScene
+from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
-from sim.arm.friction import steady_friction
+from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 

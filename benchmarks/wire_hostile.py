@@ -18,17 +18,13 @@ from itertools import islice
 
 import numpy as np
 
-from ideal_robot.rtde.connection import RtdeConnection
-from ideal_robot.rtde.rtde_error import RtdeError
-from ideal_robot.rtde.wire import Kind, Recipe
+from ideal_robot.rtde.wire import Kind, Recipe, RtdeConnection, RtdeError
 from ideal_robot.rtde.wire import package as rtde_package
-from sensing.camera.stream_camera import StreamCamera
-from sensing.force.netft import NetFT
-from sensing.force.stream_force import StreamForce
+from sensing.camera.cameras import StreamCamera
+from sensing.force.sensors import NetFT, StreamForce
 from sensing.sensing_error import SensingError
-from sensing.stream.package import Reader, StreamError
-from sim.devices.netft_server import NetFTServer
-from sim.devices.stream_server import StreamServer, camera_description
+from sensing.stream import Reader, StreamError
+from sim.devices.stream_server import NetFTServer, StreamServer, camera_description
 
 HEADER = struct.Struct(">2sBBId")
 

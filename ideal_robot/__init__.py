@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from ideal_robot.execution.play import PlayResult, play
     from ideal_robot.execution.precorrect import PrecorrectedPath, precorrect
     from ideal_robot.feedforward.base import Feedforward
-    from ideal_robot.feedforward.method import Method, Needs, Setting
-    from ideal_robot.feedforward.practice import Practice
+    from ideal_robot.feedforward.method import Method, Needs, Practice, Setting
     from ideal_robot.feedforward.registry import feedforward, methods
     from ideal_robot.feedforward.registry import register as register_feedforward
     from ideal_robot.identification.whole_model import IdentificationResult
@@ -50,7 +49,7 @@ _PLACES = {
     "Model": "model.model:Model",
     "Needs": "feedforward.method:Needs",
     "PlayResult": "execution.play:PlayResult",
-    "Practice": "feedforward.practice:Practice",
+    "Practice": "feedforward.method:Practice",
     "PrecorrectedPath": "execution.precorrect:PrecorrectedPath",
     "Recording": "signals.recording:Recording",
     "Robot": "robots.robot:Robot",

@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
+import sys
+import tempfile
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ideal_robot.errors import InputError
 
@@ -120,3 +125,19 @@ def _shallow(text: str, path: Path, what: str) -> None:
 
 def _short(error: BaseException) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+# What libraries written in C say on standard error while they read a file, which our one line stands for.
+
+@contextmanager
+def kept_words() -> Iterator[IO[bytes]]:
+    """Yields the file that gets what is written to standard error, below Python, while the block runs."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as said:
+        before = os.dup(2)
+        os.dup2(said.fileno(), 2)
+        try:
+            yield said
+        finally:
+            os.dup2(before, 2)
+            os.close(before)

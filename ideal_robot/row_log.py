@@ -2,18 +2,85 @@
 
 from __future__ import annotations
 
+import math
+import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import DTypeLike
 
 from ideal_robot.arrays import Array
-from ideal_robot.file_array import no_room
 from ideal_robot.whole_file import OutputError
+
+# Arrays that may be larger than memory should hold: they lie in a file without a name, which ends with them.
+
+IN_MEMORY = 500_000
+"""Values of an array that is held in memory; a larger one lies in a file."""
+
+
+def new_array(*shape: int) -> Array:
+    """An array of that shape to be filled, all zero if it lies in a file."""
+    count = math.prod(shape)
+    return np.empty(shape) if count <= IN_MEMORY else in_new_file(count).reshape(shape)
+
+
+def in_new_file(count: int) -> Array:
+    """So many zeros in a file without a name.
+
+    Raises:
+        OutputError: the folder for temporary files has no room for it.
+    """
+    try:
+        with tempfile.TemporaryFile() as file:
+            # Room that is only promised would end the program where it is written to and not there.
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(file.fileno(), 0, 8 * count)
+            else:
+                file.truncate(8 * count)
+            return np.frombuffer(mmap.mmap(file.fileno(), 0))
+    except OSError as error:
+        raise no_room(error) from error
+
+
+def no_room(error: OSError) -> OutputError:
+    """What is said where the folder for temporary files has no room."""
+    return OutputError(f"{tempfile.gettempdir()}: temporary files cannot be written ({error.strerror or error}); make "
+                       "room, or set TMPDIR to another folder")
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yields a folder that is removed when the block ends; OutputError where it cannot be written."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="ideal-robot-") as folder:
+            yield Path(folder)
+    except OSError as error:
+        raise no_room(error) from error
+
+
+def file_of(values: Array) -> mmap.mmap | None:
+    """The file that an array lies in; None where it is in memory."""
+    owner: object = values
+    while isinstance(owner, np.ndarray) and owner.base is not None:
+        owner = owner.base
+    if isinstance(owner, memoryview):
+        owner = owner.obj
+    return owner if isinstance(owner, mmap.mmap) else None
+
+
+def let_go(*arrays: Array) -> None:
+    """What was read or written of arrays in files need not stay in memory; nothing happens to other ones."""
+    for values in arrays:
+        file = file_of(values)
+        if file is not None and hasattr(file, "madvise"):
+            file.madvise(mmap.MADV_DONTNEED)
+
 
 KEPT = 32768
 """Rows held in memory at most; a power of two times the first ones."""
@@ -164,3 +231,48 @@ def _made_of(values: Array) -> RowLog:
     for value in values:
         log.append(value)
     return log
+
+
+# Columns of a recording while it is made: in memory, or of a long one in a file without a name.
+
+class ColumnStore:
+    """Columns of equal length that are filled piece by piece and then become those of a ``Recording`` without a copy.
+
+    Args:
+        names: of the columns.
+        length: rows of each; more than ``row_log.KEPT`` of them are in a file, of which only what is being used is in
+            memory.
+    """
+
+    def __init__(self, names: Sequence[str], length: int) -> None:
+        self.in_memory = length <= KEPT
+        """Whether the columns are held in memory."""
+        columns = [np.empty(length) for _ in names] if self.in_memory else in_new_file(len(names) * length).reshape(
+            len(names), length)
+        self._columns = dict(zip(names, columns, strict=True))
+
+    def fill(self, name: str, first: int, values: Array) -> None:
+        """Writes a piece of a column.
+
+        Args:
+            name: of the column.
+            first: row at which the piece begins.
+            values: ``(m,)``.
+        """
+        self._columns[name][first : first + len(values)] = values
+
+    def release(self) -> None:
+        """What was filled need not stay in memory: to be called after every piece."""
+        let_go(*list(self._columns.values())[:1])
+
+    def finished(self) -> dict[str, Array]:
+        """The columns, read-only from now on."""
+        self.release()
+        for column in self._columns.values():
+            column.setflags(write=False)
+        return self._columns
+
+
+def in_file(values: Array) -> bool:
+    """Whether a read-only array is a column of a ``ColumnStore`` that is in a file."""
+    return file_of(values) is not None

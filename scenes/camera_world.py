@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from scenes.camera_table import CameraTable
-from sim.camera.camera_settings import CameraSettings
-from sim.equipment.equipped_arm import Knock
+from scenes.scene_files.drawn_line import CameraTable
+from sim.camera.camera import CameraSettings
+from sim.equipped_arm import Knock
 
 
 def camera_settings(table: CameraTable) -> CameraSettings:

@@ -10,7 +10,7 @@ from ideal_robot.robots.robot import SHIPPED, Robot
 from scenes.scene_file import library as scene_folder
 from scenes.scene_file import load_scene
 from scenes.schema import scene_keys
-from sensing.camera.detector import DETECTORS
+from sensing.camera.opencv_detector import DETECTORS
 
 
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:

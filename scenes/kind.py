@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from ideal_robot.arrays import Array
 from ideal_robot.registry import Registry
 from scenes.result import CompareResult, LoopResult, RunResult
-from scenes.scene import Scene
+from scenes.scene_files.scene import Scene
 
 
 class Play(Protocol):

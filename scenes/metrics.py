@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.file_array import let_go
+from ideal_robot.row_log import let_go
 
 _DELAY_MIN, _DELAY_MAX = -0.1, 0.3
 """Delays looked for [s]."""

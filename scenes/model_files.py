@@ -10,7 +10,7 @@ from pathlib import Path
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from scenes.scene import SHIPPED
+from scenes.scene_files.scene import SHIPPED
 
 
 def shipped_model(robot_name: str) -> Path:

@@ -2,13 +2,81 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import ideal_robot
 from ideal_robot.model.model import Model
+from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
+from scenes.identification.models import identified_model
 from scenes.model_files import model_at, shipped_model
-from scenes.prepared_model import prepared_model
+from scenes.outputs import check_outputs
 from scenes.result import Progress, silent
-from scenes.scene import OWN, Scene
+from scenes.scene_files.scene import OWN, Scene
 from sim.arm.world import World
+
+# The model of one simulated arm from its own identification motions, kept by the content that it depends on.
+
+PROCEDURE = 2
+"""Counts the ways in which models have been prepared; another one makes kept models void."""
+
+
+@dataclass(frozen=True, repr=False)
+class PreparedModel(Summarised):
+    """Where an arm's own model lies.
+
+    Attributes:
+        path: its file.
+        fresh: whether it was identified just now.
+    """
+
+    path: Path
+    fresh: bool
+
+    def summary(self) -> list[tuple[str, str]]:
+        """Where the model lies."""
+        return [("model", f"{self.path}{', identified just now' if self.fresh else ''}")]
+
+
+def cache_folder() -> Path:
+    """Folder of prepared models: ``$IDEAL_ROBOT_CACHE``, else ``ideal-robot`` in the user's cache folder."""
+    own = os.environ.get("IDEAL_ROBOT_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ideal-robot"
+
+
+def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> PreparedModel:
+    """The model that an arm's own identification motions give; they are played only where nothing is kept of them.
+
+    The world says how the simulated arm moves, as a real arm's mechanics do; the model sees its recordings alone.
+
+    Args:
+        robot: the arm as its data sheet has it.
+        world: the arm as it is.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: an arm whose world does not fit its data; a cache folder that cannot be written.
+    """
+    path = cache_folder() / f"{robot.name}_{_digest(robot, world)}.json"
+    if os.path.isfile(path):
+        return PreparedModel(path, fresh=False)
+    # Found now, not after the arm has been moved for minutes.
+    check_outputs({"IDEAL_ROBOT_CACHE": path.parent})
+    model, _ = identified_model(world.robot, world=world, progress=progress)
+    return PreparedModel(model.save(path), fresh=True)
+
+
+def _digest(robot: Robot, world: World) -> str:
+    """Of all that the model depends on: the arm's data sheet, the arm as it is, the procedure."""
+    data = [PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table()]
+    return hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
 
 __all__ = ["model_for", "own_model", "shipped_model"]
 

@@ -9,7 +9,7 @@ from typing import Any
 from ideal_robot.errors import InputError
 from scenes.kind import KINDS, kind_of
 from scenes.result import CompareResult, LoopResult, Progress, RunResult, silent
-from scenes.scene import Scene
+from scenes.scene_files.scene import Scene
 
 
 def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,

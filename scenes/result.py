@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
 from ideal_robot.progress import Progress, part_of, silent
+from ideal_robot.results import Summarised, html_table, in_lines, plain, shown_cell
+from ideal_robot.row_log import let_go
 
 if TYPE_CHECKING:
     from ideal_robot.diagnosis import Diagnosis
@@ -86,3 +93,78 @@ class LoopResult(Protocol):
     def ladder(self) -> list[list[Any]]:
         """One row a change of the model that was tried: round, what, stays, measured error in mm, why not."""
         ...
+
+
+# How results of scenes are shown: three lines at the prompt, a small table in a notebook, plain values for JSON.
+
+class ShownRun(Summarised):
+    """Base of results of a scene that was played once; ``scene``, ``failure`` and ``json`` are the subclass's."""
+
+    scene: Any
+    failure: str | None
+
+    @abstractmethod
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+
+    def __repr__(self) -> str:
+        early = f", ended early: {self.failure}" if self.failure else ""
+        return in_lines(type(self).__name__, f"{self.scene.name!r}{early}",
+                        [f"{label} {value}" for label, value in self.summary()[:8]])
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``--json`` as plain values."""
+        values: dict[str, Any] = plain(self.json())
+        return values
+
+
+class ShownTable(ABC):
+    """Base of results of a scene that was played several times; ``scene`` and ``json`` are the subclass's."""
+
+    scene: Any
+
+    @abstractmethod
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+
+    @abstractmethod
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """Column titles and rows, one a method or model, whose name stands first."""
+
+    def __repr__(self) -> str:
+        (_, first, *_), rows = self.rows()
+        figures = [f"{row[0]} {shown_cell(row[1])}" for row in rows]
+        return in_lines(type(self).__name__, f"{self.scene.name!r}: {len(rows)} plays",
+                        [f"{first}: {figures[0]}", *figures[1:]] if figures else [])
+
+    def _repr_html_(self) -> str:
+        return html_table(*self.rows())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of ``--json`` as plain values."""
+        values: dict[str, Any] = plain(self.json())
+        return values
+
+
+# Long series thinned for what people look at: pages, replays, curves in results.
+
+MOST = 100_000
+"""Rows of a series at most, 200 s at 500 Hz; a picture is some thousand pixels wide."""
+
+
+def step(count: int) -> int:
+    """Every so manieth of ``count`` rows is shown; 1 for all but long series."""
+    return max(1, -(-count // MOST))
+
+
+def extremes(values: Array) -> NDArray[np.int_]:
+    """Rows of a series ``(N,)`` to be drawn: all, or of a long one the lowest and the highest of every few."""
+    size = 2 * step(len(values))
+    if size == 2:
+        return np.arange(len(values))
+    whole = len(values) // size * size
+    pieces = values[:whole].reshape(-1, size)
+    first = np.arange(0, whole, size)
+    rows = np.concatenate([first + pieces.argmin(axis=1), first + pieces.argmax(axis=1)])
+    let_go(values)
+    return np.unique(rows)

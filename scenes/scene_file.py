@@ -10,7 +10,7 @@ from typing import Any
 from ideal_robot.bounded_values import read_toml
 from ideal_robot.errors import InputError
 from scenes.kind import KINDS
-from scenes.scene import Scene, scene_of
+from scenes.scene_files.scene import Scene, scene_of
 
 
 def library() -> Path:

@@ -20,7 +20,7 @@ from typing import Any, get_args
 import pydantic
 
 from scenes.kind import KINDS
-from scenes.worlds import WORLDS
+from scenes.scene_files.scene import WORLDS
 from sim.arm.world import World
 
 

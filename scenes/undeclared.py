@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.errors import InputError
-from scenes.scene import Scene
-from scenes.worlds import WORKSHOP
+from scenes.scene_files.scene import WORKSHOP, Scene
 from sim.arm.world import World
 
 EFFECTS_OF_KEY: dict[str, tuple[str, ...]] = {

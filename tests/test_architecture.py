@@ -9,6 +9,10 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+
+from docs.draw_architecture import PICTURE, layers, picture, reduced, structure
+
 ROOT = Path(__file__).resolve().parents[1]
 OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "trials", "benchmarks", "examples", "tests", "docs"}
 IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
@@ -129,3 +133,27 @@ def test_importing_the_packages_is_cheap() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+# The picture of the architecture is what its generator draws from today's imports.
+
+def drawn(svg: str) -> tuple[set[str], set[tuple[str, str]]]:
+    """Rooms and arrows of a picture."""
+    boxes = re.findall(r'class="room" data-name="([\w.]+)"', svg)
+    arrows = re.findall(r'data-from="([\w.]+)" data-to="([\w.]+)"', svg)
+    assert len(boxes) == len(set(boxes))
+    return set(boxes), set(arrows)
+
+
+def test_the_committed_picture_is_up_to_date() -> None:
+    """Where this fails: ``python docs/draw_architecture.py``."""
+    assert drawn(PICTURE.read_text(encoding="utf-8")) == drawn(picture()) == structure()
+
+
+def test_circles_are_named() -> None:
+    with pytest.raises(ValueError, match="a → b → a"):
+        layers({"a": {"b"}, "b": {"a"}})
+
+
+def test_what_follows_from_other_arrows_is_left_out() -> None:
+    assert reduced({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == {"a": {"b"}, "b": {"c"}, "c": set()}

@@ -8,8 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.joints import prismatic_joints
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import Robot, prismatic_joints
 
 SHIPPED = ("kr6", "kr15", "manutec_r15")
 

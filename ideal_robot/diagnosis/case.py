@@ -11,9 +11,9 @@ from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_reg
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Progress
-from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult, rms
 from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -96,3 +96,25 @@ class Findings:
     refuted: tuple[tuple[str, int], ...] = ()
     beside_known: tuple[tuple[Candidate, ...], ...] = ()
     held: tuple[int, ...] = ()
+
+
+# Whether another recording can judge: what the baseline of the first predicts worse than its mean decides nothing.
+
+def unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]:
+    """Channels of the validation recording that the first one's parameters miss by more than they vary.
+
+    Short motions leave parameters open, above all in amperes, where each joint has its own. An error of many times the
+    torque then falls by whatever moves these parameters, which no cause explains.
+
+    Args:
+        case: what is asked.
+        found: about the recording, nothing fitted yet.
+        validate: the other recording.
+    """
+    problem = found.problem
+    other = case.torque_regression(validate, found.start, cutoff=problem.regression.filtered.cutoff)
+    error = rms(problem.fit().residual(other, []), other.use)
+    mean = (other.measured * other.use).sum(axis=0) / other.use.sum(axis=0).clip(min=1)
+    spread = rms(other.measured - mean, other.use)
+    still = {*problem.regression.undecided, *other.undecided}
+    return tuple(name for j, name in enumerate(other.channels) if j + 1 not in still and error[j] > spread[j])

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.elasticity.clamp_compliance import compliance_shapes
 from ideal_robot.elasticity.stiffness import condition_number, flange_jacobian
+from ideal_robot.elasticity.stiffness_analysis import compliance_shapes
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 

@@ -12,9 +12,68 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.clamped_signals import DECIMATE_HZ, ClampedSignals
-from ideal_robot.elasticity.least_squares import least_squares
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+# Linear least squares with the standard deviations of [J] (14)–(17), and wider ones where residuals are correlated.
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Solution of Y = W χ + ρ.
+
+    Attributes:
+        chi: estimate ``(b,)``.
+        covariance: [J] (16) ``(b, b)``, for white residuals.
+        robust: covariance that holds for correlated residuals too ``(b, b)`` (Newey–West over the given lag).
+        std_percent: [J] (17) ``(b,)``.
+        relative_residual: ‖W χ − Y‖ / ‖Y‖.
+        condition: condition number of W with columns scaled to unit length.
+    """
+
+    chi: Array
+    covariance: Array
+    robust: Array
+    std_percent: Array
+    relative_residual: float
+    condition: float
+
+
+def least_squares(W: Array, Y: Array, *, lag: int = 0) -> LeastSquares:
+    """Solves [J] (14) with (15)–(17).
+
+    Args:
+        W: observations ``(r, b)``.
+        Y: measurements ``(r,)``.
+        lag: number of neighbouring samples whose residuals may be correlated.
+
+    Raises:
+        InputError: fewer rows than parameters, or parameters that the data cannot tell apart.
+    """
+    r, b = W.shape
+    if r <= b:
+        raise InputError(f"{r} samples cannot determine {b} parameters; record longer")
+    # Stiffness times angle plus offset: without scaling, W'W of angles varying by a milliradian loses all digits.
+    scale = np.linalg.norm(W, axis=0)
+    if np.any(scale == 0):
+        raise InputError("a parameter has no influence on the recording")
+    U, s, Vt = np.linalg.svd(W / scale, full_matrices=False)
+    if s[-1] < 1e-12 * s[0]:
+        raise InputError("the recording does not excite all parameters")
+    chi = Vt.T @ (U.T @ Y / s) / scale
+    rho = Y - W @ chi
+    inverse = (Vt.T / s**2) @ Vt / np.outer(scale, scale)
+    covariance = (rho @ rho) / (r - b) * inverse
+    scores = W * rho[:, None]
+    meat = scores.T @ scores
+    for shift in range(1, min(lag, r - 1) + 1):
+        cross = scores[shift:].T @ scores[:-shift]
+        meat += (1 - shift / (lag + 1)) * (cross + cross.T)
+    robust = inverse @ meat @ inverse * r / (r - b)
+    norm = np.linalg.norm(Y)
+    return LeastSquares(chi, covariance, robust, 100 * np.sqrt(np.diag(covariance)) / np.abs(chi),
+                        float(np.linalg.norm(rho) / norm) if norm > 0 else 0.0, float(s[0] / s[-1]))
+
 
 Method = Literal["motor", "wrench"]
 
@@ -201,3 +260,93 @@ def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: 
     if not results:
         raise InputError("no joint is loaded in any recording", field="recordings")
     return tuple(results)
+
+
+# Stiffness from known payloads hung on the flange: what [J] compares its clamp with (Dumas et al., 2011).
+#
+# The motors stand, the flange sinks, an external device measures by how much:
+#
+#     Δx = J K⁻¹ Jᵀ ΔF
+#
+# linear in the compliances 1/k_j. It needs an expensive tracker, and postures in which every joint is loaded.
+
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+GRAVITY = 9.81
+LARGEST_STD_PERCENT = 10.0
+"""A joint whose stiffness scatters more than this is not loaded enough to be named."""
+
+
+def identify_from_payloads(recordings: Sequence[Recording], robot: Robot,
+                           tolerances: Tolerances | None = None) -> tuple[JointStiffness, ...]:
+    """Stiffness of the joints that the payloads load (never a vertical first one).
+
+    The recordings have the columns ``q_i``, ``payload`` [kg] and the flange pose. The masses' centre in the tool frame
+    stands in the metadata (``payload_lever`` [m]); without it, it is the flange.
+
+    Args:
+        recordings: of postures with payloads.
+        robot: the arm.
+        tolerances: relative errors of what is taken as known; the defaults if None.
+
+    Raises:
+        InputError: a column is missing, a posture has one payload only, or no joint is loaded.
+    """
+    tolerances = tolerances or Tolerances()
+    rows, values = [], []
+    for recording in recordings:
+        for W, Y in _postures(recording, robot):
+            rows.append(W)
+            values.append(Y)
+    W, Y = np.vstack(rows), np.concatenate(values)
+    loaded = np.linalg.norm(W, axis=0) > 1e-6 * np.max(np.linalg.norm(W, axis=0))
+    if not np.any(loaded):
+        raise InputError("no joint is loaded in these postures", field="payload")
+    W = W[:, loaded]
+    # Positions and rotations are measured with different precision: weighted by their own residuals from pass two on.
+    weight = np.ones(6)
+    for _ in range(3):
+        all_weights = np.tile(weight, len(Y) // 6)
+        fit = least_squares(W * all_weights[:, None], Y * all_weights)
+        residual = (Y - W @ fit.chi).reshape(-1, 6)
+        weight = np.repeat(1 / np.maximum(np.std(residual.reshape(-1, 2, 3), axis=(0, 2)), 1e-9), 3)
+    results = []
+    for i, joint in enumerate(np.flatnonzero(loaded) + 1):
+        if fit.std_percent[i] > LARGEST_STD_PERCENT or fit.chi[i] <= 0:
+            continue
+        k = 1 / float(fit.chi[i])
+        std = float(np.sqrt(fit.robust[i, i]))
+        half = 1.96 * k * float(np.hypot(k * std, tolerances.model))
+        results.append(JointStiffness(int(joint), "payload", k, 0.0, float(fit.std_percent[i]), 0.0,
+                                      100 * fit.relative_residual, (k - half, k + half), fit.condition,
+                                      tuple(recording.source for recording in recordings)))
+    return tuple(results)
+
+
+def _postures(recording: Recording, robot: Robot) -> list[tuple[Array, Array]]:
+    for name in (*POSE, "payload"):
+        if name not in recording.columns:
+            raise InputError("column is missing; payloads need the flange pose and the mass", file=recording.source,
+                             field=name)
+    lever = np.array(recording.meta.get("payload_lever", [0.0, 0.0, 0.0]), dtype=float)
+    q, mass = recording.joints("q"), recording.columns["payload"]
+    poses = np.column_stack([recording.columns[name] for name in POSE])
+    posture = np.cumsum(np.concatenate([[False], np.max(np.abs(np.diff(q, axis=0)), axis=1) > 1e-3]))
+    found = []
+    for number in range(int(posture[-1]) + 1):
+        at = posture == number
+        levels = np.unique(mass[at])
+        if len(levels) < 2:
+            raise InputError("a posture needs at least two different payloads", file=recording.source, field="payload",
+                             value=float(levels[0]))
+        jacobian = flange_jacobian(robot, q[at][0])
+        means = [_mean_pose(poses[at & (mass == level)]) for level in levels]
+        for level, pose in zip(levels[1:], means[1:], strict=True):
+            force = means[0].rotation.T @ np.array([0.0, 0.0, -(level - levels[0]) * GRAVITY])
+            wrench = np.concatenate([force, np.cross(lever, force)])
+            found.append((jacobian * (jacobian.T @ wrench), np.array(pin.log6(means[0].inverse() * pose).vector)))
+    return found
+
+
+def _mean_pose(poses: Array) -> pin.SE3:
+    quaternion = np.mean(poses[:, 3:] * np.sign(poses[:, 3:] @ poses[0, 3:])[:, None], axis=0)
+    return pin.XYZQUATToSE3(np.concatenate([poses[:, :3].mean(axis=0), quaternion / np.linalg.norm(quaternion)]))

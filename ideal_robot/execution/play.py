@@ -11,21 +11,16 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, InputError, LimitError
-from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
-from ideal_robot.execution.path_limits import check_limits
-from ideal_robot.execution.stopping import stopping_rows
+from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.plain import plain
-from ideal_robot.plots import over_time
 from ideal_robot.progress import Progress, silent
+from ideal_robot.results import Summarised, listed, over_time, plain
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.given import expect
-from ideal_robot.signals.recording import Recording
-from ideal_robot.summary import Summarised, listed
+from ideal_robot.signals.recording import Recording, expect
 
 if TYPE_CHECKING:
-    from ideal_robot.plots import Figure
+    from ideal_robot.results import Figure
 
 _BRAKING_MIN = 0.15
 """Speed over deceleration that braking counts with at least [s]."""

@@ -27,7 +27,7 @@ from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import full_regressor
-from ideal_robot.dynamics.consistency import consistent_parameters, parameter_scales
+from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.friction_adaptation import unknown_mass

@@ -59,3 +59,22 @@ class Feedforward(ABC):
         for k in range(len(q_d)):
             q_c[k], state = self.step(state, ahead[k : k + self.n_d])
         return q_c
+
+
+# No correction: the desired position is commanded as it is.
+
+class PassThrough(Feedforward):
+    """Commands ``q_c(k) = q_d(k)``; the industrial controller alone decides what becomes of it (n_d = 1)."""
+
+    n_d = 1
+
+    def __init__(self, t_ipo: float) -> None:
+        self.t_ipo = t_ipo
+
+    def init(self, q0: Array) -> None:
+        """See ``Feedforward.init``."""
+        return None
+
+    def step(self, state: None, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, None]:
+        """See ``Feedforward.step``."""
+        return q_d[0], None

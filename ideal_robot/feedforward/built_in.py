@@ -7,18 +7,15 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.feedforward.arm_of_its_type import arm_of_its_type
-from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.corrected_arm import CorrectedArm, for_arm
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
 from ideal_robot.feedforward.friction_curve import FrictionCurve
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback, learn_on_model
-from ideal_robot.feedforward.linear_inverse import LinearInverse
-from ideal_robot.feedforward.method import Method, Needs, Setting
-from ideal_robot.feedforward.passthrough import PassThrough
-from ideal_robot.feedforward.practice import ITERATIONS
+from ideal_robot.feedforward.method import ITERATIONS, Method, Needs, Setting
 from ideal_robot.feedforward.precorrection import Precorrection
-from ideal_robot.feedforward.training import train
+from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.impulse_response import LinearLoop
 
 N_D = 30

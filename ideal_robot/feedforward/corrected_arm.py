@@ -12,9 +12,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects import FittedEffect
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
-from ideal_robot.robots.common_normals import common_normals
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.robot import Robot, common_normals
 
 _STEPS = 2
 """Newton steps: of an error of millimetres nanometres are left."""

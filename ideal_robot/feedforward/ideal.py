@@ -22,11 +22,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.command_inverse import command_inverse
-from ideal_robot.feedforward.smoothing import spline_operators
+from ideal_robot.feedforward.precorrection import command_inverse, spline_operators
 from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.further_torque import further_torque
 from ideal_robot.loop.loop_model import (
     Drives,
     LoopModel,
@@ -37,7 +35,8 @@ from ideal_robot.loop.loop_model import (
     ripple_torque,
     unevenness,
 )
-from ideal_robot.model.gear_gap import side_of_gap
+from ideal_robot.loop.rotors import further_torque
+from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 

@@ -2,20 +2,127 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
-from ideal_robot.feedforward.practice import Practice
+from ideal_robot.feedforward.learning import Learned, LearningLaw, Playback, learn
+from ideal_robot.feedforward.training import training_motion
 from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress, silent
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+# Plays on the arm before a path counts: what learning, training and adaptation need beside the model.
+
+ITERATIONS = 4
+"""Learning steps on the arm, as in [G] 4.3."""
+
+DURATION, AMPLITUDE, FREQUENCIES = 8.0, 0.1, (0.4, 1.2)
+"""Of the sinusoids that impulse responses are identified from: [s], [rad], of the first and the last joint [Hz]."""
+
+
+@dataclass(frozen=True)
+class Rehearsed:
+    """What came of one play on the arm.
+
+    Attributes:
+        state: the feedforward's last state.
+        errors: gives the measured errors ``q_d - q (N, n)`` [rad] at the cycles; computed when it is called.
+        recording: what the controller logged; None where nothing is logged.
+    """
+
+    state: Any
+    errors: Callable[[], Array]
+    recording: Recording | None = None
+
+
+Play = Callable[[Feedforward, Array], Rehearsed]
+"""Plays ``q_d (N, n)`` [rad], rest before and behind included, once, from rest at its start."""
+
+
+class Practice:
+    """Learns on the arm and keeps what was learned, so that several methods share the plays.
+
+    Args:
+        play: plays a path once.
+        robot: cycle times and limits.
+    """
+
+    def __init__(self, play: Play, robot: Robot) -> None:
+        self.play, self.robot = play, robot
+        self._learned: tuple[Array, Learned] | None = None
+        self._trained: tuple[Array, Array, Array] | None = None
+
+    def learned(self, q_d: Array, loop: LoopModel, progress: Progress = silent) -> Learned:
+        """Learning of a path on the arm, [G] (10), (11), from the uncorrected path.
+
+        Args:
+            q_d: the path ``(N, n)`` [rad].
+            loop: identified loop, whose linearisation about the middle of the path is inverted.
+            progress: called with the share done.
+        """
+        if self._learned is None or not np.array_equal(self._learned[0], q_d):
+            self._learned = q_d, self._learn(q_d, loop, progress)
+        return self._learned[1]
+
+    def motion(self, q_d: Array) -> Array:
+        """The motion ``(M, n)`` [rad] about a path ``q_d (N, n)`` [rad] that training and adaptation learn from."""
+        return training_motion(q_d, self.robot.t_ipo)
+
+    def sinusoids(self, q_d: Array) -> Array:
+        """"Simple sinusoidal joint trajectories" ([G] 3.2) about the middle of a path, from rest to rest.
+
+        Args:
+            q_d: the path ``(N, n)`` [rad].
+
+        Returns:
+            the motion ``(M, n)`` [rad]: each joint with a frequency of its own, some degrees.
+        """
+        robot, middle = self.robot, np.median(q_d, axis=0)
+        t = robot.t_ipo * np.arange(round(DURATION / robot.t_ipo))
+        frequency = np.linspace(*FREQUENCIES, robot.n)
+        room = np.minimum(middle - robot.q_min, robot.q_max - middle)
+        size = np.minimum.reduce([np.full(robot.n, AMPLITUDE), 0.5 * np.maximum(room, 0.0),
+                                  0.3 * robot.v_max / (2.0 * np.pi * frequency)])
+        swell = np.sin(np.pi * np.clip(t / DURATION, 0.0, 1.0)) ** 2
+        return np.asarray(middle + size * swell[:, None] * np.sin(2.0 * np.pi * t[:, None] * frequency))
+
+    def training(self, q_d: Array, loop: LoopModel, progress: Progress = silent) -> tuple[Array, Array]:
+        """A motion ``(M, n)`` about a path that is not the path, and the commands learned for it ``(M, n)`` [rad].
+
+        Args:
+            q_d: the path ``(N, n)`` [rad].
+            loop: identified loop.
+            progress: called with the share done.
+        """
+        if self._trained is None or not np.array_equal(self._trained[0], q_d):
+            motion = self.motion(q_d)
+            self._trained = q_d, motion, self._learn(motion, loop, progress).q_c
+        return self._trained[1:]
+
+    def _learn(self, q_d: Array, loop: LoopModel, progress: Progress) -> Learned:
+        robot, done = self.robot, 0
+
+        def attempt(commands: Array) -> Array:
+            nonlocal done
+            progress(done / (ITERATIONS + 1), f"learning, play {done + 1}")
+            done += 1
+            return self.play(Playback(commands, robot.t_ipo), q_d).errors()
+
+        law = LearningLaw(LinearLoop.of(loop, np.median(q_d, axis=0)), len(q_d))
+        return learn(attempt, q_d, law, iterations=ITERATIONS, limits=(robot.q_min, robot.q_max),
+                     step_max=1.5 * robot.v_max * robot.t_ipo)
 
 
 class Needs(IntEnum):

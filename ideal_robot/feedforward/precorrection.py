@@ -17,19 +17,57 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
+from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.smoothing import spline_operators
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.loop.further_torque import further_torque
-from ideal_robot.loop.loop_model import behind_uneven_gears, bristles, low_pass_taps, ripple_torque
-from ideal_robot.model.controller_model import ControllerModel
-from ideal_robot.model.gear_gap import side_of_gap
+from ideal_robot.loop.loop_model import LoopModel, behind_uneven_gears, bristles, low_pass_taps, ripple_torque
+from ideal_robot.loop.rotors import further_torque
+from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
+
+# Linear operators that turn samples of a path into its smoothed value and derivatives at other instants.
+#
+# A penalised B-spline (degree 5, a knot per sample) is fitted to the samples. Fit and evaluation are linear, so for
+# fixed instants they are one matrix, made once and multiplied every cycle.
+
+_DEGREE = 5
+_PENALTY_ORDER = 4
+
+
+def spline_operators(t_samples: Array, t_out: Array, spacing: float, cutoff: float, orders: int = 3) -> list[Array]:
+    """Matrices ``(len(t_out), len(t_samples))``: from samples to value, derivative, … of the smoothed path.
+
+    Args:
+        t_samples: instants of the samples, evenly spaced [s].
+        t_out: instants of the result, within the samples [s].
+        spacing: distance of the spline's knots [s].
+        cutoff: frequency at which a sinusoid is halved [Hz]; the gain is 1/(1 + (f/cutoff)^8), so a quarter of it
+            passes unharmed (1e-5).
+        orders: how many matrices, value included.
+    """
+    start, end = float(t_samples[0]), float(t_samples[-1])
+    pieces = max(1, round((end - start) / spacing))
+    knots = start + (end - start) / pieces * np.arange(-_DEGREE, pieces + _DEGREE + 1)
+    size = len(knots) - _DEGREE - 1
+    basis = BSpline(knots, np.eye(size), _DEGREE, extrapolate=True)
+    B = basis(t_samples)
+    differences = np.diff(np.eye(size), _PENALTY_ORDER, axis=0)
+    # A sinusoid of coefficients is penalised by (2 sin(ω h/2))^8 and appears in the samples with the basis' own gain
+    # sinc(f h)^6; both terms shall weigh the same at the cut-off.
+    h = (end - start) / pieces
+    seen = len(t_samples) / (pieces + 1) * np.sinc(cutoff * h) ** (2 * (_DEGREE + 1))
+    weight = seen / (2 * np.sin(min(np.pi * cutoff * h, 1.5))) ** (2 * _PENALTY_ORDER)
+    fit = np.linalg.solve(B.T @ B + weight * differences.T @ differences, B.T)
+    return [np.ascontiguousarray(basis.derivative(order)(t_out) @ fit if order else basis(t_out) @ fit)
+            for order in range(orders)]
+
 
 _BEFORE, _AFTER = 4, 4
 """Desired positions used on either side of the instant that counts, for its derivatives."""
@@ -194,3 +232,69 @@ def at_cycle(controller: ControllerModel, t_cycle: float) -> ControllerModel:
     """The same controller for another cycle: the integral gain of (17) is a share per cycle, the others are rates."""
     values = {**vars(controller), "k_i": controller.k_i * t_cycle / controller.t_cycle, "t_cycle": t_cycle}
     return ControllerModel(**values)
+
+
+# Inverse of the command path: which commands make the position loop see a wanted signal.
+#
+# Delay, linear interpolation, command low-pass and the position loop's gain and feedforward are linear, so the commands
+# over the horizon are one regularised least-squares problem with a fixed matrix. Only the first command is used; what
+# was commanded before enters as the free response. Systems whose low-pass is not minimum phase are no special case.
+
+@dataclass(frozen=True)
+class CommandInverse:
+    """Gains of the first command.
+
+    Attributes:
+        wanted: ``(n, m s)``: of the wanted signal ``k_v r + k_ff ṙ`` at the position cycles of the ``m`` next
+            interpolation cycles in which the command can act.
+        past: ``(n, P)``: of the commands before, oldest first.
+    """
+
+    wanted: Array
+    past: Array
+
+    @property
+    def n_past(self) -> int:
+        """How many past commands are needed."""
+        return self.past.shape[1]
+
+
+def command_inverse(loop: LoopModel, cycles: int, smoothness: float = 0.02) -> CommandInverse:
+    """Solves for the first of ``cycles`` commands once and for all.
+
+    Args:
+        loop: the identified loop.
+        cycles: commands solved for together.
+        smoothness: weight of the commands' second differences against a position error of the same size; keeps the
+            inverse of the low-pass from amplifying what the interpolation cannot pass anyway.
+    """
+    s, n = loop.steps_ipo, loop.n
+    taps = loop.command_filter
+    n_past = int(np.ceil(len(taps) / s)) + 2
+    knots = n_past + cycles
+    # Linear interpolation: from the knots to the fine grid, which ends just before the last knot.
+    fine = s * (knots - 1)
+    interpolation = np.zeros((fine, knots))
+    for j in range(fine):
+        interpolation[j, j // s] = 1 - (j % s) / s
+        interpolation[j, j // s + 1] = (j % s) / s
+    wanted, past = np.zeros((n, s * cycles)), np.zeros((n, n_past))
+    second = np.diff(np.eye(cycles + 2), 2, axis=0)
+    for i in range(n):
+        answer = np.zeros(fine)
+        answer[: len(taps)] = taps[:fine, i]
+        response = linalg.toeplitz(answer, np.zeros(fine))
+        # Before the oldest knot the command counts as constant.
+        response[:, 0] += 1.0 - response.sum(axis=1)
+        position = response @ interpolation
+        signal = loop.k_v[i] * position
+        signal[1:] += loop.k_ff[i] / loop.t_position * np.diff(position, axis=0)
+        signal = signal[-s * cycles :] / loop.k_v[i]
+        free, forced = signal[:, :n_past], signal[:, n_past:]
+        weight = smoothness * np.sqrt(s)
+        system = np.vstack([forced, weight * second[:, 2:]])
+        first = np.linalg.pinv(system)[0]
+        wanted[i] = first[: s * cycles] / loop.k_v[i]
+        past[i] = -first[: s * cycles] @ free
+        past[i, -2:] -= first[s * cycles :] @ (weight * second[:, :2])
+    return CommandInverse(wanted, past)

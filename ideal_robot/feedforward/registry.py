@@ -14,8 +14,7 @@ from __future__ import annotations
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.method import Factory, Method, Needs, Setting
-from ideal_robot.feedforward.practice import Practice
+from ideal_robot.feedforward.method import Factory, Method, Needs, Practice, Setting
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Progress, silent
 from ideal_robot.registry import Registry

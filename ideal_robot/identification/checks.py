@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from ideal_robot.errors import InputError
+from ideal_robot.identification.weighted_least_squares import Solution
+from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import SHIPPED, Robot
-from ideal_robot.signals.plausible import plausible
+from ideal_robot.signals.error_budget import at_sampling_instants
+from ideal_robot.signals.plausible import plausible, require_joint_units, require_metres
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.sampling_jitter import at_sampling_instants
-from ideal_robot.signals.units import require_joint_units, require_metres
 
 _MINIMUM_DURATION = 1.0
 _STILL = 1e-3
@@ -117,3 +118,36 @@ def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[st
         warnings.append("unknown-drive-gain: no drive gains are known (--robot); torques are in amperes and so are all "
                         "parameters")
     return replace(recording, columns=columns), warnings
+
+
+# What the data did not show, once a model was identified from them. Warnings have a name, as in ``checks``.
+
+def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[int] = ()) -> list[str]:
+    """What the data do not show, from the solution's statistics.
+
+    Args:
+        model: what was identified.
+        solution: and how well.
+        wrong_sign: joints, counted from 0, that behave as if their torque had the wrong sign.
+    """
+    warnings = []
+    parameters = model.parameters
+    within_friction = {f"offset_{j + 1}" for j, law in enumerate(model.friction.laws) if law.holds_offset}
+    silent = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
+              if dark and p.name not in within_friction]
+    if silent:
+        warnings.append(f"not-excited: the motion says nothing about {', '.join(silent)}; nominal values are kept")
+    vague = [p.name for p, dark in zip(parameters, solution.unexcited, strict=False)
+             if not dark and p.std > 0.3 * abs(p.value)]
+    if vague:
+        warnings.append(f"poorly-excited: standard deviation above 30 % of the value for {', '.join(vague)}")
+    if solution.condition_number_scaled > 200.0:
+        warnings.append(f"ill-conditioned: condition number {solution.condition_number_scaled:.3g} with scaled "
+                        "columns; a motion from plan-identification excites better")
+    bounds = [p.name for p, held in zip(parameters, solution.at_bound, strict=False) if held]
+    if bounds:
+        warnings.append(f"friction-at-bound: {', '.join(bounds)} would be negative and is held at zero; the motion has "
+                        "too few speeds to tell friction apart, or something that is not friction acts like it")
+    warnings += [f"wrong-sign: the torque of joint {j + 1} has the wrong sign: friction would drive the joint and its "
+                 f"inertia be negative; multiply tau_{j + 1} by -1" for j in wrong_sign]
+    return warnings

@@ -16,9 +16,9 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.parametrisation import ControllerModel
+from ideal_robot.results import Summarised, listed
 from ideal_robot.signals.recording import Recording
-from ideal_robot.summary import Summarised, listed
 
 _K_I_RANGE = (1e-4, 2.0)
 

@@ -17,7 +17,7 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.friction import FrictionModel, PerJointFriction
 from ideal_robot.friction.presliding import sliding_direction
-from ideal_robot.identification.friction_projection import FoldEquations, FrictionProjection
+from ideal_robot.identification.friction_runs import FoldEquations, FrictionProjection
 from ideal_robot.signals.preprocess import FilteredSignals
 
 _FOLDS = 6

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy import optimize
+from scipy import linalg, optimize
+from scipy.signal import butter, filtfilt
 
 from ideal_robot.arrays import Array
+from ideal_robot.effects import EffectParameter, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.friction import Arctan, CubeRoot, FrictionModel
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -106,3 +112,231 @@ def _held_out(law: type[FrictionModel], qd: Array, tau: Array) -> float:
             continue
         errors.append(tau[out] - _fitted(law, qd[~out], tau[~out]).torque(qd[out][:, None])[:, 0])
     return float(np.sqrt(np.mean(np.concatenate(errors) ** 2))) if errors else float("inf")
+
+
+# Fit of one joint's friction together with everything else, of which only what concerns that joint is kept.
+#
+# Candidates for a joint's friction change few columns in the rows of that joint alone. All other parameters are
+# eliminated once by Cholesky's decomposition, those that the joint's rows do not hold first; of the normal equations of
+# a candidate then only its own few are left (Schur complement).
+
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class FoldEquations:
+    """Normal equations of one stretch of time, weighted, without the friction of the joint that is looked at.
+
+    Attributes:
+        gram: ``WᵀW`` ``(P, P)``.
+        side: ``Wᵀy`` ``(P,)``.
+        square: ``yᵀy``.
+    """
+
+    gram: Array
+    side: Array
+    square: float
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Products of a candidate's columns F over some rows: with those of the joint, with each other, with the torque."""
+
+    own: Array
+    gram: Array
+    side: Array
+
+    def less(self, other: _Moments) -> _Moments:
+        return _Moments(self.own - other.own, self.gram - other.gram, self.side - other.side)
+
+
+@dataclass(frozen=True)
+class _Eliminated:
+    """What is left when all but a candidate's coefficients are eliminated.
+
+    Attributes:
+        root: Cholesky's factor of the joint's own parameters, all others eliminated before ``(b, b)``.
+        side: right-hand side of these, divided by the factor ``(b,)``.
+        rest: sum of squares that is left without the candidate.
+    """
+
+    root: Array
+    side: Array
+    rest: float
+
+    @classmethod
+    def of(cls, gram: Array, side: Array, square: float, own: int) -> _Eliminated:
+        """Eliminates all parameters; the joint's ``own`` come last."""
+        gram = gram.copy()
+        gram.flat[:: len(gram) + 1] += _RIDGE * np.maximum(np.diag(gram), 1e-9)
+        root = linalg.cholesky(gram, lower=True)
+        z = linalg.solve_triangular(root, side, lower=True)
+        first = len(side) - own
+        return cls(np.asfortranarray(root[first:, first:]), z[first:], square - float(z @ z))
+
+    def solved(self, moments: _Moments, bounded: np.ndarray) -> tuple[Array, Array, float]:
+        """A candidate's coefficients ``(m,)``, the joint's own parameters ``(b,)`` and the sum of squares left.
+
+        Bounded coefficients that want to be negative are zero, worst first.
+        """
+        passed, _ = linalg.lapack.dtrtrs(self.root, moments.own, lower=1)
+        gram = moments.gram - passed.T @ passed
+        gram.flat[:: len(gram) + 1] += _RIDGE * np.maximum(np.diag(moments.gram), 1e-9)
+        side = moments.side - passed.T @ self.side
+        free = np.ones(len(side), dtype=bool)
+        p = np.linalg.solve(gram, side)
+        while np.any(p[bounded] < 0.0):
+            free[np.argmin(np.where(bounded, p, 0.0))] = False
+            p = np.zeros(len(side))
+            p[free] = np.linalg.solve(gram[np.ix_(free, free)], side[free])
+        own, _ = linalg.lapack.dtrtrs(self.root, self.side - passed @ p, lower=1, trans=1)
+        return p, own, self.rest - float(side @ p)
+
+
+class FrictionProjection:
+    """Everything but one joint's friction, as normal equations fold by fold, and that joint's own rows.
+
+    Args:
+        folds: normal equations of each stretch; in the parameters' order of ``own``.
+        rows: of each stretch.
+        known: what is known of the parameters beforehand, as an inverse covariance ``(P, P)``.
+        own: the joint's rows of the rigid parameters, which are the first of all ``(M, b)``.
+        y: the joint's torque ``(M,)``.
+    """
+
+    def __init__(self, folds: Sequence[FoldEquations], rows: Sequence[slice], known: Array, own: Array,
+                 y: Array) -> None:
+        felt = own.any(axis=0)
+        self._own, self._y, self._rows = np.ascontiguousarray(own[:, felt].T), np.ascontiguousarray(y), rows
+        here = np.flatnonzero(felt)
+        order = np.concatenate([np.setdiff1d(np.arange(len(known)), here), here])
+        self._folds = [FoldEquations(fold.gram[np.ix_(order, order)], fold.side[order], fold.square) for fold in folds]
+        self._known = known[np.ix_(order, order)]
+
+    def _eliminated(self, folds: Sequence[FoldEquations]) -> _Eliminated:
+        return _Eliminated.of(self._known + np.sum([fold.gram for fold in folds], axis=0),
+                              np.sum([fold.side for fold in folds], axis=0), sum(fold.square for fold in folds),
+                              len(self._own))
+
+    @cached_property
+    def _all(self) -> _Eliminated:
+        return self._eliminated(self._folds)
+
+    @cached_property
+    def _without(self) -> list[_Eliminated]:
+        """With each of the folds left out."""
+        return [self._eliminated([*self._folds[:k], *self._folds[k + 1 :]]) for k in range(len(self._folds))]
+
+    def _moments(self, F: Array, rows: slice) -> _Moments:
+        F = F[rows]
+        return _Moments(self._own[:, rows] @ F, F.T @ F, F.T @ self._y[rows])
+
+    def error(self, F: Array, bounded: np.ndarray) -> float:
+        """Sum of squares of the full fit with this friction regressor ``(M, m)``; ``bounded (m,)`` not negative."""
+        F, _ = _scaled(F)
+        return self._all.solved(self._moments(F, slice(None)), bounded)[2]
+
+    def coefficients(self, F: Array, bounded: np.ndarray) -> Array:
+        """Those of this joint's law ``(m,)`` in the full fit."""
+        F, size = _scaled(F)
+        return self._all.solved(self._moments(F, slice(None)), bounded)[0] / size
+
+    def held_out(self, F: Array, bounded: np.ndarray) -> float:
+        """Standard deviation of the joint's residual on folds that the fit has not seen."""
+        F, _ = _scaled(F)
+        every, total = self._moments(F, slice(None)), 0.0
+        for rows, others in zip(self._rows, self._without, strict=True):
+            p, own, _ = others.solved(every.less(self._moments(F, rows)), bounded)
+            left = self._y[rows] - own @ self._own[:, rows] - F[rows] @ p
+            total += float(left @ left)
+        return float(np.sqrt(total / len(self._y)))
+
+
+def _scaled(F: Array) -> tuple[Array, Array]:
+    """Columns of unit length, and what they were."""
+    size = np.maximum(np.sqrt(np.einsum("km,km->m", F, F)), 1e-12)
+    return F / size, size
+
+
+# Torque ripple of the motors, from the slow parts of a recording.
+#
+# Cogging and gear meshing repeat a whole number of times per motor turn, so with known gear ratios only amplitude and
+# phase of a few orders are asked for, and those are linear:
+#
+#     τ - τ_model = Σ_o a_o cos(o i q) + b_o sin(o i q) + what friction is wrong by ,   i gear ratio, o = 1, 2, …
+#
+# Only slow motion counts: there the controller answers the ripple completely, and what the current shows is the ripple.
+
+_ORDERS = tuple(range(1, 9))
+_FREQUENCY = (0.3, 6.0)
+"""Ripple frequencies that count [Hz]: slower is friction's, faster is not answered by the controller."""
+_CUTOFF = 25.0
+"""Low-pass of angles before they are differentiated [Hz]."""
+_EDGE = 50
+_SIGNIFICANT = 8.0
+"""A ripple counts when it is this many standard deviations large."""
+
+
+def fit_ripple(recordings: Sequence[Recording], model: Model, robot: Robot) -> tuple[FittedEffect, ...]:
+    """Ripple of every joint that shows one, strongest order first, as effects ``torque_ripple`` of the model.
+
+    Args:
+        recordings: with ``q_i`` and ``tau_i`` every few milliseconds, slow motion in them.
+        model: what the ripple is looked for behind.
+        robot: gear ratios; joints with ratio 1 (unknown) are passed over.
+
+    Raises:
+        InputError: the model is of another arm.
+    """
+    model.require_arm(robot)
+    parts = [_residual(recording, model) for recording in recordings]
+    found: list[FittedEffect] = []
+    for i in range(model.n):
+        if robot.gear_ratio[i] <= 1.0:
+            continue
+        for order in _ORDERS:
+            effect = _ripples(parts, i, order, float(robot.gear_ratio[i]))
+            if effect is not None:
+                found.append(effect)
+    return tuple(found)
+
+
+def _residual(recording: Recording, model: Model) -> tuple[Array, Array, Array]:
+    """Angles, velocities and unexplained torques ``(N, n)``."""
+    cycle = float(np.median(np.diff(recording.t)))
+    low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
+    q, tau = (np.asarray(filtfilt(*low_pass, recording.joints(name), axis=0)) for name in ("q", "tau"))
+    qd = np.gradient(q, cycle, axis=0)
+    left = tau - model.inverse_dynamics(q, qd, np.gradient(qd, cycle, axis=0), t=recording.t - recording.t[0])
+    inner = slice(_EDGE, -_EDGE)
+    return q[inner], qd[inner], left[inner]
+
+
+def _ripples(parts: Sequence[tuple[Array, Array, Array]], i: int, order: int, ratio: float) -> FittedEffect | None:
+    k = order * ratio
+    rows, values = [], []
+    for q, qd, left in parts:
+        frequency = k * np.abs(qd[:, i]) / (2 * np.pi)
+        slow = (frequency > _FREQUENCY[0]) & (frequency < _FREQUENCY[1])
+        v = qd[slow, i]
+        rows.append(np.column_stack([np.cos(k * q[slow, i]), np.sin(k * q[slow, i]), np.sign(v), v, np.ones(len(v))]))
+        values.append(left[slow, i])
+    H, y = np.concatenate(rows), np.concatenate(values)
+    if len(y) < 500:
+        return None
+    x, _, rank, _ = np.linalg.lstsq(H, y, rcond=None)
+    if rank < H.shape[1]:
+        return None
+    rest = y - H @ x
+    # Filtered samples are not independent: as many as the band has room for count.
+    independent = max(len(y) * 0.1, 10.0)
+    std = np.sqrt(np.diag(np.linalg.inv(H.T @ H / len(y))) * float(rest @ rest) / len(y) / independent)
+    size, sigma = float(np.hypot(x[0], x[1])), float(np.hypot(std[0], std[1]))
+    if size < _SIGNIFICANT * sigma:
+        return None
+    return FittedEffect(
+        "torque_ripple", i + 1, f"tau_{i + 1}", (float(x[0]), float(x[1])), (float(std[0]), float(std[1])), (k,),
+        theta_std=(0.0,),
+        parameters=(EffectParameter("amplitude", size, sigma, "N m"),
+                    EffectParameter("order", float(order), 0.0, "1 / motor turn")),
+        evidence={"standard_deviations": size / sigma, "how": "regression on slow motion"})

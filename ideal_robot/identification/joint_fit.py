@@ -9,21 +9,45 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, full_regressor, torques, with_link_parameters
-from ideal_robot.dynamics.consistency import Consistency, consistent_parameters
+from ideal_robot.dynamics.base_parameters import Consistency, consistent_parameters
+from ideal_robot.errors import InputError
 from ideal_robot.friction import LAWS, FrictionModel, PerJointFriction, law_of
-from ideal_robot.identification.friction_choice import (
-    FrictionChoice,
-    brakes,
-    candidates,
-    with_coefficients,
-)
-from ideal_robot.identification.prior import Prior
-from ideal_robot.identification.regions import regions_of_motion
-from ideal_robot.identification.weighted_least_squares import Solution, weighted_least_squares
+from ideal_robot.identification.friction_choice import FrictionChoice, brakes, candidates, with_coefficients
+from ideal_robot.identification.weighted_least_squares import Prior, Solution, weighted_least_squares
+from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import shape_columns
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.error_budget import ErrorBudget
-from ideal_robot.signals.preprocess import FilteredSignals
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess, resampled
+from ideal_robot.signals.recording import Recording
+
+# Regions of a motion: samples at angles and velocities that are alike.
+
+_HALVINGS = 3
+
+
+def regions_of_motion(q: Array, qd: Array) -> list[np.ndarray]:
+    """Rows of each of eight regions, with as many samples in each.
+
+    Every region is halved at the median of the angle or velocity that varies most in it, over what that varies by in
+    all of the motion. What a motion repeats is in one region, however often it is repeated.
+
+    Args:
+        q: angles ``(M, n)`` [rad, m].
+        qd: velocities ``(M, n)`` [rad/s, m/s].
+    """
+    state = np.hstack([q, qd])
+    state = state / np.maximum(np.std(state, axis=0), 1e-12)
+    regions = [np.arange(len(state))]
+    for _ in range(_HALVINGS):
+        halves = []
+        for rows in regions:
+            widest = int(np.argmax(np.std(state[rows], axis=0))) if len(rows) else 0
+            order = rows[np.argsort(state[rows, widest], kind="stable")]
+            halves += [order[: len(order) // 2], order[len(order) // 2 :]]
+        regions = halves
+    return regions
+
 
 _ATTEMPTS = 3
 _LAG = 0.01
@@ -244,3 +268,52 @@ class JointProblem:
         std = np.sqrt(np.diag(self._rough(correlated=True).covariance))[b:].reshape(-1, 2)
         drives = negative & np.any(friction < -3.0 * std, axis=1)
         return tuple(int(j) for j in np.flatnonzero(drives & (inertia < 0.0)))
+
+
+# Joint stiffness and damping from motor and arm angles, where an external device measured the arm ([J] (1)).
+
+_PASSED = 20.0
+"""Twists are compared with loads up to this frequency at least [Hz]: gears of arms resonate at 10 to 20 Hz."""
+
+
+def stiffness_from_arm(recordings: Sequence[Recording], model: Model) -> tuple[Array, Array]:
+    """Stiffness and damping of each joint, ``k (q_m - q) + d (q̇_m - q̇) = load``, by least squares.
+
+    The load is the torque of the links; the rotor's share never passes the gear. An offset between the two angles is
+    estimated along with each recording.
+
+    Args:
+        recordings: with ``q_i`` and ``qa_i``.
+        model: identified rigid body.
+
+    Returns:
+        ``k (n,)`` [N m/rad] and ``d (n,)`` [N m s/rad], both at least zero.
+
+    Raises:
+        InputError: no arm angles in a recording.
+    """
+    # Accelerations of a coarse encoder need the filter that the identification chose: noise in the load would make
+    # gears look stiff. Damping shows near the gears' resonance, which must pass.
+    cutoff = max(_PASSED, model.provenance.get("filters", {}).get("cutoff", 0.0))
+    twists, rates, loads = [], [], []
+    for recording in recordings:
+        if not recording.has("qa"):
+            raise InputError("arm angles qa_1 to qa_n are needed for stiffness", file=recording.source, field="qa_1")
+        s = preprocess(recording, cutoff=cutoff)
+        arm = resampled(recording.t, recording.joints("qa"), s.t, smooth=True)
+        raw = resampled(recording.t, recording.joints("q"), s.t, smooth=True) - arm
+        twist = lowpass(raw, s.dt, s.cutoff)
+        load = model.rigid_body(lowpass(arm, s.dt, s.cutoff), s.qd, s.qdd)
+        twists.append(s.decimate(twist))
+        rates.append(s.decimate(np.gradient(twist, s.dt, axis=0)))
+        loads.append(s.decimate(load))
+    k, d = np.empty(model.n), np.empty(model.n)
+    for j in range(model.n):
+        x = np.concatenate([v[:, j] - v[:, j].mean() for v in twists])
+        v = np.concatenate([v[:, j] - v[:, j].mean() for v in rates])
+        y = np.concatenate([v[:, j] - v[:, j].mean() for v in loads])
+        # The noise is in the angles, not in the load: regress the twist on the load, and invert.
+        compliance = float(y @ x / (y @ y))
+        k[j] = 1.0 / max(compliance, 1e-12)
+        d[j] = max(0.0, float((y - k[j] * x) @ v / (v @ v)))
+    return k, d

@@ -15,8 +15,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import approach
-from ideal_robot.identification.workspace import Workspace, clear_of_obstacles
+from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles
 from ideal_robot.robots.robot import Robot
 
 FRICTION_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5)

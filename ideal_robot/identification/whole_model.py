@@ -14,26 +14,22 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.friction import CubeRoot
 from ideal_robot.friction.warm_up import WarmUp, fit_warm_up
-from ideal_robot.identification.closed_loop_fit import fit_controller
+from ideal_robot.identification.closed_loop_fit import LinearLoopFit, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import ControllerIdentification, identify_controller
 from ideal_robot.identification.idim import Identification, identify, relative_error
-from ideal_robot.identification.impulse_response_fit import LinearLoopFit, identify_linear_loop
-from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
+from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
-from ideal_robot.plain import plain
-from ideal_robot.plots import over_time
 from ideal_robot.progress import Progress, Steps, silent
+from ideal_robot.results import Summarised, listed, over_time, plain
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.given import expect, recordings_of
 from ideal_robot.signals.preprocess import preprocess
-from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.stretches import stretches
-from ideal_robot.summary import Summarised, listed
+from ideal_robot.signals.recording import Recording, expect, recordings_of
+from ideal_robot.signals.sampling import stretches
 
 if TYPE_CHECKING:
-    from ideal_robot.plots import Figure
+    from ideal_robot.results import Figure
 
 METHODS = ("joint", "two-step")
 

@@ -11,8 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix
-from ideal_robot.robots.postures import spread_postures
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, mass_matrix
+from ideal_robot.effects import Signals
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.robot import spread_postures
 
 _SHARE = 0.5
 """Rotor inertia over the least inertia that the links hold against the joint, where the rotor is not known."""
@@ -45,3 +47,25 @@ def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
         mass_matrix(chain, R, p, M)
         least = np.minimum(least, 1.0 / np.diag(np.linalg.inv(M)))
     return np.asarray(least)
+
+
+# Torques that effects ask of the motors beside rigid body, friction and what else the loop has a place for.
+
+def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, load: Array,
+                   sliding: Array) -> Array:
+    """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].
+
+    Args:
+        loop: the identified loop.
+        t: instants ``(N,)`` [s].
+        q: motor angles ``(N, n)`` [rad].
+        qd: their velocities [rad/s].
+        qdd: their accelerations [rad/s²].
+        load: torque at the gear outputs [N m].
+        sliding: how far dry friction has turned since the last reversal, -1 to 1.
+    """
+    if not loop.terms:
+        return np.zeros_like(q)
+    signals = Signals(t, q, qd, qdd, load, load, np.zeros_like(load), sliding=sliding,
+                      rigid=lambda q, qd, qdd: inverse_dynamics(loop.chain, q, qd, qdd))
+    return np.asarray(np.sum([effect.contribution(signals) for effect in loop.terms], axis=0))

@@ -25,18 +25,15 @@ from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
-from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.model_checks import require_consistent
-from ideal_robot.model.model_file import SCHEMA, read_values, write_values
-from ideal_robot.model.parametrisation import Parameter, described, sensitivity
+from ideal_robot.model.model_file import SCHEMA, read_values, urdf_with_inertials, write_values
+from ideal_robot.model.parametrisation import ControllerModel, Parameter, described, sensitivity
 from ideal_robot.model.prediction import Prediction
-from ideal_robot.model.urdf_export import urdf_with_inertials
-from ideal_robot.plain import plain
+from ideal_robot.results import Summarised, plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import model_of
 from ideal_robot.signals.preprocess import FilteredSignals, evenly_sampled
 from ideal_robot.signals.recording import Recording
-from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import write_text
 
 _SAME_PLACE = 0.02

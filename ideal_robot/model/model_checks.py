@@ -9,7 +9,7 @@ import numpy as np
 
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
-from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.model.parametrisation import ControllerModel
 
 _SYMBOLS = 12
 """Full parameters a joint: ten of its link, its rotor inertia, its torque offset."""

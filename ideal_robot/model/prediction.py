@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.summary import Summarised, listed
+from ideal_robot.results import Summarised, listed
 
 
 @dataclass(frozen=True, repr=False)

@@ -5,7 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.robots.robot import Robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,3 +42,221 @@ class RobotInterface(Protocol):
         Returns the state at the end of the cycle.
         """
         ...
+
+
+# What any arm behind the positional interface refuses to be commanded.
+
+def checked_command(robot: Robot, q_c: Array, before: Array, t_ipo: float) -> Array:
+    """A command that the controller accepts, as a new array ``(n,)``.
+
+    Args:
+        robot: whose limits count.
+        q_c: command ``(n,)`` [rad].
+        before: command of the cycle before ``(n,)`` [rad].
+        t_ipo: interpolation cycle [s].
+
+    Raises:
+        InputError: wrong size or not finite.
+        LimitError: outside the joint limits, or more than twice the velocity limit away from the command before.
+    """
+    q = np.array(q_c, dtype=float)
+    if q.shape != (robot.n,) or not np.isfinite(q).all():
+        raise InputError(f"a command must be {robot.n} finite joint angles", field="q_c", value=q.tolist())
+    outside = (q < robot.q_min) | (q > robot.q_max)
+    if outside.any():
+        j = int(np.argmax(outside))
+        limit = robot.q_min[j] if q[j] < robot.q_min[j] else robot.q_max[j]
+        raise LimitError(j + 1, "commanded angle [rad]", q[j], limit, "command angles within the joint limits")
+    speed = np.abs(q - before) / t_ipo
+    fast = speed > 2.0 * robot.v_max
+    if fast.any():
+        j = int(np.argmax(fast))
+        raise LimitError(j + 1, "commanded velocity [rad/s]", speed[j], 2.0 * robot.v_max[j],
+                         "hand over a path that starts where the arm is and keeps the velocity limits")
+    return q
+
+
+# Whether the measured arm does what was commanded, from the first packet on, and if not what the cause looks like.
+#
+# An arm under a position controller is, but for a tolerance, between the smallest and the largest of the commands of
+# the last while, which is as long as its loop needs to answer. Where it is not, the motion of the last cycles is held
+# against what each cause would make of the same commands.
+
+TOLERANCE = np.radians(0.3)
+"""How far an arm may be outside its commands [rad] …"""
+_SHARE = 0.1
+"""… and in addition by this share of what they changed by."""
+_PATIENCE = 2
+"""Cycles in a row after which a deviation counts."""
+_LAGS, _DEAD = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 9.0, 13.0, 20.0), 4
+"""Time constants and longest dead time that are tried [cycles]."""
+_EXPLAINS, _SURE = 0.35, 0.12
+"""Share of the motion a cause may leave unexplained; less where the arm is then stopped in another way."""
+_ADDS_UP = "the controller adds up absolute corrections (--relative, or make its corrections absolute)"
+
+
+class FollowingWatch:
+    """Compares measured with commanded joint angles in every cycle.
+
+    Args:
+        n: number of joints.
+        window: cycles within which the loop answers a command.
+        jump: largest believable change in one cycle ``(n,)`` [rad].
+        relative: whether we take the corrections as relative.
+
+    Attributes:
+        adds_up: whether the controller turned out to add up absolute corrections.
+        missing: readings that could not be and were not used.
+        tolerance: how far the arm may be outside its commands [rad].
+        rest: measured minus commanded at rest, before anything moved ``(n,)`` [rad].
+    """
+
+    def __init__(self, n: int, window: int, jump: Array, relative: bool) -> None:
+        rows = max(2 * window, 8)
+        self.adds_up, self.missing, self.rest = False, 0, np.zeros(n)
+        self.tolerance = TOLERANCE
+        self._window, self._jump, self._relative = window, jump, relative
+        self._commanded, self._measured, self._sum = np.zeros((rows, n)), np.zeros((rows, n)), np.zeros((rows, n))
+        self._count = self._outside = self._jumped = 0
+
+    def begin(self, commanded: Array, measured: Array) -> None:
+        """The first packet: commanded and measured joint angles ``(n,)`` [rad], at rest."""
+        self._commanded[:], self._measured[:], self._sum[:] = commanded, measured, 0.0
+        self._start, self._last = commanded.copy(), measured.copy()
+        # At rest a controller holds the arm a little beside its command, which is no error of following.
+        self.rest = measured - commanded
+
+    def check(self, commanded: Array, measured: Array) -> str | None:
+        """One cycle: what is commanded now and what was measured ``(n,)`` [rad]. Returns what is wrong, if anything."""
+        leap = np.abs(measured - self._last)
+        if (leap > self._jump * (1 + self._jumped)).any():
+            # One reading of its kind counts as missing; a second says that the arm, or its encoder, is elsewhere.
+            self.missing, self._jumped = self.missing + 1, self._jumped + 1
+            joint = int(np.argmax(leap / self._jump))
+            return None if self._jumped < _PATIENCE else (
+                f"the measured position of joint {joint + 1} jumped by {np.degrees(leap[joint]):.0f}°")
+        self._last, self._jumped = measured.copy(), 0
+        row = self._count % len(self._commanded)
+        self._sum[row] = self._sum[row - 1] + commanded - self._start
+        self._commanded[row], self._measured[row] = commanded, measured
+        self._count += 1
+        recent = self._commanded[(row - np.arange(self._window)) % len(self._commanded)]
+        low, high = recent.min(axis=0), recent.max(axis=0)
+        at = measured - self.rest
+        beyond = np.maximum(low - at, at - high) - self.tolerance - _SHARE * (high - low)
+        self._outside = self._outside + 1 if (beyond > 0).any() else 0
+        return self._cause(int(np.argmax(beyond))) if self._outside >= _PATIENCE else None
+
+    def stopping(self, commanded: Array, measured: Array) -> str | None:
+        """One cycle of braking: an arm that goes on under a command that stands still is one that adds it up."""
+        still = np.array_equal(commanded, self._commanded[0])
+        self._commanded[0], step, self._last = commanded, measured - self._last, measured.copy()
+        joint = int(np.argmax(np.abs(step)))
+        expected = commanded[joint] - self._start[joint]
+        goes_on = still and not self._relative and abs(step[joint] - expected) < 0.5 * abs(expected)
+        self._outside = self._outside + 1 if goes_on else 0
+        if self._outside < 2 * _PATIENCE or self.adds_up:
+            return None
+        self.adds_up = True
+        return f"joint {joint + 1} goes on while its command stands still: {_ADDS_UP}"
+
+    def _cause(self, joint: int) -> str:
+        """What the motion of the last cycles looks like."""
+        order = (self._count + np.arange(len(self._commanded))) % len(self._commanded)
+        commanded, measured = self._commanded[order], self._measured[order]
+        total = self._sum[order, joint]
+        told, moved = commanded[:, joint] - commanded[0, joint], measured[:, joint] - measured[0, joint]
+        beside = np.degrees(moved[-1] - told[-1] + measured[0, joint] - self.rest[joint] - commanded[0, joint])
+        says = f"joint {joint + 1} is {abs(beside):.2f}° off its command"
+        if np.ptp(moved) < 0.1 * np.ptp(told):
+            still = np.ptp(measured, axis=0) < 0.1 * np.ptp(commanded, axis=0)
+            if self._relative and _left(moved, np.gradient(told)) < _EXPLAINS:
+                return f"{says}: the controller takes increments as absolute corrections (--absolute)"
+            if still[np.ptp(commanded, axis=0) > TOLERANCE].all():
+                return (f"{says}: the arm does not move; check the tag of the corrections (--tag, --rsi-config), the "
+                        "sender type, that they are wired to AXISCORR, and its limits")
+            return f"{says}: joint {joint + 1} does not move"
+        if not self._relative and _left(moved, total - total[0]) <= _SURE:
+            self.adds_up = True
+            return f"{says}: {_ADDS_UP}"
+        if _left(moved, -told) <= _EXPLAINS:
+            return f"{says}: it turns against it; check axis_sign in the robot's data"
+        return f"{says} and does not follow it; check model, cycle, load and what stands in the way"
+
+def _left(moved: Array, expected: Array) -> float:
+    """Share of a motion ``(N,)`` that ``expected (N,)`` leaves, at the dead time and lag that fit best."""
+    size, N = float(np.linalg.norm(moved)), len(moved)
+    shares = [np.inf]
+    for lag in _LAGS:
+        kernel = np.exp(-np.arange(N) / lag) if lag else np.eye(1, N)[0]
+        slow = np.convolve(expected, kernel / kernel.sum())[:N]
+        for dead in range(_DEAD + 1):
+            late = np.concatenate([np.zeros(dead), slow[: N - dead]])
+            shares.append(float(np.linalg.norm(moved - late)) / max(size, 1e-12))
+    return min(shares)
+
+
+# Back to the commands that are wanted, from where and how fast the controller has the arm instead.
+#
+# What is sent is the wanted command plus an offset ``o``. Where an answer was missed the offset starts with the
+# difference in position and speed, so that the controller sees no jump, and fades on a cubic::
+#
+#     o(u) = (1 - u)² (o_0 + (2 o_0 + N d_0) u) ,   u = i / N
+#
+# with ``o_0`` [rad] and ``d_0`` [rad a cycle] at ``i = 0`` and rest at ``i = N``. All joints take the same time, so the
+# arm leaves the path as little as it can.
+
+_LONGEST = 2000
+"""Cycles after which an offset has faded whatever it costs."""
+
+
+class CatchUp:
+    """The offset of what is sent from what is wanted.
+
+    Args:
+        room: acceleration of the arm it may take ``(n,)`` [rad/s²].
+        v_max: speed the arm may reach with it ``(n,)`` [rad/s].
+        t_ipo: cycle [s].
+    """
+
+    def __init__(self, room: Array, v_max: Array, t_ipo: float) -> None:
+        self._room, self._fastest = room * t_ipo**2, v_max * t_ipo
+        self._offset = self._drift = np.zeros(len(room))
+        self._cycles = self._done = 0
+
+    @property
+    def active(self) -> bool:
+        """Whether there is an offset still."""
+        return self._done < self._cycles
+
+    def start(self, offset: Array, drift: Array, wanted: Array) -> None:
+        """From another position and speed.
+
+        Args:
+            offset: position in force minus the one wanted ``(n,)`` [rad].
+            drift: the same of the speeds ``(n,)`` [rad a cycle].
+            wanted: speed wanted ``(n,)`` [rad a cycle].
+        """
+        self._offset, self._drift, self._done = offset, drift, 0
+        # |ö| is largest at an end: |6 o + 4 N d| / N² and |6 o + 2 N d| / N².
+        lengths = np.arange(1.0, _LONGEST + 1.0)[:, None]
+        needed = np.maximum(np.abs(6 * offset + 4 * lengths * drift), np.abs(6 * offset + 2 * lengths * drift))
+        fits = (needed <= self._room * lengths**2).all(axis=1)
+        self._cycles = int(np.argmax(fits)) + 1 if fits.any() else _LONGEST
+        allowed = np.maximum(self._fastest, np.maximum(np.abs(wanted), np.abs(wanted + drift))) + 1e-12
+        while self._cycles < _LONGEST:
+            rows = np.array([self._at(i) for i in range(self._cycles + 1)])
+            if (np.abs(wanted + np.diff(rows, axis=0)) <= allowed).all():
+                break
+            self._cycles = min(int(1.25 * self._cycles) + 1, _LONGEST)
+
+    def next(self) -> Array:
+        """Offset of the coming command ``(n,)`` [rad]."""
+        self._done = min(self._done + 1, self._cycles)
+        return self._at(self._done)
+
+    def _at(self, i: int) -> Array:
+        if i >= self._cycles:
+            return np.zeros_like(self._offset)
+        u = i / self._cycles
+        return np.asarray((1 - u) ** 2 * (self._offset + (2 * self._offset + self._cycles * self._drift) * u))

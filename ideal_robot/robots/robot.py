@@ -21,11 +21,15 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
-from ideal_robot.plain import plain
-from ideal_robot.robots.drive_data import read_drive_data
-from ideal_robot.robots.joints import prismatic_joints
-from ideal_robot.robots.urdf import model_of
-from ideal_robot.summary import Summarised, listed
+from ideal_robot.results import Summarised, listed, plain
+from ideal_robot.robots.urdf import model_of, read_drive_data
+
+# Which kind of joint a Pinocchio model has where.
+
+def prismatic_joints(model: pin.Model) -> NDArray[np.bool_]:
+    """Which joints slide along their axis instead of turning about it ``(n,)``; one degree of freedom each."""
+    return np.array([joint.shortname().startswith("JointModelP") for joint in list(model.joints)[1:]], dtype=bool)
+
 
 SHIPPED = ("kr6", "kr15", "manutec_r15", "kr500")
 TOOL_TIP = "ideal_robot_tool_tip"
@@ -234,3 +238,65 @@ def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None) -> str:
         return wanted
     # Without a word from the user: the last body frame, which is the end of a serial chain.
     return str([frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1])
+
+
+# Common normals of neighbouring joint axes, as Denavit and Hartenberg use them.
+
+def common_normals(robot: Robot) -> Array:
+    """Common normal of each joint's axis and the next one, in the joint's own frame ``(n, 3)``.
+
+    For parallel axes it points from one to the other; for the last joint towards the TCP.
+    """
+    n = robot.n
+    model, q, prismatic = robot.pinocchio, pin.neutral(robot.pinocchio), robot.prismatic
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    full = pin.computeFrameJacobian(model, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    # Pinocchio's has one dimension where there is one joint.
+    full = np.asarray(full).reshape(6, n)
+    axes = [full[:3, j] if prismatic[j] else full[3:, j] for j in range(n)]
+    places = [*[data.oMi[j + 1].translation for j in range(n)], data.oMf[robot.tool_id].translation]
+    result = np.empty((n, 3))
+    for j in range(n):
+        z = axes[j] / np.linalg.norm(axes[j])
+        across = np.cross(z, axes[j + 1]) if j + 1 < n else np.zeros(3)
+        for candidate in (across, places[j + 1] - places[j], *np.eye(3)):
+            flat = candidate - (candidate @ z) * z
+            if np.linalg.norm(flat) > 1e-3:
+                break
+        result[j] = data.oMi[j + 1].rotation.T @ (flat / np.linalg.norm(flat))
+    return result
+
+
+# Postures all over an arm's range, the same ones every time.
+
+def spread_postures(q_min: Array, q_max: Array, count: int = 128) -> Array:
+    """Halton points ``(count, n)`` between the limits; of joints that turn further, half a turn to either side.
+
+    Args:
+        q_min: lower position limits ``(n,)`` [rad or m].
+        q_max: upper position limits ``(n,)`` [rad or m].
+        count: how many.
+    """
+    low, high = np.clip(q_min, -np.pi, np.pi), np.clip(q_max, -np.pi, np.pi)
+    spread = np.column_stack([_radical_inverse(count, base) for base in _primes(len(low))])
+    return np.asarray(low + spread * (high - low))
+
+
+def _radical_inverse(count: int, base: int) -> Array:
+    """The numbers from 0 on, their digits in a base written behind the point ``(count,)``."""
+    left, digit, found = np.arange(count), 1.0 / base, np.zeros(count)
+    while left.any():
+        found += (left % base) * digit
+        left, digit = left // base, digit / base
+    return found
+
+
+def _primes(count: int) -> list[int]:
+    found: list[int] = []
+    candidate = 2
+    while len(found) < count:
+        if all(candidate % prime for prime in found):
+            found.append(candidate)
+        candidate += 1
+    return found

@@ -16,14 +16,9 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.robots.catch_up import CatchUp
-from ideal_robot.robots.following import FollowingWatch
-from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.limits import checked_command
+from ideal_robot.robots.interface import CatchUp, FollowingWatch, RobotState, checked_command
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rtde.connection import RtdeConnection
-from ideal_robot.rtde.rtde_error import RtdeError
-from ideal_robot.rtde.wire import Recipe, Value
+from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Value
 
 _OUTPUTS = ("timestamp", "actual_q", "target_q", "actual_current", "runtime_state", "safety_status_bits")
 _AXES = 6

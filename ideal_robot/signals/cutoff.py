@@ -15,7 +15,7 @@ import numpy as np
 from scipy import linalg, signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.signals.filtered_at import filtered_at, not_zero
+from ideal_robot.signals.filters import filtered_at, not_zero
 from ideal_robot.signals.preprocess import (
     EvenSignals,
     FilteredSignals,

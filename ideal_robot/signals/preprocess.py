@@ -17,10 +17,9 @@ import scipy
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
-from ideal_robot.signals.filtered_at import filtered_at, not_zero
+from ideal_robot.signals.filters import filtered_at, forwards_and_backwards, not_zero
 from ideal_robot.signals.recording import Recording
-from ideal_robot.signals.stamps import on_its_clock
-from ideal_robot.signals.zero_phase import forwards_and_backwards
+from ideal_robot.signals.sampling import on_its_clock
 
 ORDER = 4
 """Order of the Butterworth filter; run forwards and backwards it acts as twice that."""

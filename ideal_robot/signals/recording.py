@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,19 +13,15 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.file_array import let_go
-from ideal_robot.plain import plain
-from ideal_robot.plots import over_time
-from ideal_robot.signals.column_store import in_file
-from ideal_robot.signals.ros_bag import SUFFIXES, read_joint_states
-from ideal_robot.signals.table_file import read_table
-from ideal_robot.summary import Summarised
+from ideal_robot.results import Summarised, over_time, plain
+from ideal_robot.row_log import in_file, let_go
+from ideal_robot.signals.table_file import SUFFIXES, read_joint_states, read_table
 from ideal_robot.whole_file import whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from ideal_robot.plots import Figure
+    from ideal_robot.results import Figure
 
 OF_JOINTS = ("q_c", "q_d", "q", "qa", "tau", "current", "temp")
 """Quantities that every joint has."""
@@ -274,3 +271,42 @@ def _own(values: Any, source: str, name: str) -> Array:
                          file=source, field=name, value=array.shape)
     array.setflags(write=False)
     return array
+
+
+# What was handed to a function, where people may hand over something else: a clear error instead of a late one.
+
+def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[Recording, ...]:
+    """One recording or several, as a tuple.
+
+    Args:
+        given: what was handed over.
+        field: the argument's name, for the message.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if isinstance(given, Recording):
+        return (given,)
+    if not isinstance(given, (list, tuple)):
+        raise InputError("expected a recording or a list of them; make one of a DataFrame by Recording.from_frame, "
+                         "of arrays by Recording.from_arrays, of a file by Recording.read", field=field,
+                         value=type(given).__name__)
+    for i, one in enumerate(given):
+        expect(one, Recording, f"{field}[{i}]", "make one by Recording.from_frame, from_arrays or read")
+    return tuple(given)
+
+
+def expect(given: Any, kind: type, field: str, remedy: str) -> None:
+    """Refuses what is of another kind.
+
+    Args:
+        given: what was handed over.
+        kind: what was expected.
+        field: the argument's name.
+        remedy: what to do instead.
+
+    Raises:
+        InputError: it is of another kind.
+    """
+    if not isinstance(given, kind):
+        raise InputError(f"expected a {kind.__name__}; {remedy}", field=field, value=type(given).__name__)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
+import pinocchio as pin
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
 from planning.line.deviation_model import PathDeviation
+from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
+from planning.planning_error import PlanningError
 
 FORCE_ERRORS = (0.3, 0.002)
 """Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant
@@ -127,3 +133,185 @@ def surface_model(
         shape=shape,
         length=length,
     )
+
+
+# What a force sensor shows of nothing: its bias has drifted since calibration, and the approach shows by how much.
+
+BEGIN = 0.06
+"""Time after the first sample in which the arm speeds up, and the tool's inertia is felt [s]."""
+END = 0.06
+"""Time before a sample in which it may have touched already [s]."""
+
+
+class Tare:
+    """Mean of the contact force that is left in the air, after bias and weight from calibration were taken away."""
+
+    def __init__(self) -> None:
+        self._first: float | None = None
+        self._recent: deque[tuple[float, Array]] = deque()
+        self._sum, self._count = np.zeros(3), 0
+
+    @property
+    def force(self) -> Array:
+        """What is to be taken away from contact forces in the tool frame ``(3,)`` [N]."""
+        return self._sum / max(self._count, 1)
+
+    def add(self, t: Array, contact: Array) -> None:
+        """Takes contact forces ``(m, 3)`` [N] of the instants ``t (m,)`` [s] of an approach."""
+        for at, one in zip(t, contact, strict=True):
+            self._first = float(at) if self._first is None else self._first
+            if at >= self._first + BEGIN:
+                self._recent.append((float(at), one))
+        while self._recent and self._recent[0][0] < float(np.max(t)) - END:
+            self._sum, self._count = self._sum + self._recent.popleft()[1], self._count + 1
+
+
+# A motion above a path before the job, at its speeds and with the reversals that an unknown surface asks for.
+
+CLEAR = 0.03
+"""Distance from the reference that the tip keeps at least [m]."""
+WAVES = (0.25, 0.1)
+"""Lengths of the waves of the tip's height [m]."""
+DRY_RUN_SLOPE = 0.1
+"""Largest slope of each wave."""
+LONGEST = 12.0
+"""Time that the motion takes at most, unless joints are too slow for that [s]."""
+SHARE = 0.6
+"""Of the joints' largest speeds that the motion may use."""
+
+
+def dry_run(robot: Robot, reference: ReferencePath, speed: float, q_start: Array) -> Array:
+    """Joint angles ``(N, n)`` [rad] at the cycles: along the path and back, from rest to rest, without touching.
+
+    s = S sin²(π t/T), whose largest speed is that of the job; slower ones are passed on the way. Each place is passed
+    in both directions, which tells friction from weight.
+
+    Args:
+        robot: cycle time and limits.
+        reference: the path.
+        speed: of the job [m/s].
+        q_start: joint angles near the path's start ``(n,)`` [rad].
+
+    Raises:
+        OutOfReachError: a place above the path cannot be reached.
+    """
+    kinematics = InverseKinematics(robot)
+    way = min(reference.length, speed * LONGEST / np.pi)
+    lasts = np.pi * way / speed
+    steps = max(round(lasts / robot.t_ipo), 2)
+    s = way * np.sin(np.pi * np.arange(steps + 1) / steps) ** 2
+    frames = reference.frames(s)
+    waves = [DRY_RUN_SLOPE * length / (2 * np.pi) * (1.0 - np.cos(2 * np.pi * s / length)) for length in WAVES]
+    height = CLEAR + np.sum(waves, axis=0)
+    places = frames.position + height[:, None] * frames.up
+    q = kinematics.path([pin.SE3(R, p) for R, p in zip(reference.rotation(s), places, strict=True)], q_start)
+    fastest = float(np.max(np.abs(np.diff(q, axis=0)) / (SHARE * robot.v_max * robot.t_ipo)))
+    if fastest <= 1.0:
+        return q
+    slower = np.linspace(0.0, steps, int(np.ceil(fastest * steps)) + 1)
+    return np.column_stack([np.interp(slower, np.arange(steps + 1), one) for one in q.T])
+
+
+# When to stop: force too large, contact or line lost, or a command that would leave what the joints may do.
+
+class EmergencyStopError(PlanningError):
+    """The arm has to stop on its path.
+
+    Args:
+        cause: ``force``, ``contact``, ``line``, ``reach``, ``position``, ``velocity`` or ``acceleration``.
+        t: controller time [s].
+        text: what was found, with value, limit and remedy.
+    """
+
+    def __init__(self, cause: str, t: float, text: str) -> None:
+        self.cause, self.t = cause, t
+        super().__init__(f"stopped at t = {t:.3f} s: {text}")
+
+
+@dataclass(frozen=True)
+class StopLimits:
+    """What must not happen.
+
+    Attributes:
+        force: largest contact force [N].
+        lost: longest time without contact during the travel [s].
+        share: of the joints' velocity and acceleration limits that a desired path may use.
+    """
+
+    force: float = 80.0
+    lost: float = 0.1
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        for key in ("force", "lost", "share"):
+            if not getattr(self, key) > 0:
+                raise InputError("expected a positive number", field=key, value=getattr(self, key))
+
+
+class StopConditions:
+    """Looks at every sample and at every horizon; raises before the arm does what it must not.
+
+    Args:
+        robot: whose joint limits count.
+        limits: what must not happen.
+    """
+
+    def __init__(self, robot: Robot, limits: StopLimits) -> None:
+        self._robot, self._limits, self._T = robot, limits, robot.t_ipo
+
+    def force(self, t: float, force: float) -> None:
+        """A contact force [N]. Raises ``EmergencyStopError`` above the limit, and where it is no number."""
+        if not force <= self._limits.force:
+            raise EmergencyStopError(
+                "force",
+                t,
+                f"contact force {force:.1f} N is above the limit "
+                f"{self._limits.force:.1f} N; look for an obstacle, or lower the speed",
+            )
+
+    def contact(self, t: float, last_touch: float) -> None:
+        """The last instant of contact. Raises ``EmergencyStopError`` if it is too long ago."""
+        if t - last_touch > self._limits.lost:
+            raise EmergencyStopError(
+                "contact",
+                t,
+                f"contact lost {1e3 * (t - last_touch):.0f} ms ago, allowed are "
+                f"{1e3 * self._limits.lost:.0f} ms; look for an edge, or lower the speed",
+            )
+
+    def approach(self, t: float, descended: float, reach: float) -> None:
+        """How far the approach has come [m]. Raises ``EmergencyStopError`` if there should have been contact.
+
+        Args:
+            t: controller time [s].
+            descended: way of the approach so far [m].
+            reach: largest allowed way [m].
+        """
+        if descended > reach:
+            raise EmergencyStopError(
+                "contact",
+                t,
+                f"no contact within {1e3 * reach:.0f} mm of the approach; look "
+                "whether the surface is where it should be",
+            )
+
+    def command(self, t: float, q_d: Array) -> None:
+        """A horizon ``(n_d, n)`` [rad]. Raises ``EmergencyStopError`` naming joint, value and limit."""
+        robot, share = self._robot, self._limits.share
+        self._within(t, "position", q_d, robot.q_min, robot.q_max, "rad; move the path")
+        v = np.diff(q_d, axis=0) / self._T
+        self._within(t, "velocity", v, -share * robot.v_max, share * robot.v_max, "rad/s; lower the speed")
+        # Two cycles: a single one would take the rounding of the inverse kinematics for acceleration.
+        if len(v) > 2:
+            a = (v[2:] - v[:-2]) / (2 * self._T)
+            self._within(t, "acceleration", a, -share * robot.a_max, share * robot.a_max, "rad/s²; lower the speed")
+
+    def _within(self, t: float, cause: str, values: Array, low: Array, high: Array, remedy: str) -> None:
+        beyond = np.maximum(values - high, low - values)
+        if beyond.max(initial=-1.0) > 0:
+            row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+            value = float(values[row, joint])
+            limit = float(high[joint] if value > high[joint] else low[joint])
+            raise EmergencyStopError(
+                cause, t, f"joint {joint + 1} would need {cause} {value:.3f}, its limit is {limit:.3f} {remedy}"
+            )

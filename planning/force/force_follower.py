@@ -12,16 +12,16 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.force.contact import FORCE_ERRORS, SLOPE, ContactSettings, Phase, surface_model
-from planning.force.sliding_plan import SPARE, SlidingPlan
+from planning.force.contour import SPARE, SlidingPlan
 from planning.force.surface_forecast import SurfaceForecast
 from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.path.desired_path import ReferenceTable
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
-from planning.path.reference_table import ReferenceTable
 from planning.path.speed_profile import SpeedProfile
 from planning.planning_error import PlanningError
-from sensing.force.force_deviation import force_deviation
+from sensing.force.wrench import force_deviation
 
 STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is assumed."""

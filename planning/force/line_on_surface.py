@@ -23,7 +23,7 @@ from ideal_robot.errors import InputError
 from planning.force.force_follower import SurfaceFollower
 from planning.line.fusion import Fused, Measurement
 from planning.line.line_view import LineAhead, SeenLine
-from planning.path.vectors import cross, dot, unit
+from planning.path.path_kernels import cross, dot, unit
 from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 OBLIQUE = 0.1

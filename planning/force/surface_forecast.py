@@ -2,11 +2,96 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from ideal_robot.arrays import Array
-from planning.force.wave_variances import likelier_variances
+from ideal_robot.elasticity.observer import ArmObserver, ObserverState
 from planning.line.deviation_model import matern
+
+# Which waves a surface has: variances of cosines and sines that make what was felt likelier.
+
+BETTER = 0.1
+"""Gain of log likelihood from which on a change of a variance is taken."""
+MOST_WAVES = 8
+"""Variances that are changed at a time."""
+ROUNDED = 1e-6
+"""What is left of a wave that is known so well that rounding hides it; its variance is left as it is."""
+
+
+def likelier_variances(gamma: Array, waves: Array, inverse: Array, weights: Array, largest: float) -> Array:
+    r"""Changes one variance after another to its best value, always the one that gains most.
+
+    That is Tipping and Faul's *fast marginal likelihood* (2003), with the cosine and the sine of a wavelength as a pair
+    that shares a variance. With the covariance C of all but the wave U (m, 2), its gain of log likelihood is
+
+    .. math:: \tfrac12 \left( -\ln|I + \gamma S| + \gamma\, q^T (I + \gamma S)^{-1} q \right),
+              \quad S = U^T C^{-1} U,\ q = U^T C^{-1} y
+
+    A change is one of rank two in the covariance, so S and q of all waves follow without inverting it again.
+
+    Args:
+        gamma: variances ``(n,)`` [m²].
+        waves: cosines, then sines, at the places that were felt ``(m, 2 n)``.
+        inverse: of the covariance of what was felt, with these variances in it ``(m, m)`` [1/m²].
+        weights: ``inverse`` times what was felt ``(m,)`` [1/m].
+        largest: bound of a variance [m²].
+    """
+    n, gamma = len(gamma), gamma.copy()
+    solved = inverse @ waves
+    # Of all waves, as with the present variances: S by its elements, and q.
+    S = np.stack([_columns(waves[:, :n], solved[:, :n]), _columns(waves[:, :n], solved[:, n:]),
+                  _columns(waves[:, n:], solved[:, n:])])
+    q = (waves.T @ weights).reshape(2, n)
+    for _ in range(MOST_WAVES):
+        # As if the wave were not in the covariance.
+        left = np.stack([1.0 - gamma * S[0], -gamma * S[1], 1.0 - gamma * S[2]])
+        size = left[0] * left[2] - left[1] ** 2
+        sure = (left[0] > ROUNDED) & (size > ROUNDED**2)
+        without = np.stack([left[2], -left[1], left[0]]) / np.where(sure, size, 1.0)
+        alone = _times(without, S)
+        seen = np.stack([without[0] * q[0] + without[1] * q[1], without[1] * q[0] + without[2] * q[1]])
+        # The best variance of a pair whose S is a multiple of the identity, which it nearly is.
+        spread, fit = 0.5 * (alone[0] + alone[2]), 0.5 * (seen**2).sum(axis=0)
+        best = np.minimum(np.where(fit > spread, (fit - spread) / spread**2, 0.0), largest)
+        best = np.where(sure, best, gamma)
+        gain = np.where(sure, _gain(best, alone, seen) - _gain(gamma, alone, seen), 0.0)
+        most = int(np.argmax(gain))
+        if gain[most] <= BETTER:
+            break
+        change, gamma[most] = best[most] - gamma[most], best[most]
+        pair = [most, n + most]
+        core = np.linalg.inv(np.eye(2) / change + np.array([[S[0, most], S[1, most]], [S[1, most], S[2, most]]]))
+        with_pair = waves.T @ solved[:, pair]
+        gone = with_pair @ core
+        q -= (gone @ q[:, most]).reshape(2, n)
+        S -= np.stack([(gone[:n] * with_pair[:n]).sum(axis=1), (gone[:n] * with_pair[n:]).sum(axis=1),
+                       (gone[n:] * with_pair[n:]).sum(axis=1)])
+        solved -= solved[:, pair] @ gone.T
+    return gamma
+
+
+def _columns(a: Array, b: Array) -> Array:
+    """Products of the columns of two matrices ``(n,)``."""
+    return np.einsum("ij,ij->j", a, b)
+
+
+def _times(left: Array, right: Array) -> Array:
+    """Products ``(3, n)`` of symmetric matrices that commute."""
+    return np.stack([left[0] * right[0] + left[1] * right[1], left[0] * right[1] + left[1] * right[2],
+                     left[1] * right[1] + left[2] * right[2]])
+
+
+def _gain(gamma: Array, S: Array, q: Array) -> Array:
+    """Log likelihood that waves of these variances add, each for itself ``(n,)``."""
+    a, b, c = 1.0 + gamma * S[0], gamma * S[1], 1.0 + gamma * S[2]
+    size = np.maximum(a * c - b * b, ROUNDED**2)
+    fit = gamma * (c * q[0] ** 2 - 2.0 * b * q[0] * q[1] + a * q[1] ** 2) / size
+    return np.asarray(0.5 * (fit - np.log(size)))
+
 
 SPACING = 0.008
 """Way over which older measurements are one [m]."""
@@ -136,3 +221,80 @@ def _waves(s: Array) -> Array:
     """Cosines and sines of all waves at arc lengths ``(m,)`` [m], ``(m, 2 waves)``."""
     phase = 2 * np.pi / WAVELENGTHS * s[:, None]
     return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+
+
+# Where the arm was while it was in contact: the observer behind the gears, run again once the force is known.
+
+KEPT = 0.2
+"""Time for which a cycle waits for its force; after that the expected one has to do [s]."""
+
+
+@dataclass
+class _Cycle:
+    """A cycle: its end, the motor angles there, the torque expected of the contact, those sensed, the arm then."""
+
+    t: float
+    q: Array
+    expected: Array
+    felt: list[Array]
+    state: ObserverState
+
+
+class FeltArm:
+    r"""Arm angles from motor angles and contact forces, of which the sensed ones come late.
+
+    A force that is not the expected one bends the gears and swings the arm on them. An observer that is told the
+    expected one takes that swing for a shape of the surface, and the stiffer the contact, the more force answers it. So
+    each cycle is first estimated with the torques that are expected, and again when its forces have arrived:
+
+    .. math:: \tau_{ext} = J(q_a)^T F, \qquad F = \text{the mean of the cycle's samples}
+
+    Args:
+        observer: of the arm behind its gears.
+        q_start: motor angles at rest before the first cycle ``(n,)`` [rad].
+        torque: joint torques ``(n,)`` [N m] of a force at the tool ``(3,)`` [N, base frame] at arm angles ``(n,)``.
+    """
+
+    def __init__(self, observer: ArmObserver, q_start: Array, torque: Callable[[Array, Array], Array]) -> None:
+        self._observer, self._torque = observer, torque
+        self._settled = observer.init(q_start)
+        self._cycles: deque[_Cycle] = deque()
+
+    def step(self, t: float, q: Array, expected: Array) -> Array:
+        """The arm angles ``(n,)`` [rad] at ``t`` as far as is known now.
+
+        Args:
+            t: end of the cycle [s].
+            q: motor angles then ``(n,)`` [rad].
+            expected: joint torques of the contact during it ``(n,)`` [N m].
+        """
+        before = self._cycles[-1].state if self._cycles else self._settled
+        self._cycles.append(_Cycle(t, q, expected, [], self._observer.step(before, q, expected)))
+        while self._cycles[0].t < t - KEPT:
+            self._settled = self._cycles.popleft().state
+        return self._cycles[-1].state.q_a
+
+    def feel(self, t: Array, force: Array) -> list[tuple[float, Array]]:
+        """Takes contact forces ``(m, 3)`` [N, base frame] of the instants ``t (m,)`` [s].
+
+        Returns:
+            instants [s] and arm angles ``(n,)`` [rad] of all cycles that look different now.
+        """
+        first = len(self._cycles)
+        for at, one in zip(t, force, strict=True):
+            index = next((i for i, cycle in enumerate(self._cycles) if at <= cycle.t), len(self._cycles))
+            if index == len(self._cycles):
+                continue
+            cycle = self._cycles[index]
+            cycle.felt.append(self._torque(cycle.state.q_a, one))
+            first = min(first, index)
+        state = self._cycles[first - 1].state if first else self._settled
+        changed = []
+        for cycle in list(self._cycles)[first:]:
+            torque = np.mean(cycle.felt, axis=0) if cycle.felt else cycle.expected
+            state = cycle.state = self._observer.step(state, cycle.q, torque)
+            changed.append((cycle.t, state.q_a))
+        # Older cycles get no more forces.
+        while len(self._cycles) > 1 and self._cycles[1].felt and self._cycles[0].t < float(np.min(t)) - 0.05:
+            self._settled = self._cycles.popleft().state
+        return changed

@@ -12,8 +12,7 @@ from scipy.special import chdtri  # scipy.stats, which has the quantiles too, is
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
-from planning.line.deviation_model import DeviationModel
-from planning.line.kalman import KalmanFilter
+from planning.line.deviation_model import DeviationModel, KalmanFilter
 
 DOUBT = 1e-2
 """Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""

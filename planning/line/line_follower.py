@@ -12,8 +12,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter, Fused, Measurement
-from planning.line.line_measurement import polynomial_measurement
-from planning.line.line_view import LineAhead, SeenLine
+from planning.line.line_view import LineAhead, SeenLine, polynomial_measurement
 from planning.path.desired_path import DesiredPath
 from planning.path.path_kernels import displaced_frames, sensor_errors
 from planning.path.pose_history import PoseHistory

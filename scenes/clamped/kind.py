@@ -11,13 +11,12 @@ import numpy as np
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
 from ideal_robot.robots.robot import Robot
 from scenes.clamped.page import stiffness_page
-from scenes.clamped.play import configurations, record
-from scenes.clamped.result import ClampedResult
-from scenes.clamped.scene import ClampedScene
+from scenes.clamped.play import ClampedResult, configurations, record
 from scenes.kind import SceneKind
 from scenes.methods import method_of
 from scenes.outputs import whole_folder
 from scenes.result import Progress, silent
+from scenes.scene_files.clamped_scene import ClampedScene
 from sim.contact.clamp_world import ClampWorld
 
 METHODS = ("motor", "wrench", "both")

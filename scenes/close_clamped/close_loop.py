@@ -15,13 +15,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.clamped_signals import WRENCH
 from ideal_robot.elasticity.stiffness_analysis import StiffnessAnalysis, analyse_stiffness
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.passthrough import PassThrough
-from ideal_robot.identification.stiffness_from_arm import stiffness_from_arm
+from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.play import configurations, record
-from scenes.clamped.scene import ClampedScene
 from scenes.close_clamped.page import write_close_clamped
 from scenes.close_clamped.result import CloseClampedResult
 from scenes.close_clamped.scene import CloseClampedScene
@@ -29,6 +28,7 @@ from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.path.cell import PathCell, set_up, training_path
 from scenes.result import Progress, silent
+from scenes.scene_files.clamped_scene import ClampedScene
 from sim.contact.clamp_world import ClampWorld
 
 SHARES = {"before": 0.14, "clamping the flange": 0.13, "stiffness": 0.11, "after": 0.13,

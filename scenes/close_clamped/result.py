@@ -13,7 +13,7 @@ from ideal_robot.elasticity.stiffness_analysis import StiffnessAnalysis
 from scenes.close_clamped.scene import CloseClampedScene
 from scenes.metrics import PathErrors
 from scenes.report.page import plain
-from scenes.shown import ShownTable
+from scenes.result import ShownTable
 
 
 @dataclass(frozen=True, repr=False)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from scenes.clamped.scene import ClampTable
-from scenes.path.scene import PathScene
+from scenes.scene_files.clamped_scene import ClampTable
+from scenes.scene_files.path_scene import PathScene
 
 
 class CloseClampedScene(PathScene):

@@ -27,12 +27,12 @@ def command(
     """
     from scenes.commands.common import show_table
     from scenes.diagnosis.page import summary
-    from scenes.options import chosen
     from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
+    from scenes.scene_files.scene import chosen
+    from scenes.terminal import progress_bar
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual)
     folder = out or Path("out") / loaded.name

@@ -26,13 +26,12 @@ def command(
     """
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import show_table
-    from scenes.detection.page import detection_page, figures, table
-    from scenes.detection.sources import pictures
+    from scenes.detection import detection_page, figures, pictures, table
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
-    from sensing.camera.detector import DETECTORS
-    from sensing.camera.field import Gray
+    from scenes.terminal import progress_bar
+    from sensing.camera.camera_device import Gray
+    from sensing.camera.opencv_detector import DETECTORS
     from sensing.camera.picture_line import PictureLine, detect_in_picture
 
     chosen = DETECTORS.get(detector)()

@@ -42,8 +42,8 @@ def command(
     from scenes.commands.common import show_table
     from scenes.diagnosis.page import diagnosis_page, summary, unexplained, unused
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json, model_out=model_out)
     with progress_bar("diagnose") as progress:

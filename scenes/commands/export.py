@@ -25,7 +25,7 @@ def command(
     from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
     from scenes.export.rerun_file import write_rerun
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
+    from scenes.terminal import progress_bar
 
     # The one that needs an extra comes first: where that is missing nothing has been written.
     writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),

@@ -45,13 +45,12 @@ def command(
     Example: `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
     from scenes.commands.common import closed
-    from scenes.follow.devices import Devices
-    from scenes.follow.run import follow
-    from scenes.follow.scene_of_cell import load_cell
-    from scenes.options import chosen
+    from scenes.online.devices import Devices
+    from scenes.online.run import follow, load_cell
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.scene_files.scene import chosen
+    from scenes.terminal import progress_bar
 
     loaded = chosen(load_cell(scene), speed=speed)
     folder = out or Path("out") / "follow" / loaded.name

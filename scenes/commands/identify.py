@@ -50,8 +50,8 @@ def command(
     from scenes.commands.common import show_table
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
     with progress_bar("identify") as progress:

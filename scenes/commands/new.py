@@ -20,8 +20,8 @@ def command(
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import write_text
     from scenes.kind import KINDS
-    from scenes.scene import NAME
     from scenes.scene_file import library, load_scene
+    from scenes.scene_files.scene import NAME
     from scenes.schema import commented_scene
 
     if not NAME.fullmatch(name):

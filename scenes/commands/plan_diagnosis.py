@@ -37,15 +37,15 @@ def command(
     from ideal_robot.bounded_values import read_json
     from ideal_robot.diagnosis import diagnose, open_questions, plan_diagnosis, read_questions
     from ideal_robot.errors import InputError
-    from ideal_robot.identification.workspace import Workspace
+    from ideal_robot.identification.excitation import Workspace
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import WRITTEN, Recording
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
 
     check_outputs(out=out, json=json)
     if out.suffix not in WRITTEN:

@@ -34,13 +34,13 @@ def command(
     """
     from dataclasses import replace
 
-    from ideal_robot.identification.workspace import Workspace
+    from ideal_robot.identification.excitation import Workspace
     from ideal_robot.robots.robot import Robot
     from scenes.commands.common import show_table
     from scenes.identification.plan import plan, play_plan
     from scenes.outputs import check_outputs, folders_held, whole_folder
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json)
     arm = Robot.load(robot, drive_data)

@@ -41,8 +41,8 @@ def command(
     from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
 
     folder = out or Path("out") / "precorrect"
     check_outputs({"--out": folder}, output=output, json=json)

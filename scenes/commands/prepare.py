@@ -25,12 +25,12 @@ def command(
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
     from scenes.commands.common import show_table
-    from scenes.options import chosen
+    from scenes.models import prepared_model
     from scenes.outputs import check_outputs
-    from scenes.prepared_model import prepared_model
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
+    from scenes.scene_files.scene import chosen
+    from scenes.terminal import progress_bar
     from sim.arm.world import World
 
     loaded = chosen(load_scene(scene), individual=individual)

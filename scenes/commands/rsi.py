@@ -52,15 +52,15 @@ def command(
     """
     from ideal_robot.errors import InputError
     from ideal_robot.robots.robot import Robot
-    from ideal_robot.rsi.format import RsiFormat
+    from ideal_robot.rsi.message import RsiFormat
     from ideal_robot.signals.recording import WRITTEN
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import show_table
+    from scenes.online.processes import stopping_on_signals
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
-    from scenes.rsi.interrupts import stopping_on_signals
     from scenes.rsi.setup import rsi_server
+    from scenes.terminal import progress_bar
 
     check_outputs(record=record, json=json)
     if record.suffix not in WRITTEN:
@@ -99,9 +99,9 @@ def command(
 
 def _self_test(robot: str | None, model: Path | None, method: str, core: int | None, json: Path | None) -> None:
     from scenes.commands.common import show_table
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.rsi.self_test import held_cycles
+    from scenes.terminal import progress_bar
 
     with progress_bar("self-test") as progress:
         held = held_cycles(robot=robot, model=model, method=method, core=core, progress=progress)

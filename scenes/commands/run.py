@@ -35,16 +35,16 @@ def command(
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import closed, length
     from scenes.kind import kind_of
-    from scenes.line.fastest import fastest
+    from scenes.line.compare import fastest
     from scenes.line.result import LineResult
-    from scenes.line.scene import LineScene
-    from scenes.options import chosen
     from scenes.outputs import check_outputs, folders_held
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
     from scenes.report.video import check_video, write_video
     from scenes.result import part_of
     from scenes.scene_file import load_scene
+    from scenes.scene_files.line_scene import LineScene
+    from scenes.scene_files.scene import chosen
+    from scenes.terminal import progress_bar
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
                     world=world)

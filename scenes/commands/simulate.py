@@ -41,13 +41,12 @@ def command(
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
     from ideal_robot.errors import InputError
-    from scenes.options import chosen
     from scenes.outputs import check_outputs
     from scenes.scene_file import load_scene
-    from scenes.serve.cell import Places
-    from scenes.serve.run import serve_scene
-    from sensing.stream.address import host_and_port
-    from sim.devices.unkind import Unkindness
+    from scenes.scene_files.scene import chosen
+    from scenes.serve.cell import Places, serve_scene
+    from sensing.stream import host_and_port
+    from sim.devices.stream_server import Unkindness
 
     if not serve:
         raise InputError("simulate plays the cell behind devices: give --serve (to play a scene in one process, use "

@@ -32,8 +32,8 @@ def command(
     from scenes.clamped.page import stiffness_page
     from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json)
     with progress_bar("stiffness") as progress:

@@ -38,10 +38,9 @@ def command(
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import numbers, show_table, whole_numbers
     from scenes.outputs import check_outputs
-    from scenes.progress_bar import progress_bar
     from scenes.report.page import write_json
-    from scenes.sweep import jobs, sweep
-    from scenes.sweep_file import FIGURES, SweepFile
+    from scenes.sweep import FIGURES, SweepFile, jobs, sweep
+    from scenes.terminal import progress_bar
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
                 numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),

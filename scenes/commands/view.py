@@ -27,15 +27,13 @@ def command(
     """
     from ideal_robot.robots.robot import SHIPPED, Robot
     from scenes.kind import kind_of
-    from scenes.progress_bar import progress_bar
     from scenes.scene_file import load_scene
-    from scenes.view.player import Player
-    from scenes.view.recorded import open_recording, recorded_replay
-    from scenes.view.viewer import Viewer
+    from scenes.terminal import progress_bar
+    from scenes.view.viewer import Player, Viewer, open_recording, recorded_replay
 
     if live is not None:
-        from scenes.drawn_line import reference_points
-        from scenes.follow.scene_of_cell import load_cell
+        from scenes.online.run import load_cell
+        from scenes.scene_files.drawn_line import reference_points
         from scenes.view.live import watch
 
         cell = load_cell(what)

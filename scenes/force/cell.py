@@ -2,31 +2,55 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.robot import Robot
-from planning.force.dry_run import dry_run
+from ideal_robot.row_log import let_go, new_array
+from planning.force.contact import dry_run
 from planning.path.kinematics import InverseKinematics
 from planning.planning_error import OutOfReachError
-from scenes.camera_table import believed_camera
-from scenes.drawn_line import Geometry, geometry
-from scenes.force.known import START_HEIGHT, Known, force_reference
-from scenes.force.scene import ForceScene
-from scenes.force.world import true_sensor, true_surface, true_tip
+from scenes.camera_world import camera_settings
 from scenes.models import model_for
+from scenes.online.force_task import START_HEIGHT, GlueCamera, Known, force_reference
+from scenes.result import step
+from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
+from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface
 from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
-from sim.contact.contact import HeightSurface, TipContact
-from sim.contact.force_sensor import ForceSensor
+from sim.camera.bullet_camera import BulletCamera
+from sim.camera.surface import AT_A_TIME, DrawnLine
+from sim.contact.contact import ForceSensor, ForceSensorSettings, HeightSurface, Tip, TipContact, Wave
+
+# The tables of a force scene as the world has them.
+
+def true_surface(table: UnknownSurface) -> HeightSurface:
+    """The surface that the follower does not know."""
+    waves = tuple(Wave(1e-3 * w.amplitude_mm, 1e-3 * w.wavelength_mm, math.radians(w.heading_deg),
+                       math.radians(w.phase_deg)) for w in table.wave)
+    return HeightSurface(table.pose(), waves, table.curvature, 1e-3 * table.crest_mm, 1e-3 * table.offset_mm,
+                         table.slope)
+
+
+def true_tip(table: TipTable) -> Tip:
+    """The tool's elastic tip."""
+    return Tip(table.stiffness, table.damping, table.friction)
+
+
+def true_sensor(table: SensorTable) -> ForceSensorSettings:
+    """The force sensor and the tool that hangs on it."""
+    return ForceSensorSettings(**table.model_dump())
 
 
 @dataclass(kw_only=True)
@@ -155,3 +179,63 @@ def friction_above(key: str) -> FrictionAtWork | None:
             arm.cycle(q)
         recording = arm.recording()
     return friction_at_work(recording, loop_model(cell.model, cell.robot, delay=cell.delay))
+
+
+# The drawn line of a ``glue`` scene as the world has it: what the camera sees, and how far the tip is from it.
+
+class GlueWorld:
+    """Renders the line on the curved surface, and measures against it.
+
+    Args:
+        cell: the scene set up.
+    """
+
+    def __init__(self, cell: Cell) -> None:
+        scene = cell.scene
+        noise, calibration = cell.camera_streams
+        true = true_camera(believed_camera(scene.camera), scene.calibration, calibration)
+        where = cell.geometry
+        self.line = DrawnLine(where.drawn, where.plane, width=1e-3 * scene.line.width_mm, gray=scene.line.gray,
+                              background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
+        self._surface = cell.surface
+        self.rendered = BulletCamera(true, self.line, camera_settings(scene.camera), noise, relief=cell.surface)
+
+    def close(self) -> None:
+        """Frees the renderer."""
+        self.rendered.close()
+
+    def __enter__(self) -> GlueWorld:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+    def control_error(self, seen: GlueCamera, t: Array, tip: Array) -> tuple[dict[str, Any], tuple[Array, Array]]:
+        """Distance of the true tip from the drawn line, seen along the plane's normal, while it is followed.
+
+        Args:
+            seen: what the camera saw.
+            t: instants during the travel ``(N,)`` [s].
+            tip: true positions of the tip at them, in the surface's coordinates ``(N, 3)`` [m].
+
+        Returns:
+            the figures for ``--json`` and the series (instants, signed distances [m]), of a long run thinned.
+        """
+        surface, positions = self._surface.plane, new_array(len(tip), 3)
+        for first in range(0, len(tip), AT_A_TIME):
+            part = slice(first, first + AT_A_TIME)
+            positions[part] = tip[part] @ surface.rotation.T + surface.translation
+            let_go(tip, positions)
+        s, beside = self.line.beside(positions)
+        inside = (s > 1e-6) & (s < self.line.polyline.s[-1] - 1e-6)
+        inside &= t >= seen.first_used + 0.3 if np.isfinite(seen.first_used) else False
+        lateral = beside[inside]
+        size, every = 1e3 * np.abs(lateral), step(len(lateral))
+        nothing = {"mean": float("nan"), "p95": float("nan"), "max": float("nan")}
+        figures = nothing if not len(size) else {"mean": float(size.mean()), "p95": float(np.quantile(size, 0.95)),
+                                                 "max": float(size.max())}
+        used = sum(1 for one in seen.fields if one[1] > 0)
+        refused = sum(1 for one in seen.fields if one[1] == 0)
+        return ({"control_error_mm": figures, "fields": {"seen": len(seen.fields), "used": used, "left_out": refused}},
+                (t[np.flatnonzero(inside)[::every]], lateral[::every].copy()))

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
-from ideal_robot.diagnosis.validation.oracle import named_force_effects
+from ideal_robot.diagnosis.validation.refit import named_force_effects
 from ideal_robot.effects import SENSOR, FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -22,11 +22,11 @@ from scenes.force.close_loop_page import write_force_circle
 from scenes.force.close_loop_result import CloseForceResult
 from scenes.force.play import play
 from scenes.force.result import ForceResult
-from scenes.force.scene import ForceScene
 from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
+from scenes.scene_files.force_scene import ForceScene
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
 from scenes.undeclared import keys_of_arm
 

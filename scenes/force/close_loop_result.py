@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.signals.recording import Recording
 from scenes.force.result import ForceFigures
-from scenes.force.scene import ForceScene
+from scenes.result import ShownTable
+from scenes.scene_files.force_scene import ForceScene
 from scenes.sensor_loop import Trial
-from scenes.shown import ShownTable
 
 
 @dataclass(frozen=True, repr=False)

@@ -9,17 +9,15 @@ from typing import Any
 from ideal_robot.progress import Steps
 from scenes.force.cell import scene_curves
 from scenes.force.close_loop import close_loop
-from scenes.force.compare import ForceComparison, compare_forces
-from scenes.force.gains import best_gains
-from scenes.force.page import write_comparison, write_run
+from scenes.force.compare import ForceComparison, best_gains, compare_forces
+from scenes.force.page import force_replay, write_comparison, write_run
 from scenes.force.play import methods as force_methods
 from scenes.force.play import play
-from scenes.force.replay import force_replay
 from scenes.force.result import ForceResult
-from scenes.force.scene import ForceScene
 from scenes.kind import SceneKind
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent
+from scenes.scene_files.force_scene import ForceScene
 
 SHARES = {"calibrating by moving": 0.15, "playing": 0.55, "report": 0.3}
 """Measured shares of the time."""

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.file_array import let_go
+from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
 from planning.force.contact import Phase
-from scenes.force.log import ForceLog
-from scenes.force.scene import ForceScene
-from scenes.shown import ShownRun
+from scenes.online.force_task import ForceLog
+from scenes.result import ShownRun
+from scenes.scene_files.force_scene import ForceScene
 
 AT_A_TIME = 1_000_000
 """Values of which squares are taken at a time."""

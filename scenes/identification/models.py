@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from ideal_robot.identification.ripple_fit import fit_ripple
+from ideal_robot.identification.friction_runs import fit_ripple
 from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from ideal_robot.identification.closed_loop_fit import LinearLoopFit
 from ideal_robot.identification.controller import ControllerIdentification
-from ideal_robot.identification.impulse_response_fit import LinearLoopFit
 from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.identification.whole_model import IdentificationResult, friction_points, residual_std
 from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
+from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
-from ideal_robot.signals.segments import segments
 from scenes.report.page import Report
 
 MEASURED, PREDICTED, RESIDUAL = "#5b6675", "#e06a00", "#2a6fb0"

@@ -13,12 +13,11 @@ import pandas as pd
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.identification.excitation import FourierMotion, approach, design_excitation
+from ideal_robot.identification.excitation import FourierMotion, Workspace, approach, design_excitation
 from ideal_robot.identification.program import Program, finite_limits, plan_two_step
-from ideal_robot.identification.workspace import Workspace
+from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from ideal_robot.summary import Summarised
 from ideal_robot.whole_file import write_text
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World

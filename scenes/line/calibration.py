@@ -12,21 +12,25 @@ from itertools import pairwise
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.line.calibration_view import CalibrationView, calibration_postures
-from scenes.scene_error import SceneError
+from planning.planning_error import OutOfReachError
+from scenes.online.line_known import CalibrationView, calibration_postures
+from scenes.scene_files.scene import SceneError
+from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import LineDetector
-from sensing.camera.field import Field
 from sensing.camera.hand_eye import HandEye, calibrate
-from sensing.camera.line_detection import DetectionSettings, PredictedLine, search_windows
+from sensing.camera.line_appearance import line_appearance
+from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
+from sensing.camera.opencv_detector import LineDetector
+from sensing.sensing_error import SensingError
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import ArmShape
-from sim.equipment.equipped_arm import shadow_of
+from sim.equipped_arm import shadow_of
 
 SPARING = 4
 """One field in so many is looked at: neighbours tell the same."""
@@ -117,3 +121,43 @@ def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
         u = np.arange(1, n + 1)[:, None] / n
         rows += [start + u**3 * (10 - 15 * u + 6 * u**2) * (end - start), np.tile(end, (rest, 1))]
     return np.concatenate(rows)
+
+
+# The camera looks at the line before anything is calibrated: how wide it is, dark or bright.
+
+LOOKS = (0.2, 0.35, 0.5, 0.65, 0.8)
+"""Shares of the line at which a whole picture is taken; one of them may fall into a gap."""
+CONTRAST = 0.3
+"""Share of the line's contrast below which a cross-section does not count."""
+
+
+def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
+                 camera: RenderedCamera, span: tuple[float, float], rng: np.random.Generator) -> DetectionSettings:
+    """Puts the arm above a few places where the line ought to be, and takes from its pictures how the line looks.
+
+    Args:
+        robot: the arm.
+        reference: the reference path; where the line really is stays unknown.
+        believed: the camera as mounted by hand.
+        arm: the arm; it is put to rest above each place.
+        camera: renders what the true camera sees.
+        span: arc lengths of the reference between which the line ought to be [m].
+        rng: of the pictures' noise.
+
+    Raises:
+        SensingError: no picture shows a line.
+    """
+    kinematics = InverseKinematics(robot)
+    pictures, q = [], robot.home
+    for share in LOOKS:
+        try:
+            q = kinematics.search(reference.pose(span[0] + share * (span[1] - span[0])), q)
+        except OutOfReachError:
+            continue
+        arm.reset(q)
+        pictures.append(camera.frame(arm.truth.tcp, rng, q=arm.q_a))
+    if not pictures:
+        raise SensingError("the arm reaches no place above the line")
+    seen = line_appearance(pictures, believed)
+    return DetectionSettings(line_width=seen.width, dark=seen.dark,
+                             min_contrast=min(DetectionSettings.min_contrast, CONTRAST * seen.contrast))

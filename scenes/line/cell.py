@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 
-from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.signals.recording import Recording
-from scenes.camera_table import believed_camera, true_camera
+from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_world import camera_settings
-from scenes.drawn_line import Geometry, geometry
-from scenes.line.appearance import look_at_line
-from scenes.line.bent_surface import bent_surface
-from scenes.line.calibration import calibrate_by_moving
-from scenes.line.known import Known, line_follower, span_of
-from scenes.line.scene import LineScene
-from scenes.line.worn_line import drawn_line
+from scenes.line.calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
+from scenes.online.line_known import Known, line_follower, span_of
 from scenes.result import Progress, silent
-from scenes.scene_error import SceneError
+from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
+from scenes.scene_files.line_scene import LineScene, Wear
+from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
+from sensing.camera.opencv_detector import DETECTORS
 from sensing.sensing_error import SensingError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -34,7 +34,95 @@ from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import Lamp
 from sim.camera.surface import DrawnLine
-from sim.contact.contact import HeightSurface
+from sim.camera.surface import Feature as DrawnFeature
+from sim.contact.contact import HeightSurface, Wave
+
+# The drawn line of a line scene as the world has it: where it really is, worn by use.
+
+WAVES = (0.37, 0.23, 0.11)
+"""Wavelengths over which width and ink of a line drawn by hand change [m]."""
+
+
+def drawn_line(scene: LineScene, where: Geometry, rng: np.random.Generator) -> DrawnLine:
+    """The line with the scene's features and what the seed draws of its wear.
+
+    Args:
+        scene: its tables ``line``, ``feature`` and ``wear``.
+        where: the line's place.
+        rng: draws the wear.
+    """
+    look, wear = scene.line, scene.wear
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(where.drawn, axis=0), axis=1))])
+    wide, pale = _smooth(s, rng), 0.5 * (1.0 + _smooth(s, rng))
+    widths = 1e-3 * look.width_mm * (1.0 + 0.01 * wear.width_percent * wide)
+    grays = look.gray + 0.01 * wear.fade_percent * pale * (look.background - look.gray)
+    worn = wear.width_percent > 0 or wear.fade_percent > 0
+    return DrawnLine(where.drawn, where.plane, width=1e-3 * look.width_mm, gray=look.gray, background=look.background,
+                     edge=1e-3 * look.edge_mm, features=(*_features(scene), *_worn(wear, float(s[-1]), rng)),
+                     widths=widths if worn else None, grays=grays if worn else None,
+                     grain=None if wear.grain == "none" else wear.grain, grain_seed=scene.seed)
+
+
+def _features(scene: LineScene) -> tuple[DrawnFeature, ...]:
+    return tuple(
+        DrawnFeature(kind=f.kind, at=1e-3 * f.at_mm, length=1e-3 * f.length_mm, offset=1e-3 * f.offset_mm,
+                     angle=float(np.radians(f.angle_deg)), width=1e-3 * f.width_mm, gray=f.gray)
+        for f in scene.feature)
+
+
+def _worn(wear: Wear, length: float, rng: np.random.Generator) -> list[DrawnFeature]:
+    """Gaps, strokes and light, anywhere on the line; each kind has draws of its own."""
+    gaps, scratches, crossings, glares, shades = rng.spawn(5)
+
+    def place(one: np.random.Generator) -> float:
+        return float(length * one.uniform(0.1, 0.95))
+
+    found = [DrawnFeature("gap", place(gaps), length=1e-3 * wear.gap_mm * gaps.uniform(0.5, 1.0))
+             for _ in range(wear.gaps)]
+    found += [DrawnFeature("scratch", place(scratches), length=scratches.uniform(0.05, 0.15), width=0.0015,
+                           angle=scratches.uniform(0.2, 1.2), offset=scratches.uniform(-0.005, 0.005))
+              for _ in range(wear.scratches)]
+    found += [DrawnFeature("crossing", place(crossings), length=0.2, angle=crossings.uniform(0.8, 2.3))
+              for _ in range(wear.crossings)]
+    found += [DrawnFeature("glare", place(glares), length=glares.uniform(0.08, 0.16),
+                           offset=glares.uniform(-0.02, 0.02)) for _ in range(wear.glares)]
+    return found + [DrawnFeature("shade", place(shades), length=shades.uniform(0.15, 0.25),
+                                 offset=shades.uniform(-0.03, 0.03)) for _ in range(wear.shades)]
+
+
+def _smooth(s: Array, rng: np.random.Generator) -> Array:
+    """A smooth random course between -1 and 1 over arc lengths ``(N,)`` [m]."""
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(WAVES))
+    return np.mean([np.sin(2.0 * np.pi * s / wave + phase) for wave, phase in zip(WAVES, phases, strict=True)], axis=0)
+
+
+# A surface that is slightly bent along the line that is drawn on it.
+
+def bent_surface(scene: LineScene, where: Geometry, rng: np.random.Generator) -> HeightSurface | None:
+    """Half a sine wave over the line's longest extent, nothing at its ends; None where the surface is flat.
+
+    Args:
+        scene: its table ``displacement``.
+        where: the line's place.
+        rng: draws whether the middle is up or down.
+
+    Raises:
+        InputError: a bent surface with a camera that sees the plane alone.
+    """
+    bow = 1e-3 * scene.displacement.bow_mm
+    up = rng.choice([-1.0, 1.0])
+    if bow == 0.0:
+        return None
+    if scene.camera.renderer == "sampled":
+        raise InputError("only camera.renderer = 'bullet' shows a bent surface", field="displacement.bow_mm",
+                         value=scene.displacement.bow_mm)
+    middle = where.drawn_xy.mean(axis=0)
+    along = np.linalg.svd(where.drawn_xy - middle, full_matrices=False)[2][0]
+    places = where.drawn_xy @ along
+    start, span = float(places.min()), float(np.ptp(places))
+    wave = Wave(float(up) * bow, 2.0 * span, float(np.arctan2(along[1], along[0])), -np.pi * start / span)
+    return HeightSurface(where.plane, (wave,))
+
 
 STRIPS = (0.05, 0.05)
 """Size of the pieces of a bent surface [m]: a bow of 1 mm over 1 m leaves them by 3 µm."""
@@ -176,3 +264,39 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
                 reasons.append(str(error))
     return Prepared(camera, detection, hand_eye, moved=tuple(moved), recorded=recorded,
                     warning="; ".join(reasons))
+
+
+# What a user's own simulated sensor may look at in a line scene: the true tool, and the line where it really is.
+
+class LineWorld:
+    """The truth of a play, for sensors that are simulated; nothing of the controller's sees it."""
+
+    def __init__(self, arm: SimulatedArm, line: DrawnLine) -> None:
+        self._arm, self._line = arm, line
+
+    def tool(self, t: float) -> pin.SE3:
+        """True pose of the tool in the base frame at ``t`` [s], which has to lie in the past."""
+        return self._arm.tcp_at(max(t, 0.0))
+
+    def distance(self, t: float, at: Sequence[float] | Array = (0.0, 0.0, 0.0)) -> float:
+        """How far the line is to the left of a point, in the surface [m]; NaN before its begin and behind its end.
+
+        Args:
+            t: when [s].
+            at: the point in the tool frame ``(3,)`` [m].
+        """
+        pose = self.tool(t)
+        place = pose.rotation @ np.asarray(at, dtype=float) + pose.translation
+        plane = self._line.plane
+        up = plane.rotation[:, 2]
+        nearest = self._line.nearest((place - up * (up @ (place - plane.translation)))[None])
+        beside = 1e-6 < nearest.s[0] < self._line.length - 1e-6
+        return -float(nearest.lateral[0]) if beside else float("nan")
+
+
+def mounted(sensors: Sequence[DeviationSensor], world: LineWorld) -> None:
+    """Shows the world to those sensors that are simulated: they have a method ``mount(world)``."""
+    for sensor in sensors:
+        mount = getattr(sensor, "mount", None)
+        if mount is not None:
+            mount(world)

@@ -11,13 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.diagnosis import Diagnosis
-from ideal_robot.diagnosis.channels.arm_angle import arm_angles, deflection
+from ideal_robot.diagnosis.channels.arm import arm_angles, deflection
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.held_fit import beside_held_model
+from ideal_robot.diagnosis.validation.final_fit import beside_held_model
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, FittedEffect
 from ideal_robot.execution.play import play
-from ideal_robot.feedforward.passthrough import PassThrough
-from ideal_robot.feedforward.training_motion import training_motion
+from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.feedforward.training import training_motion
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot

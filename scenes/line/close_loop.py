@@ -17,7 +17,7 @@ import numpy as np
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.oracle import named_camera_effects, with_named_effects
+from ideal_robot.diagnosis.validation.refit import named_camera_effects, with_named_effects
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
@@ -30,13 +30,13 @@ from scenes.line.close_loop_page import write_line_circle
 from scenes.line.close_loop_result import CloseLineResult
 from scenes.line.play import play
 from scenes.line.result import LineResult
-from scenes.line.scene import LineScene
-from scenes.line.task import assumed_latency
 from scenes.measured import checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
+from scenes.online.line_task import assumed_latency
 from scenes.result import Progress, silent
-from scenes.scene_error import SceneError
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import SceneError
 from scenes.sensor_loop import LEAST, Trial, with_effects, words
 from scenes.undeclared import GEOMETRY, effects_of_world, keys_of_arm
 

@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.signals.recording import Recording
 from scenes.line.result import ControlError
-from scenes.line.scene import LineScene
+from scenes.result import ShownTable
+from scenes.scene_files.line_scene import LineScene
 from scenes.sensor_loop import Trial
-from scenes.shown import ShownTable
 
 
 @dataclass(frozen=True, repr=False)

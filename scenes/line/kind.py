@@ -8,20 +8,19 @@ from typing import Any
 
 from ideal_robot.arrays import Array
 from planning.line.deviation_sensor import DeviationSensor
-from scenes.drawn_line import geometry
 from scenes.kind import SceneKind
 from scenes.line.cell import Prepared, prepared, streams
 from scenes.line.close_loop import close_loop
-from scenes.line.compare import LineComparison, compare_lines
-from scenes.line.gains import best_gains
+from scenes.line.compare import LineComparison, best_gains, compare_lines
 from scenes.line.page import write_comparison, write_run
 from scenes.line.play import methods as play_methods
 from scenes.line.play import play
 from scenes.line.replay import line_replay
 from scenes.line.result import LineResult
-from scenes.line.scene import LineScene
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent
+from scenes.scene_files.drawn_line import geometry
+from scenes.scene_files.line_scene import LineScene
 
 _PREPARED, _PLAYED = 0.4, 0.35
 """Measured shares of time: setting up and calibrating; of the rest, playing. Drawing the page is what remains."""

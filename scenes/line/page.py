@@ -13,13 +13,12 @@ from matplotlib.patches import Rectangle
 from ideal_robot.arrays import Array
 from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
-from scenes.line.log import FieldShown
 from scenes.line.replay import line_replay, surface_corners, with_ghost
 from scenes.line.result import LineResult
-from scenes.report.page import Report, write_comparison_files, write_run_files
-from scenes.report.world_table import COLUMNS, world_rows
-from scenes.thinned import step
-from sim.arm.picture import picture
+from scenes.online.line_task import FieldShown
+from scenes.report.page import COLUMNS, Report, world_rows, write_comparison_files, write_run_files
+from scenes.result import step
+from sim.arm.body import picture
 
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
 COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT, "adapted": "#7d3c98",

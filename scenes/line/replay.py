@@ -9,12 +9,11 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.signals.recording import Recording
-from scenes.line.log import FieldShown
 from scenes.line.result import LineResult
-from scenes.report.replay import Replay
-from scenes.report.sensed import sensed_force, sensed_line
-from scenes.thinned import step
-from sensing.camera.polyline import Polyline
+from scenes.online.line_task import FieldShown
+from scenes.report.replay import Replay, sensed_force, sensed_line
+from scenes.result import step
+from sensing.camera.line_polynomial import Polyline
 
 _MARGIN = 0.08
 """What is drawn of the surface beside the line [m]."""

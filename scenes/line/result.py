@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.file_array import let_go
+from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
-from scenes.drawn_line import Geometry
-from scenes.line.log import FieldShown
-from scenes.line.scene import LineScene
 from scenes.metrics import PathErrors
-from scenes.shown import ShownRun
-from scenes.thinned import step
+from scenes.online.line_task import FieldShown
+from scenes.result import ShownRun, step
+from scenes.scene_files.drawn_line import Geometry
+from scenes.scene_files.line_scene import LineScene
 from sensing.camera.hand_eye import HandEye
 
 SETTLING = 0.3

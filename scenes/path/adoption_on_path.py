@@ -16,7 +16,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.effects import FittedEffect
-from ideal_robot.elasticity.deflection import GearDeflection
+from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -27,8 +27,8 @@ from scenes.metrics import path_errors
 from scenes.path.candidates import Candidate, Refusal, candidates
 from scenes.path.cell import PathCell
 from scenes.path.foreseen import left_unexplained
-from scenes.path.player import Play
-from scenes.path.scene import JointPath
+from scenes.path.result import Play
+from scenes.scene_files.path_scene import JointPath
 
 _LEAST, _LEAST_FALL = 0.95, 3e-6
 """An error that falls by less than a twentieth, or by less than 3 µm, has not fallen: so much worse a path still counts

@@ -7,7 +7,7 @@ from typing import Any
 
 from ideal_robot.diagnosis import Diagnosis, DiagnosisPlan, diagnose, open_questions, plan_diagnosis
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.signals.recording import Recording
 from scenes.measured import Measured, visible
 from scenes.path.cell import PathCell, about

@@ -8,9 +8,8 @@ from functools import partial
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.validation.adoption import adopted, behind_gears, with_joint
-from ideal_robot.diagnosis.validation.friction_anew import friction_anew
-from ideal_robot.diagnosis.validation.held_fit import beside_held_model
+from ideal_robot.diagnosis.validation.final_fit import beside_held_model, friction_anew
+from ideal_robot.diagnosis.validation.transfer import adopted, behind_gears, with_joint
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot

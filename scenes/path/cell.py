@@ -9,19 +9,18 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.learning import Learned
-from ideal_robot.feedforward.method import Setting
-from ideal_robot.feedforward.practice import Practice, Rehearsed
+from ideal_robot.feedforward.method import Practice, Rehearsed, Setting
 from ideal_robot.feedforward.registry import methods
-from ideal_robot.feedforward.training_motion import REST_AFTER, REST_BEFORE, training_motion
+from ideal_robot.feedforward.training import REST_AFTER, REST_BEFORE, training_motion
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes.methods import SceneMethod
 from scenes.models import model_for
-from scenes.path.player import Play, measured_errors, play
-from scenes.path.scene import JointPath, PathScene, joint_path
+from scenes.path.result import Play, measured_errors, play
 from scenes.result import Progress, silent
+from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm.world import World
 
 N_D = 30

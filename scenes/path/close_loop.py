@@ -10,9 +10,8 @@ import dataclasses
 from pathlib import Path
 
 from ideal_robot.diagnosis import Diagnosis, diagnose
-from ideal_robot.diagnosis.validation.oracle import with_named_effects
-from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.diagnosis.validation.refit import with_named_effects
+from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
@@ -28,9 +27,9 @@ from scenes.path.close_loop_page import write_circle
 from scenes.path.close_loop_result import CloseLoopResult
 from scenes.path.diagnostic_motion import diagnostic_motion
 from scenes.path.last_good import last_good
-from scenes.path.scene import PathScene
 from scenes.result import Progress, part_of, silent
-from scenes.scene import OWN
+from scenes.scene_files.path_scene import PathScene
+from scenes.scene_files.scene import OWN
 from scenes.undeclared import declared_world, undeclared_effects
 
 ROUNDS = 3

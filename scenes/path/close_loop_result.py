@@ -12,8 +12,8 @@ from scenes.measured import Measured
 from scenes.metrics import PathErrors
 from scenes.path.adoption_on_path import Step
 from scenes.path.asked_motion import AskedMotion
-from scenes.path.scene import PathScene
-from scenes.shown import ShownTable
+from scenes.result import ShownTable
+from scenes.scene_files.path_scene import PathScene
 
 
 @dataclass(frozen=True, repr=False)

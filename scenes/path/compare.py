@@ -12,9 +12,8 @@ from scenes.metrics import reduction_percent
 from scenes.path.cell import DELAY, set_up
 from scenes.path.play import play_method
 from scenes.path.result import PathResult
-from scenes.path.scene import PathScene
-from scenes.result import Progress, part_of, silent
-from scenes.shown import ShownTable
+from scenes.result import Progress, ShownTable, part_of, silent
+from scenes.scene_files.path_scene import PathScene
 
 
 @dataclass(frozen=True, repr=False)

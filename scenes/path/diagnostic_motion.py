@@ -9,7 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from scenes.path.cell import PathCell, training_path
-from scenes.path.scene import JointPath
+from scenes.scene_files.path_scene import JointPath
 
 _BEYOND = 1.05
 """Of a path's range that is covered: a path turns round at its ends, and of places where it has never been the motion

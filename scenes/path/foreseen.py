@@ -14,7 +14,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes.measured import Measured
 from scenes.path.cell import PathCell
-from scenes.path.player import Play
+from scenes.path.result import Play
 
 
 def left_unexplained(cell: PathCell, model: Model, played: Play, measured: Measured) -> float:

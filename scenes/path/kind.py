@@ -12,12 +12,11 @@ from scenes.methods import compared, method_of
 from scenes.path.cell import DELAY, path_methods, set_up
 from scenes.path.close_loop import close_loop
 from scenes.path.compare import PathComparison, compare_paths
-from scenes.path.page import write_comparison, write_run
+from scenes.path.page import path_replay, write_comparison, write_run
 from scenes.path.play import play_method
-from scenes.path.replay import path_replay
 from scenes.path.result import PathResult
-from scenes.path.scene import PathScene
 from scenes.result import Progress, silent
+from scenes.scene_files.path_scene import PathScene
 
 SHARES = {"setting up": 0.05, "playing": 0.52, "report": 0.43}
 """Measured shares of the time, of a path of some seconds for which nothing is learned."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ideal_robot.model.model import Model
 from ideal_robot.whole_file import OutputError
-from scenes.scene_error import SceneError
+from scenes.scene_files.scene import SceneError
 
 NAME = "extended_model.json"
 """Of the model in the folder of a closing."""

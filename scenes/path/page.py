@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,36 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
 from scenes.path.cell import DELAY, path_methods
 from scenes.path.compare import PathComparison
-from scenes.path.replay import path_replay
 from scenes.path.result import PathResult
-from scenes.report.page import Report, write_comparison_files, write_run_files
-from scenes.report.world_table import COLUMNS, world_rows
+from scenes.report.page import COLUMNS, Report, world_rows, write_comparison_files, write_run_files
+from scenes.report.replay import Replay
+
+# The replay of a path: the arm, the desired path, the tool's distance from where it should be at the time.
+
+def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay | None:
+    """The replay of a run; None where it is too short for one.
+
+    Args:
+        result: the run.
+        ghost: another run of the same path, drawn pale.
+    """
+    path, played = result.path, result.played
+    if len(path.t) < 2:
+        return None
+    robot = Robot.load(result.scene.robot)
+    q = played.q_a[: len(path.t)]
+    t = path.t[: len(q)]
+    # Cycle by cycle: the desired position of a cycle is to be reached at its time stamp.
+    tool = np.column_stack([np.interp(t, played.t, column) for column in played.tcp.T])
+    counts = path.counts[: len(q)]
+    error = np.where(counts, np.linalg.norm(tool - path.x_d[: len(q)], axis=1), np.nan)
+    replay = Replay(robot, t, q, tool, path.x_d[: len(q)], 1e3 * error, "distance from the path at the time",
+                    curves={"desired path": path.x_d})
+    return replay if ghost is None else replace(replay, ghost=ghost.played.q_a[: len(q)])
+
 
 INK, SOFT = "#1c2430", "#8893a1"
 COLOURS = {"none": SOFT, "linear": "#6b4fa0", "trained": "#b8860b", "precorrected_1": "#7fb2dd",

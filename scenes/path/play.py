@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ideal_robot.feedforward.practice import ITERATIONS
+from ideal_robot.feedforward.method import ITERATIONS
 from scenes.methods import SceneMethod
 from scenes.path.cell import PathCell
 from scenes.path.result import PathResult
-from scenes.path.scene import PathScene
 from scenes.result import Progress
+from scenes.scene_files.path_scene import PathScene
 
 _LEARNING = ITERATIONS / (ITERATIONS + 1.0)
 """Share of the plays that learning takes, where there is something to learn; the last one counts."""

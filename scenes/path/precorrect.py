@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.execution.cycles import path_at_cycles
-from ideal_robot.execution.precorrect import PrecorrectedPath, precorrect
+from ideal_robot.execution.precorrect import PrecorrectedPath, path_at_cycles, precorrect
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.recording import Recording

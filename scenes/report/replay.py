@@ -7,17 +7,25 @@ canvas, so that the page also plays on a phone and without a network.
 from __future__ import annotations
 
 import base64
+import io
 import json
+import zipfile
+import zlib
 from dataclasses import dataclass, field
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import let_go
+from ideal_robot.signals.recording import Recording
 from scenes.report.arm_shapes import link_poses, polygons, rounded
+from scenes.result import step
 
 FRAMES = 400
 """A replay has no more frames than that; longer runs are thinned out."""
@@ -111,3 +119,117 @@ class Replay:
             "enlarged": self.enlarged,
             "force": None if self.force is None else rounded(np.nan_to_num(self.force[rows]), 2),
         }
+
+
+# The replay of a run in a file beside its recording, for the viewer: what the recording's columns do not say.
+
+ENDING = ".replay.npz"
+_LARGEST = 1_000_000_000
+"""Bytes that a replay may unpack to."""
+_ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
+
+
+def replay_beside(recording: Path) -> Path:
+    """Where the replay of a recording is."""
+    return recording.with_name(recording.stem + ENDING)
+
+
+def write_replay(replay: Replay, path: Path, recording: Recording) -> Path:
+    """Writes a replay.
+
+    Args:
+        replay: to write.
+        path: ending in ``.replay.npz``.
+        recording: of the same run; its hash is noted.
+    """
+    arrays = {name: np.asarray(value) for name in _ARRAYS if (value := getattr(replay, name)) is not None}
+    words = {"recording": recording.hash, "error_name": replay.error_name, "unit": replay.unit,
+             "enlarged": replay.enlarged, "curves": list(replay.curves), "times": [t for t, _ in replay.pictures]}
+    curves = {f"curve_{i}": np.asarray(curve) for i, curve in enumerate(replay.curves.values())}
+    pictures = {f"picture_{i}": np.frombuffer(png, np.uint8) for i, (_, png) in enumerate(replay.pictures)}
+    content: dict[str, Any] = {"words": np.array(json.dumps(words)), **arrays, **curves, **pictures}
+    with path.open("wb") as file:
+        np.savez_compressed(file, **content)
+    return path
+
+
+def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None:
+    """Reads a replay; None where it belongs to another recording.
+
+    Args:
+        path: as written by ``write_replay``.
+        robot: the arm.
+        recording: that the replay has to be of.
+
+    Raises:
+        InputError: not such a file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if sum(info.file_size for info in file.zip.infolist()) > _LARGEST:
+                raise ValueError(f"more than {_LARGEST / 1e6:.0f} MB in it")
+            words = json.loads(str(file["words"]))
+            if words["recording"] != recording.hash:
+                return None
+            arrays = {name: np.asarray(file[name], dtype=float) for name in _ARRAYS if name in file}
+            curves = {str(name): np.asarray(file[f"curve_{i}"], dtype=float) for i, name in enumerate(words["curves"])}
+            pictures = tuple((float(t), file[f"picture_{i}"].astype(np.uint8).tobytes())
+                             for i, t in enumerate(words["times"]))
+            for _, png in pictures:
+                Image.open(io.BytesIO(png)).load()
+            return Replay(robot, **arrays, error_name=str(words["error_name"]), unit=str(words["unit"]), curves=curves,
+                          pictures=pictures, enlarged=float(words["enlarged"]))
+    except InputError as error:
+        raise InputError(f"not a readable replay ({error}); delete it to see the recording alone", file=path) from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, SyntaxError, OverflowError,
+            RecursionError, zlib.error, RuntimeError, zipfile.BadZipFile) as error:
+        raise InputError(f"not a readable replay ({type(error).__name__}: {error}); delete it to see the "
+                         "recording alone", file=path) from error
+
+
+# What an arm's sensors felt and saw, in the base frame, from the columns of a recording.
+
+_GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def sensed_line(arm: Robot, recording: Recording) -> Array:
+    """The middle line point of every camera field ``(K, 3)`` [m]; none where no camera measured.
+
+    Args:
+        arm: the arm.
+        recording: with ``line_x_i line_y_i line_z_i`` in the tool frame.
+    """
+    count = sum(name.startswith("line_x_") for name in recording.columns)
+    if count == 0:
+        return np.empty((0, 3))
+    middle = (count + 1) // 2
+    columns = [recording.columns[f"line_{axis}_{middle}"] for axis in "xyz"]
+    rows = np.flatnonzero(np.logical_and.reduce([np.isfinite(column) for column in columns]))
+    rows = rows[:: step(len(rows))]
+    points = np.column_stack([column[rows] for column in columns])
+    q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    let_go(*columns)
+    pose = arm.fk()
+    return np.array([pose(q_k).act(point) for q_k, point in zip(q, points, strict=True)]).reshape(-1, 3)
+
+
+def sensed_force(arm: Robot, recording: Recording, rows: Any = slice(None)) -> Array | None:
+    """Force of the environment on the tool ``(N, 3)`` [N]; None where no sensor measured.
+
+    The tool's own weight and the sensor's bias are taken away where the recording says what calibration found of them.
+
+    Args:
+        arm: the arm.
+        recording: with ``fx fy fz`` in the tool frame.
+        rows: of the recording, as NumPy takes them; all by default.
+    """
+    if not all(name in recording.columns for name in ("fx", "fy", "fz")):
+        return None
+    felt = np.column_stack([recording.columns[name][rows] for name in ("fx", "fy", "fz")])
+    q = recording.joints("qa" if recording.has("qa") else "q", rows)
+    tool = recording.meta.get("tool", {})
+    tool = tool if isinstance(tool, dict) else {}
+    bias = np.asarray(tool.get("bias", np.zeros(6)), dtype=float)[:3]
+    weight = float(tool.get("mass", 0.0)) * _GRAVITY
+    pose = arm.fk()
+    return np.array([pose(row).rotation @ force - weight for row, force in zip(q, felt - bias, strict=True)])

@@ -14,7 +14,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.progress import Progress, silent
 from ideal_robot.whole_file import OutputError, whole_file
 from scenes.report.replay import Replay
-from sim.arm.picture import Picture, Stage
+from sim.arm.body import Picture, Stage
 
 ENDINGS = (".mp4", ".gif")
 _ARM, _SIDE, _PLOT = (560, 420), 340, 120

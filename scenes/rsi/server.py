@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
@@ -11,17 +11,113 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import IdealRobotError, LimitError
-from ideal_robot.execution.command_governor import CommandGovernor, stops_at_once
-from ideal_robot.execution.path_limits import check_limits
-from ideal_robot.execution.stopping import stopping_rows
+from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.results import Summarised, shown_cell
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
+from scenes.online.processes import undisturbed
 from scenes.result import Progress, silent
-from scenes.rsi.cycle_log import CycleLog
-from scenes.rsi.run import RsiRun
-from scenes.rsi.undisturbed import undisturbed
-from scenes.scene_error import SceneError
+from scenes.scene_files.scene import SceneError
+
+# Rows of a run, into memory that is there before the first packet: nothing grows while a cycle waits.
+
+class CycleLog:
+    """Time, desired and commanded position, measured position and torque of every cycle.
+
+    Args:
+        rows: cycles it holds; further ones are dropped.
+        n: number of joints.
+    """
+
+    def __init__(self, rows: int, n: int) -> None:
+        # Written once here: memory that is only promised would be fetched while a controller waits.
+        self._t, self._values = np.full(rows, 0.0), np.full((4, rows, n), 0.0)
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, state: RobotState, q_d: Array, q_c: Array) -> None:
+        """Writes one cycle down.
+
+        Args:
+            state: of the arm before the command.
+            q_d: desired position ``(n,)`` [rad].
+            q_c: commanded position ``(n,)`` [rad].
+        """
+        if self._count < len(self._t):
+            self._t[self._count] = state.t
+            for values, row in zip(self._values, (q_d, q_c, state.q, state.tau), strict=True):
+                values[self._count] = row
+            self._count += 1
+
+    def columns(self) -> tuple[Array, dict[str, Array]]:
+        """Times ``(N,)`` [s] and ``q_d``, ``q_c``, ``q``, ``tau``, each ``(N, n)``."""
+        values = self._values[:, : self._count]
+        return self._t[: self._count], dict(zip(("q_d", "q_c", "q", "tau"), values, strict=True))
+
+
+# What came of a path that was played over RSI.
+
+@dataclass(frozen=True, repr=False)
+class RsiRun(Summarised):
+    """A path played over RSI.
+
+    Attributes:
+        recording: ``t`` [s] since the first packet, which is answered by no correction, ``q_d_i``, ``q_c_i`` (handed
+            over at ``t``), ``q_i`` and, where the controller sends currents, ``current_i`` and ``tau_i``.
+        failure: why it ended before the end of the path, or None.
+        counts: what happened on the link.
+        stamps: how the controller's time stamps rise.
+        answer_times_ms: median, 99th percentile and maximum from reading a packet to its answer; NaN without any.
+        precautions: what the system granted for even timing.
+        begun: rows of rest before the path.
+        rows: rows of the path, rests included.
+    """
+
+    recording: Recording
+    failure: str | None
+    counts: dict[str, Any]
+    stamps: str
+    answer_times_ms: dict[str, float]
+    precautions: list[str]
+    begun: int
+    rows: int
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What came of the cycles."""
+        _, rows = self.table()
+        return [("path", f"{rows[0][1]} cycles answered{f', ended early: {self.failure}' if self.failure else ''}"),
+                *((str(label), shown_cell(value)) for label, value in rows[1:])]
+
+    def json(self) -> dict[str, Any]:
+        """Key figures."""
+        return {**self.recording.meta, "failure": self.failure, "cycles": len(self.recording.t),
+                "path_cycles": self.rows, "link": self.counts, "time_stamps": self.stamps,
+                "answer_time_ms": self.answer_times_ms, "timing": self.precautions,
+                "motor_rms_error_mrad": None if len(self.recording.t) <= self.begun else self.errors_mrad()}
+
+    def errors_mrad(self) -> Array:
+        """Root mean square of desired position minus motor angle, rest before the path left out ``(n,)`` [mrad]."""
+        off = (self.recording.joints("q_d") - self.recording.joints("q"))[self.begun :]
+        return np.asarray(1e3 * np.sqrt(np.mean(off**2, axis=0)))
+
+    def table(self) -> tuple[list[str], list[list[Any]]]:
+        """What a person wants first."""
+        link = self.counts
+        rows: list[list[Any]] = [["cycles answered", f"{len(self.recording.t)} of {self.rows}"],
+                                 ["time stamps", self.stamps],
+                                 ["packets lost", link["lost"]], ["repeated", link["repeated"]],
+                                 ["refused", link["refused"]], ["optional elements ignored", link["ignored"]],
+                                 ["answers late by the controller's count", link["late"]],
+                                 ["answer after, median ms", self.answer_times_ms["median"]],
+                                 ["answer after, worst ms", self.answer_times_ms["max"]]]
+        if len(self.recording.t) > self.begun:
+            rows.append(["motor error, worst joint mrad rms", float(np.max(self.errors_mrad()))])
+        return ["figure", "value"], rows
+
 
 START_TOLERANCE = np.radians(0.5)
 """How far from the start of the path the arm may stand [rad]; the rest before the path takes it there."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.execution.path_limits import require_within_limits
+from ideal_robot.execution.command_governor import require_within_limits
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
 from ideal_robot.feedforward.method import Needs
@@ -26,8 +26,8 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
 from scenes.model_files import shipped_model
+from scenes.online.live_arm import answers_within, at_cycle
 from scenes.path.precorrect import desired_path, robot_of
-from scenes.rsi.arm_cycle import answers_within, at_cycle
 from scenes.rsi.server import RsiServer
 
 _TRIED = 20.0

@@ -11,13 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from sensing.camera.field import Gray
-from sim.camera.camera_settings import CameraSettings
+from sensing.camera.camera_device import Gray
+from sim.camera.camera import CameraSettings
 from sim.camera.live_camera import LiveCamera
-from sim.contact.force_sensor import ForceSensor
-from sim.devices.netft_server import NetFTServer
-from sim.devices.stream_server import StreamServer, field_payload
-from sim.devices.unkind import DeviceClock, Outbox
+from sim.contact.contact import ForceSensor
+from sim.devices.stream_server import DeviceClock, NetFTServer, Outbox, StreamServer, field_payload
 
 PoseAt = Callable[[float], pin.SE3]
 ShapeAt = Callable[[float], tuple[Array, Array]]

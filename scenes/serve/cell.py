@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,19 +14,21 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.rsi.axes import Axes
-from scenes.camera_table import believed_camera, true_camera
+from ideal_robot.rsi.message import Axes
 from scenes.camera_world import camera_settings
 from scenes.force.cell import Cell as ForceCell
 from scenes.force.cell import set_up as set_up_force
-from scenes.force.scene import ForceScene
-from scenes.force.world import true_tip
+from scenes.force.cell import true_tip
 from scenes.line.cell import Cell as LineCell
 from scenes.line.cell import lamp_over
 from scenes.line.cell import set_up as set_up_line
 from scenes.line.cell import streams as line_streams
-from scenes.line.scene import LineScene
-from scenes.scene import Scene
+from scenes.online.processes import undisturbed
+from scenes.report.page import write_json
+from scenes.scene_files.drawn_line import believed_camera, true_camera
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import Scene
 from scenes.serve.carried import ServedCamera, ServedForce
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
@@ -32,11 +36,16 @@ from sim.camera.lamp import ArmShape
 from sim.camera.live_camera import LiveCamera
 from sim.camera.surface import DrawnLine
 from sim.contact.contact import TipContact
-from sim.devices.netft_server import NetFTServer
-from sim.devices.served_arm import Carried, ServedArm, Session
-from sim.devices.served_rtde import ServedRtde
-from sim.devices.stream_server import StreamServer, camera_description
-from sim.devices.unkind import DeviceClock, Outbox, Unkindness, now
+from sim.devices.served_arm import Carried, ServedArm, ServedRtde, Session
+from sim.devices.stream_server import (
+    DeviceClock,
+    NetFTServer,
+    Outbox,
+    StreamServer,
+    Unkindness,
+    camera_description,
+    now,
+)
 
 SETTLING = 0.3
 """Time on the line until the distance counts, as in one process [s]."""
@@ -221,3 +230,47 @@ def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple
                      background=scene.line.background, edge=1e-3 * scene.line.edge_mm)
     true = true_camera(believed_camera(table), scene.calibration, calibration)
     return line, LiveCamera(true, line, settings, noise, relief=cell.surface)
+
+
+# Serves a cell until it is told to stop, and says of each session what really happened.
+
+_PRIORITY = 30
+"""Below that of a follower on the same computer: the time the world takes must not be counted as the follower's."""
+
+
+def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int, json: Path | None,
+                say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Serves a scene's cell; Ctrl-C and SIGTERM end it. Returns what happened in each session.
+
+    Args:
+        scene: of kind ``line`` or ``force``.
+        places: where the devices are.
+        unkind: what clocks and network do.
+        sessions: after how many it ends; 0 for no end.
+        json: file for what happened in the last session; None for none.
+        say: prints a line.
+    """
+    told: list[dict[str, Any]] = []
+    with served_cell(scene, places, unkind) as (cell, arm):
+        def done(session: Session) -> None:
+            figures = {"session": len(told) + 1, **scene.played(), **cell.truth(session)}
+            told.append(figures)
+            if json is not None:
+                write_json(json, figures)
+            say(f"session {len(told)}: {session.answered} of {session.answered + session.late} cycles answered; "
+                f"{session.ended}; "
+                + "; ".join(f"{key} {value}" for key, value in figures.items() if key.endswith(("_mm", "_N"))))
+
+        before = {number: signal.signal(number, lambda *_: arm.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
+        say("controller: {} {}:{}".format("listens on" if places.rtde else "sends to", *places.arm))
+        if cell.camera is not None:
+            say("camera: stream://{}:{}".format(*cell.camera))
+        if cell.force is not None:
+            say("force: netft://{}:{}?rate={:g}".format(*cell.force, scene.sensor.rate))  # type: ignore[attr-defined]
+        try:
+            with undisturbed(priority=_PRIORITY):
+                arm.sessions(sessions, done)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+    return told

@@ -14,7 +14,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from scenes.follow.journal import ROWS, journal_rows
+from scenes.online.journal import ROWS, journal_rows
 from scenes.view.viewer import GHOST, Viewer
 
 SILENT = 1.0

@@ -2,15 +2,237 @@
 
 from __future__ import annotations
 
+import struct
+import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
+import numpy as np
+
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.registry import Registry
-from sensing.camera.frame_source import FrameSource
-from sensing.camera.genicam import GenICamCamera
-from sensing.camera.stream_camera import StreamCamera
-from sensing.stream.address import host_and_port
+from sensing.camera.camera_device import Gray
+from sensing.clock_relation import ClockRelation
+from sensing.sensing_error import SensingError
+from sensing.stream import Package, StreamConnection, host_and_port
+
+# The seam of cameras on cables: whole pictures with stamps of the camera's own clock.
+
+@dataclass(frozen=True)
+class Frame:
+    """A whole picture.
+
+    Attributes:
+        number: counts the pictures of its camera.
+        stamp: mid-exposure by the camera's clock, or whatever its stamps mean; see ``FrameSource.stamps``  [s].
+        arrived: when it was read, by ``time.perf_counter`` [s].
+        image: gray values ``(height, width)``, uint8.
+    """
+
+    number: int
+    stamp: float
+    arrived: float
+    image: Gray
+
+
+class FrameSource(Protocol):
+    """A camera that delivers whole pictures, as long as it is open.
+
+    Attributes:
+        width, height: size of a picture [px].
+        stamps: whose clock the stamps are of: ``camera`` (its own), ``stream`` (of the recording or the sender) or
+            ``arrival`` (there is none but this computer's: the stamp is when the picture was read).
+        clock: how that clock relates to this computer's; ``read`` adds to it.
+    """
+
+    width: int
+    height: int
+    stamps: str
+    clock: ClockRelation
+
+    def read(self, timeout: float) -> Frame | None:
+        """The next picture; None if none comes within ``timeout`` [s], or what came could not be used.
+
+        Raises:
+            SensingError: the camera is gone, or its stream has ended.
+        """
+        ...
+
+    def close(self) -> None:
+        """Gives the camera back."""
+        ...
+
+
+# A camera behind our own stream, for machines that only have a socket.
+
+_CAMERA = struct.Struct(">HHd14d")
+_FIELD = struct.Struct(">IHH")
+
+
+class StreamCamera:
+    """A ``FrameSource`` over a stream; stamps are mid-exposures by the sender's clock, which is asked for.
+
+    Args:
+        host: address of the sender.
+        port: TCP port.
+        patience: how long the sender and its description are waited for [s].
+
+    Raises:
+        InputError: no camera there.
+
+    Attributes:
+        rate: pictures a second as the sender says; NaN where it does not.
+        K: camera matrix ``(3, 3)`` as the sender says, NaN where it does not.
+        distortion: k1, k2, p1, p2, k3, NaN where not known ``(5,)``.
+        refused: pictures that could not be used.
+    """
+
+    stamps = "camera"
+
+    def __init__(self, host: str, port: int, patience: float = 5.0) -> None:
+        self._connection = StreamConnection(host, port, patience)
+        self.clock, self.refused = self._connection.clock, 0
+        self._first = self._described(patience)
+        said = self._connection.described
+        if said is None or len(said.payload) != _CAMERA.size:
+            self.close()
+            raise InputError("the device does not say that it is a camera", field="camera", value=f"{host}:{port}")
+        self.width, self.height, self.rate, *numbers = _CAMERA.unpack(said.payload)
+        self.K: Array = np.array(numbers[:9]).reshape(3, 3)
+        self.distortion: Array = np.array(numbers[9:])
+
+    def _described(self, patience: float) -> Package | None:
+        """Waits until it is known what the device is; what came meanwhile."""
+        end, found = time.perf_counter() + patience, None
+        while self._connection.described is None and found is None and time.perf_counter() < end:
+            found = self._connection.next(0.1)
+        return found
+
+    def read(self, timeout: float) -> Frame | None:
+        """See ``FrameSource.read``; a sender that leaves is waited for."""
+        found, self._first = self._first or self._connection.next(timeout), None
+        arrived = time.perf_counter()
+        if found is None:
+            return None
+        image = self._image(found.payload)
+        if image is None or not np.isfinite(found.stamp) or not self.clock.known:
+            self.refused += 1
+            return None
+        return Frame(_FIELD.unpack_from(found.payload)[0], found.stamp, arrived, image)
+
+    def _image(self, payload: bytes) -> np.ndarray | None:
+        """The picture of a field package; None where its size is another than the camera's."""
+        if len(payload) < _FIELD.size:
+            return None
+        _, width, height = _FIELD.unpack_from(payload)
+        if (width, height) != (self.width, self.height) or len(payload) != _FIELD.size + width * height:
+            return None
+        return np.frombuffer(payload, np.uint8, offset=_FIELD.size).reshape(height, width)
+
+    def close(self) -> None:
+        """See ``FrameSource.close``."""
+        self._connection.close()
+
+
+# Industrial cameras: GenICam (GigE Vision, USB3 Vision) through the package ``harvesters``.
+
+_GRAY_OF = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
+"""Formats that are taken, with the bits that count. Packed and coloured ones are not: set ``PixelFormat``."""
+
+
+class GenICamCamera:
+    """A ``FrameSource`` over a harvesters image acquirer; stamps are of the camera's own clock.
+
+    Args:
+        acquirer: an ``ImageAcquirer`` of harvesters, or whatever has its ``start``, ``fetch``, ``stop``, ``destroy``.
+        least_delay: from the camera's stamp (begin of exposure with most) to the picture's arrival, at least [s].
+        library: what made the acquirer, to be reset at the end.
+
+    Raises:
+        InputError: a pixel format that is not taken.
+    """
+
+    def __init__(self, acquirer: Any, least_delay: float = 0.0, library: Any = None) -> None:
+        self._acquirer, self._library = acquirer, library
+        self.clock, self.stamps = ClockRelation(least_delay), "camera"
+        self._number = 0
+        acquirer.start()
+        first = self._fetched(5.0)
+        if first is None:
+            self.close()
+            raise InputError("the camera is there but sends no picture; is it triggered?", field="camera")
+        self.height, self.width = first[1].shape
+
+    @classmethod
+    def open(cls, producer: Path, serial: str | None = None, least_delay: float = 0.0) -> GenICamCamera:
+        """A camera by its producer's GenTL file.
+
+        Args:
+            producer: the ``.cti`` file that came with the camera.
+            serial: number of the camera; the first one found if None.
+            least_delay: see the class.
+
+        Raises:
+            InputError: harvesters is not installed, no such file or camera.
+        """
+        try:
+            from harvesters.core import Harvester
+        except ImportError as error:
+            raise InputError("GenICam cameras need the package harvesters: pip install 'ideal-robot[genicam]'",
+                             field="camera") from error
+        if not producer.is_file():
+            raise InputError("no such GenTL producer (.cti), which the camera's maker supplies", field="camera",
+                             value=str(producer))
+        library = Harvester()
+        library.add_file(str(producer))
+        library.update()
+        if not library.device_info_list:
+            library.reset()
+            raise InputError("the producer finds no camera", field="camera", value=str(producer))
+        return cls(library.create(0 if serial is None else {"serial_number": serial}), least_delay, library)
+
+    def read(self, timeout: float) -> Frame | None:
+        """See ``FrameSource.read``."""
+        found = self._fetched(timeout)
+        if found is None:
+            return None
+        stamp, image = found
+        if image.shape != (self.height, self.width):
+            raise SensingError("the camera changed its picture's size on the way")
+        arrived = time.perf_counter()
+        if not self.clock.add(stamp, arrived):
+            return None
+        self._number += 1
+        return Frame(self._number, stamp, arrived, image)
+
+    def close(self) -> None:
+        """See ``FrameSource.close``."""
+        self._acquirer.stop()
+        self._acquirer.destroy()
+        if self._library is not None:
+            self._library.reset()
+
+    def _fetched(self, timeout: float) -> tuple[float, Gray] | None:
+        buffer = self._acquirer.try_fetch(timeout=timeout)
+        if buffer is None:
+            return None
+        with buffer:
+            parts = buffer.payload.components
+            if not parts:
+                return None
+            part = parts[0]
+            bits = _GRAY_OF.get(part.data_format)
+            if bits is None:
+                raise InputError(f"expected a pixel format of {', '.join(_GRAY_OF)}; set it with the camera's own tool",
+                                 field="camera", value=part.data_format)
+            # Copied: the buffer goes back to the camera.
+            gray = np.array(part.data, copy=True).reshape(part.height, part.width)
+            stamp = 1e-9 * float(buffer.timestamp_ns)
+        return stamp, gray if bits == 8 else (gray >> (bits - 8)).astype(np.uint8)
+
 
 Opener = Callable[[str, float], FrameSource]
 """Opens a camera: what stands behind its scheme, and the least delay from mid-exposure to arrival [s]."""

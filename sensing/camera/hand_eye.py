@@ -28,7 +28,7 @@ from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.polyline import Polyline
+from sensing.camera.line_polynomial import Polyline
 from sensing.sensing_error import SensingError
 
 TILT = "surface_tilt"

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensing.camera.camera_device import Gray
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.field import Gray
 from sensing.camera.picture_line import RoughLine, find_rough_line
 from sensing.sensing_error import SensingError
 

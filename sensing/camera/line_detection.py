@@ -8,19 +8,69 @@ each cross-section, and a test which of them together make one smooth line near 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
+from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel, pixel_rays
-from sensing.camera.confirmed_points import confirmed_points
-from sensing.camera.field import Field
 from sensing.camera.line_profile import MAX_CANDIDATES, find_sections
 from sensing.camera.line_search import DetectionSettings, PredictedLine, predict_image, search_windows
+
+# Which points of a field the others confirm.
+#
+# A straight line through three points, one of them far from the other two, bends to that one: its own residual stays
+# small however wrong it is (its leverage is nearly 1; Baarda's *internal reliability*). So a point is held against the
+# line of the *other* points, extrapolated to it, never against a line that it has drawn itself.
+
+@jit()
+def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], tolerance: float) -> NDArray[np.bool_]:
+    """The points that lie within a tolerance of the least-squares line of the others.
+
+    As long as one does not, the one that contradicts the others most is taken out.
+
+    Args:
+        along: places along the prediction ``(m,)`` [m].
+        deviation: from the prediction ``(m,)`` [m]; where not used, of no account.
+        used: points to choose from ``(m,)``.
+        tolerance: how far a point may be off [m].
+
+    Returns:
+        ``(m,)``. Two points or fewer have nothing to be held against and remain.
+    """
+    m = along.size
+    kept = used.copy()
+    while kept.sum() > 2:
+        worst, out, refused = 0.0, -1, False
+        for i in range(m):
+            if not kept[i]:
+                continue
+            count, a, d, aa, ad = 0, 0.0, 0.0, 0.0, 0.0
+            for j in range(m):
+                if kept[j] and j != i:
+                    # About the point itself: the line's value there is the intercept.
+                    x = along[j] - along[i]
+                    count += 1
+                    a, d, aa, ad = a + x, d + deviation[j], aa + x * x, ad + x * deviation[j]
+            spread = aa - a * a / count
+            slope = (ad - a * d / count) / spread if spread > 0.0 else 0.0
+            off = abs(deviation[i] - (d - slope * a) / count)
+            refused = refused or off > tolerance
+            # In standard deviations: what the others say of a far end is itself uncertain.
+            off /= math.sqrt(1.0 + 1.0 / count + ((a / count) ** 2 / spread if spread > 0.0 else 0.0))
+            if off > worst:
+                worst, out = off, i
+        if not refused:
+            break
+        kept[out] = False
+    return kept
+
 
 __all__ = ["DetectionSettings", "LineField", "PredictedLine", "detect_line", "search_windows"]
 
@@ -248,3 +298,53 @@ def _reason(field: Field, found: int, used: int, s: DetectionSettings) -> str:
     if found == 0:
         return "no line of the expected width and contrast in any window"
     return f"only {used} of {len(field.windows)} points agree, {s.min_points} are needed"
+
+
+# Line points of pictures whose rows are exposed one after the other.
+#
+# "We compute the camera position of the time instant of sensing and then evaluate the measured sensor data for this
+# time instant" ([L] 4.3). With a rolling readout each row has an instant of its own: a point belongs to the arm's pose
+# at its row's. Told once how long the readout takes, a camera needs no more than that; without one nothing changes.
+
+PoseAt = Callable[[float], pin.SE3]
+"""Pose of the TCP in the base frame at a time [s], as the controller knows it."""
+_ROUNDS = 2
+"""Rounds in which a predicted point finds its row: each leaves a tenth of the error of the one before."""
+
+
+def predicted_by_rows(prediction: PredictedLine, camera: CameraModel, t: float, pose_at: PoseAt) -> PredictedLine:
+    """A prediction for a picture, each point in the tool frame of the instant at which its row is exposed.
+
+    Args:
+        prediction: in the tool frame at ``t``.
+        camera: as it is calibrated, with its readout.
+        t: time of the picture's middle row [s].
+        pose_at: see ``PoseAt``; called within half the readout around ``t``.
+    """
+    if camera.readout == 0.0:
+        return prediction
+    pose, seen = pose_at(t), prediction
+    for _ in range(_ROUNDS):
+        delays = camera.row_delay(camera.project_tool(seen.points))
+        moves = [pose_at(t + delay).actInv(pose) for delay in delays.tolist()]
+        seen = replace(
+            prediction,
+            points=np.array([move.act(point) for move, point in zip(moves, prediction.points, strict=True)]),
+            tangents=np.array([move.rotation @ one for move, one in zip(moves, prediction.tangents, strict=True)]))
+    return seen
+
+
+def at_middle_row(seen: LineField, camera: CameraModel, pose_at: PoseAt) -> LineField:
+    """Line points of a field, all in the tool frame at the instant of the middle row, the field's time stamp.
+
+    Args:
+        seen: each point in the tool frame of its own row's instant.
+        camera: as it is calibrated, with its readout.
+        pose_at: see ``PoseAt``.
+    """
+    if camera.readout == 0.0:
+        return seen
+    pose, points = pose_at(seen.t), seen.points_tcp.copy()
+    for i, delay in enumerate(camera.row_delay(seen.pixels).tolist()):
+        points[i] = pose.actInv(pose_at(seen.t + delay)).act(points[i])
+    return replace(seen, points_tcp=points)

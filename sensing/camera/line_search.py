@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
+from sensing.camera.camera_device import Window
 from sensing.camera.camera_model import CameraModel, distort
-from sensing.camera.field import Window
 
 Integers = NDArray[np.int64]
 

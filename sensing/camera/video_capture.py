@@ -9,10 +9,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from ideal_robot.captured_stderr import kept_words
+from ideal_robot.bounded_values import kept_words
 from ideal_robot.errors import InputError
-from sensing.camera.frame_source import Frame
-from sensing.clock.clock_relation import ClockRelation
+from sensing.camera.cameras import Frame
+from sensing.clock_relation import ClockRelation
 from sensing.sensing_error import SensingError
 
 _LARGEST = 4096

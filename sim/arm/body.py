@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any
+
+import cv2
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.file_array import temporary_folder
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.urdf import without_meshes
+from ideal_robot.row_log import temporary_folder
 from sim.arm.world import STEP
-from sim.bullet import pybullet
+from sim.bullet import output_dropped, pybullet
 
 GRAVITY = 9.81
 """[m/s²], the value Pinocchio has too."""
@@ -95,3 +105,201 @@ def _rpy(rotation: Array) -> Array:
 
 def _text(values: Array) -> str:
     return " ".join(f"{value:.17g}" for value in values)
+
+
+# Rotors that turn rigidly with their links, which PyBullet has no term for.
+
+class RigidRotors:
+    """Splits the torque of drives with rigid gears between links and rotors.
+
+    The reflected rotor inertia J belongs on the diagonal of the mass matrix and nowhere else: added to the inertia of
+    a link it would also load the joints before it. So the links get τ - J q̈, with
+
+        (M + J) q̈ = τ + τ_touch - h(q, q̇)
+
+    from Pinocchio's forward dynamics of the same links with rotors. What touches the arm is not known before the
+    step; τ_touch is what the step before had too much: M q̈ + h less the torque it was given. Free motion is exact,
+    contact is felt by the rotors half a millisecond late.
+
+    Args:
+        links: the true links.
+        inertia: rotor inertia of the joints with rigid gears, 0 elsewhere ``(n,)`` [kg m²].
+    """
+
+    def __init__(self, links: pin.Model, inertia: Array) -> None:
+        self._links, self._links_data = links, links.createData()
+        self._with_rotors = links.copy()
+        self._with_rotors.armature = inertia
+        self._data = self._with_rotors.createData()
+        self._inertia = inertia
+        self._touch = np.zeros(len(inertia))
+
+    def share(self, q: Array, qd: Array, torque: Array) -> None:
+        """Takes from ``torque (n,)`` [N m], in place, what accelerates the rotors.
+
+        Args:
+            q: arm angles ``(n,)`` [rad].
+            qd: arm velocities ``(n,)`` [rad/s].
+            torque: of the drives ``(n,)`` [N m]; changed.
+        """
+        acceleration = pin.aba(self._with_rotors, self._data, q, qd, torque + self._touch)
+        torque -= self._inertia * acceleration
+
+    def feel(self, q: Array, qd: Array, qd_after: Array, torque: Array) -> None:
+        """Learns what touched the links in a step from ``q, qd`` to velocity ``qd_after`` under ``torque (n,)``.
+
+        Args:
+            q: arm angles before the step ``(n,)`` [rad].
+            qd: arm velocities before it ``(n,)`` [rad/s].
+            qd_after: arm velocities after it ``(n,)`` [rad/s].
+            torque: on the links during it ``(n,)`` [N m].
+        """
+        self._touch = pin.rnea(self._links, self._links_data, q, qd, (qd_after - qd) / STEP) - torque
+
+
+# Pictures of the arm in a posture, for reports.
+
+Picture = NDArray[np.uint8]
+
+
+class Stage:
+    """An arm on a floor that can be shown in many postures from one place.
+
+    Args:
+        robot: any robot whose URDF holds primitive shapes; links without visible shape stay invisible.
+        q: arm angles ``(n,)`` [rad] that the view is fitted to.
+        width: of the picture [px].
+        height: of the picture [px].
+        azimuth: direction of view about the vertical [°].
+        elevation: direction of view above the horizon, negative from above [°].
+        distance: of the camera from ``target`` [m]; fitted to the arm if None.
+        target: point in the middle of the picture [m]; fitted to the arm if None.
+        lines: polylines ``(N, 3)`` [m] in the base frame to be drawn as thin rods, e.g. a path.
+        surface: corners ``(4, 3)`` [m] of a flat surface to be drawn as a plate, or None.
+
+    Raises:
+        InputError: ``q`` of wrong size.
+    """
+
+    def __init__(self, robot: Robot, q: Array, *, width: int = 800, height: int = 600, azimuth: float = 50.0,
+                 elevation: float = -18.0, distance: float | None = None, target: Sequence[float] | None = None,
+                 lines: Sequence[Array] = (), surface: Array | None = None) -> None:
+        q = np.asarray(q, dtype=float)
+        if q.shape != (robot.n,):
+            raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
+        self._size, self._direction = (width, height), (azimuth, elevation)
+        self._names = list(robot.pinocchio.names)[1:]
+        client = self._client = pybullet.connect(pybullet.DIRECT)
+        with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
+            self._body = _load(robot, client)
+        self._order = {pybullet.getJointInfo(self._body, i, physicsClientId=client)[1].decode(): i
+                       for i in range(pybullet.getNumJoints(self._body, physicsClientId=client))}
+        self._place(q)
+        for line in lines:
+            _draw(np.asarray(line, dtype=float), client)
+        if surface is not None:
+            _lay(np.asarray(surface, dtype=float), client)
+        low, high = _extent(self._body, len(self._order), client)
+        # A slab that the shadow map covers: on an endless plane its border would show as a false shadow.
+        size = float(np.linalg.norm(high - low))
+        floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
+                                           rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
+        self._target = [float(x) for x in (0.5 * (low + high) if target is None else target)]
+        self._distance = 1.25 * size if distance is None else distance
+        self._light = 2.5 * size
+
+    def __enter__(self) -> Stage:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, tb: TracebackType | None) -> None:
+        pybullet.disconnect(self._client)
+
+    def show(self, q: Array) -> Picture:
+        """The arm at ``q (n,)`` [rad] as RGB picture ``(height, width, 3)``, rendered by PyBullet's CPU renderer."""
+        self._place(q)
+        return _render(self._client, *self._size, self._target, self._distance, *self._direction, light=self._light)
+
+    def _place(self, q: Array) -> None:
+        for name, angle in zip(self._names, q, strict=True):
+            pybullet.resetJointState(self._body, self._order[name], angle, physicsClientId=self._client)
+
+
+def picture(robot: Robot, q: Array, **view: Any) -> Picture:
+    """One picture of an arm in a posture.
+
+    Args:
+        robot: the arm.
+        q: arm angles ``(n,)`` [rad].
+        view: size, direction and lines as for ``Stage``.
+
+    Returns:
+        RGB picture ``(height, width, 3)``.
+
+    Raises:
+        InputError: ``q`` of wrong size.
+    """
+    with Stage(robot, q, **view) as stage:
+        return stage.show(np.asarray(q, dtype=float))
+
+
+def _load(robot: Robot, client: int) -> int:
+    """The arm with its primitive shapes: Bullet would open whatever file a mesh names."""
+    with temporary_folder() as folder:
+        path = folder / "arm.urdf"
+        path.write_text(without_meshes(robot.urdf.read_text(encoding="utf-8")), encoding="utf-8")
+        return int(pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client))
+
+
+def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,
+            elevation: float, light: float) -> Picture:
+    """Renders at twice the size and averages, which smooths the edges that TinyRenderer leaves jagged."""
+    view = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, azimuth, elevation, 0.0, 2,
+                                                      physicsClientId=client)
+    lens = pybullet.computeProjectionMatrixFOV(40.0, width / height, 0.05, 10.0 * distance, physicsClientId=client)
+    image = pybullet.getCameraImage(2 * width, 2 * height, view, lens, lightDirection=[1.2, -1.6, 3.0],
+                                    lightDistance=light, lightAmbientCoeff=0.55, lightDiffuseCoeff=0.5,
+                                    lightSpecularCoeff=0.15, shadow=1,
+                                    renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)[2]
+    rgb = np.asarray(image, dtype=np.uint8).reshape(2 * height, 2 * width, 4)[:, :, :3]
+    return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _extent(body: int, joints: int, client: int) -> tuple[Array, Array]:
+    points = [pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]]
+    points += [pybullet.getLinkState(body, i, physicsClientId=client)[4] for i in range(joints)]
+    array = np.array(points)
+    # The joints' positions, and the housings and motors around them.
+    return array.min(axis=0) - 0.25, array.max(axis=0) + 0.35
+
+
+def _draw(line: Array, client: int, radius: float = 0.004) -> None:
+    for start, end in itertools.pairwise(line):
+        rod = end - start
+        length = float(np.linalg.norm(rod))
+        if length < 1.0e-9:
+            continue
+        axis = np.cross([0.0, 0.0, 1.0], rod / length)
+        sine, cosine = float(np.linalg.norm(axis)), float(rod[2] / length)
+        angle = float(np.arctan2(sine, cosine))
+        direction = axis / sine if sine > 1.0e-9 else np.array([1.0, 0.0, 0.0])
+        turn = [*(direction * np.sin(angle / 2)), float(np.cos(angle / 2))]
+        shape = pybullet.createVisualShape(pybullet.GEOM_CYLINDER, radius=radius, length=length,
+                                           rgbaColor=[0.1, 0.1, 0.6, 1.0], physicsClientId=client)
+        pybullet.createMultiBody(0.0, -1, shape, (0.5 * (start + end)).tolist(), turn, physicsClientId=client)
+
+
+def _lay(corners: Array, client: int, thickness: float = 0.01) -> None:
+    """A plate whose upper side is the parallelogram of the corners, given in order."""
+    along, across = corners[1] - corners[0], corners[3] - corners[0]
+    length, width = float(np.linalg.norm(along)), float(np.linalg.norm(across))
+    normal = np.cross(along, across)
+    normal *= np.sign(normal[2]) / np.linalg.norm(normal) if normal[2] else 1.0 / np.linalg.norm(normal)
+    x = along / length
+    rotation = np.column_stack([x, np.cross(normal, x), normal])
+    shape = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.5 * length, 0.5 * width, 0.5 * thickness],
+                                       rgbaColor=[0.97, 0.97, 0.93, 1.0], physicsClientId=client)
+    # The line is drawn as a rod with its middle on the surface.
+    place = 0.25 * corners.sum(axis=0) - (0.5 * thickness + 0.002) * normal
+    pybullet.createMultiBody(0.0, -1, shape, place.tolist(), pin.Quaternion(rotation).coeffs().tolist(),
+                             physicsClientId=client)

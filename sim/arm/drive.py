@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +11,61 @@ from numpy.typing import NDArray
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from sim.arm import kernel
-from sim.arm.controller import controller_parameters
+from sim.arm.kernel import C_INCREMENT, C_KFF, C_KI, C_KP, C_KV, C_LIMIT, CONTROLLER_PARAMETERS
 from sim.arm.world import STEP, World
+
+# The industrial controller of the simulated arm: the KRC1 of [G] Fig. 15.
+#
+# command every t_ipo → linear interpolation → low-pass → position loop (P, velocity feedforward) every t_position
+# → velocity loop (PI, velocity from a low-pass differentiator of the encoder) every t_velocity → current
+
+def controller_parameters(world: World, n: int, torque_limit: Array, gear_ratio: Array) -> Array:
+    """Packs the controller's numbers for the compiled step, shape ``(CONTROLLER_PARAMETERS, n)``.
+
+    Args:
+        world: the true world.
+        n: number of joints.
+        torque_limit: on the joint side ``(n,)`` [N m].
+        gear_ratio: motor turns per joint turn ``(n,)``.
+    """
+    p = np.zeros((CONTROLLER_PARAMETERS, n))
+    p[C_KV] = world.per_joint("position_gain", n)
+    p[C_KFF] = world.per_joint("velocity_feedforward", n)
+    p[C_KP] = world.per_joint("velocity_gain", n)
+    p[C_KI] = p[C_KP] * world.t_velocity / world.per_joint("integral_time", n)
+    p[C_LIMIT] = torque_limit if world.torque_limits else np.inf
+    if world.quantisation:
+        p[C_INCREMENT] = 2.0 * math.pi / (world.per_joint("encoder_increments", n) * gear_ratio)
+    return p
+
+
+@dataclass(frozen=True)
+class EquivalentController:
+    """The truth that an identification of [G] (15)–(17) at the interpolation cycle should find, each ``(n,)``.
+
+    Attributes:
+        k_p: [N m/rad], k_d: [N m s/rad] on the control error and its derivative.
+        k_1: [N m s/rad], k_2: [N m s²/rad] on velocity and acceleration.
+        k_i: share of the integrated output per interpolation cycle.
+    """
+
+    k_p: Array
+    k_d: Array
+    k_1: Array
+    k_2: Array
+    k_i: Array
+
+
+def equivalent_controller(world: World, n: int) -> EquivalentController:
+    """The cascade of this world written as [G] (16), (17).
+
+    With v_des = K_v e + f q̇_d, the P part K_p (v_des - q̇) is K_p K_v e + K_p f ė - K_p (1 - f) q̇; the velocity
+    filter adds its time constant times K_p on the acceleration. For scripts that compare an identified controller with
+    the true one; no scene uses it, for the model side must not see the truth.
+    """
+    k_v, f, k_p = (world.per_joint(name, n) for name in ("position_gain", "velocity_feedforward", "velocity_gain"))
+    return EquivalentController(k_p=k_p * k_v, k_d=k_p * f, k_1=-k_p * (1.0 - f), k_2=k_p * world.velocity_filter,
+                                k_i=world.t_ipo / world.per_joint("integral_time", n))
 
 
 def motor_torque_limit(robot: Robot) -> Array:
@@ -110,3 +164,34 @@ def drive_start(p: Array, q0: Array, holding_torque: Array, temperature: Array) 
     x[kernel.X_TEMPERATURE] = temperature
     x[kernel.X_LUBRICANT] = 1.0
     return x
+
+
+# Friction of a gear as it truly is in the simulated world: a dynamic law none of the fitted models can copy.
+#
+# Bristles (LuGre, Canudas de Wit et al. 1995) carry the dry part, an Eyring fluid the hydrodynamic one:
+#
+#     z'    = v - σ0 |v| / g(v) z                       presliding: bristles bend elastically by z
+#     g(v)  = (F_c + F_s exp(-(v / v_s)²)) · load · dry temperature       Coulomb and Stribeck
+#     τ_f   = σ0 z + σ1 z' + viscosity(T) · (f_v v + F_e asinh(v / v_e))   asinh: degressive (Eyring)
+
+def steady_friction(world: World, n: int, velocity: Array, temperature: float | None = None) -> Array:
+    """Friction torque ``(N, n)`` [N m] after sliding long enough at ``velocity (N, n)``, without load.
+
+    For tests and documents about the world; no model may use it.
+
+    Args:
+        world: the true world.
+        n: number of joints.
+        velocity: on the joint side ``(N, n)`` [rad/s].
+        temperature: of all gears [°C]; the world's reference temperature if None.
+    """
+    velocity = np.asarray(velocity, dtype=float)
+    p = {name: world.per_joint(name, n) for name in
+         ("coulomb", "stribeck", "stribeck_velocity", "friction_asymmetry", "viscous", "degressive",
+          "degressive_velocity", "friction_scale")}
+    above = (world.reference_temperature if temperature is None else temperature) - world.reference_temperature
+    side = 1.0 + np.sign(velocity) * p["friction_asymmetry"]
+    dry = side * (p["coulomb"] + p["stribeck"] * np.exp(-((velocity / p["stribeck_velocity"]) ** 2)))
+    fluid = p["viscous"] * velocity + p["degressive"] * np.arcsinh(velocity / p["degressive_velocity"])
+    return p["friction_scale"] * (np.sign(velocity) * dry * np.exp(-world.dry_temperature * above)
+                                  + fluid * np.exp(-world.viscosity_temperature * above))

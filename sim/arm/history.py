@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from ideal_robot.row_log import KEPT, RowLog
-from ideal_robot.signals.column_store import ColumnStore
+from ideal_robot.row_log import KEPT, ColumnStore, RowLog
 from ideal_robot.signals.recording import Recording
 from sim.arm.kernel import LOGGED
 from sim.arm.world import World

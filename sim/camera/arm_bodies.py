@@ -13,8 +13,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.urdf import without_meshes
+from sensing.camera.camera_device import Window
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.field import Window
 from sim.bullet import pybullet
 from sim.camera.lamp import half_sizes, joint_places
 

@@ -16,18 +16,16 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from ideal_robot.file_array import temporary_folder
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import temporary_folder
+from sensing.camera.camera_device import Window
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.field import Window
 from sim.bullet import output_dropped, pybullet
 from sim.camera.arm_bodies import ArmBodies, Body
 from sim.camera.camera import CameraSettings, RenderedCamera
-from sim.camera.lamp import Lamp
-from sim.camera.lens_sampling import add_samples, displacements, extent
-from sim.camera.surface import DrawnLine
-from sim.camera.texture import Texture
-from sim.camera.tool_mesh import TOOL_COLOUR, outline, tool_mesh
+from sim.camera.lamp import TOOL_COLOUR, Lamp, outline, tool_mesh
+from sim.camera.sampling import add_samples, displacements, extent
+from sim.camera.surface import DrawnLine, Texture
 from sim.contact.contact import HeightSurface
 
 STRIP = 0.008

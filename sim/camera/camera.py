@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from types import TracebackType
 
@@ -16,14 +17,75 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from sensing.camera.camera_device import Field, Gray, Window
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.field import Field, Gray, Window
-from sim.camera.camera_settings import CameraSettings
 from sim.camera.lamp import Lamp, covered, light, mirrored
-from sim.camera.lens_sampling import on_plane, sample_rays
-from sim.camera.plane_sampling import sample_plane, texel_map
-from sim.camera.surface import DrawnLine
-from sim.camera.texture import Texture, paint
+from sim.camera.sampling import on_plane, sample_plane, sample_rays, texel_map
+from sim.camera.surface import DrawnLine, Texture, paint
+
+# What a camera does to the picture and to its time: rate, exposure, noise, latency, time stamps, lost fields.
+
+@dataclass(frozen=True)
+class CameraSettings:
+    """What the camera does to the picture and to its time.
+
+    Attributes:
+        rate: fields per second [Hz].
+        phase: time of the first mid-exposure [s].
+        exposure: exposure time [s]; motion blur comes from ``sub_exposures`` pictures along the true pose.
+        sub_exposures: pictures averaged over one exposure, each displaced by a fraction of a sample.
+        supersampling: samples per pixel and axis in each of them.
+        noise: standard deviation of gray noise.
+        latency: from mid-exposure to the data's arrival [s].
+        jitter: standard deviation of the latency [s].
+        stamp_offset: constant error of the time stamp [s].
+        stamp_drift: by how much the clock of the time stamps runs fast [s/s].
+        stamp_noise: standard deviation of the time stamp [s].
+        loss: probability that a field is lost.
+        doubled: probability that a field arrives twice.
+        rolling: time from the first row's exposure to the last row's [s]; 0 where all rows are exposed together. Fields
+            are timed by their middle row.
+        auto_exposure: time constant with which the exposure follows the light [s]; 0 for a fixed one.
+        resolution: texel of the drawn surface [m].
+    """
+
+    rate: float = 50.0
+    phase: float = 0.005
+    exposure: float = 0.002
+    sub_exposures: int = 3
+    supersampling: int = 2
+    noise: float = 3.0
+    latency: float = 0.040
+    jitter: float = 0.001
+    stamp_offset: float = 0.0
+    stamp_drift: float = 0.0
+    stamp_noise: float = 0.00005
+    loss: float = 0.0
+    doubled: float = 0.0
+    rolling: float = 0.0
+    auto_exposure: float = 0.0
+    resolution: float = 0.00025
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not math.isfinite(value):
+                raise InputError("must be finite", field=f"camera.{f.name}", value=value)
+            if f.name not in ("phase", "stamp_offset", "stamp_drift") and value < 0:
+                raise InputError("must not be negative", field=f"camera.{f.name}", value=value)
+        for name in ("rate", "sub_exposures", "supersampling", "resolution"):
+            if getattr(self, name) <= 0:
+                raise InputError("must be positive", field=f"camera.{name}", value=getattr(self, name))
+        if self.exposure * self.rate > 1.0:
+            raise InputError("the exposure cannot be longer than the time between two fields", field="camera.exposure",
+                             value=self.exposure)
+        if self.rolling * self.rate > 1.0:
+            raise InputError("the rows cannot be read out more slowly than fields come", field="camera.rolling_ms",
+                             value=1e3 * self.rolling)
+        for name in ("loss", "doubled"):
+            if getattr(self, name) >= 1.0:
+                raise InputError("expected a probability below 1", field=f"camera.{name}", value=getattr(self, name))
+
 
 __all__ = ["CameraSettings", "PoseAt", "RenderedCamera"]
 

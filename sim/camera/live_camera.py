@@ -15,13 +15,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
+from sensing.camera.camera_device import Gray
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.field import Gray
-from sim.camera.camera_settings import CameraSettings
-from sim.camera.lamp import Lamp, covered, light, mirrored
-from sim.camera.surface import DrawnLine
-from sim.camera.texture import paint
-from sim.camera.tool_mesh import TOOL_COLOUR, tool_mesh
+from sim.camera.camera import CameraSettings
+from sim.camera.lamp import TOOL_COLOUR, Lamp, covered, light, mirrored, tool_mesh
+from sim.camera.surface import DrawnLine, paint
 from sim.contact.contact import HeightSurface
 
 NOTHING = (np.empty((0, 2, 3)), np.empty(0))

@@ -22,7 +22,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rsi.arrivals import received, stamp_arrivals
+from ideal_robot.rsi.link import received, stamp_arrivals
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World

@@ -13,10 +13,11 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.rsi.arrivals import stamp_arrivals
+from ideal_robot.rsi.link import stamp_arrivals
 from sim.arm.arm import SimulatedArm
 from sim.devices.rsi_controller import RsiController
-from sim.devices.unkind import Unkindness
+from sim.devices.rtde_controller import RtdeController
+from sim.devices.stream_server import Unkindness
 
 ANSWER_WITHIN = 0.75
 """Share of the cycle within which an answer counts; the rest is this program's own, to move the arm."""
@@ -218,3 +219,38 @@ class ServedArm:
         if session is not None:
             session.commands.append(q)
         self._carry(round(self.arm.t / self._T))
+
+
+# A UR controller in real time around a simulated arm, client after client.
+
+class ServedRtde(ServedArm):
+    """As ``ServedArm``, behind RTDE: ``address`` is where it listens. A client that leaves ends its session."""
+
+    def sessions(self, most: int, done: Callable[[Session], None]) -> None:
+        """See ``ServedArm.sessions``."""
+        count = 0
+        while not self._stopped and (most == 0 or count < most):
+            self._controller = RtdeController(self.arm, timeout=ANSWER_WITHIN * self._host_T, port=self._address[1],
+                                              after=self._carry_and_listen)
+            self._due = time.perf_counter()
+            self._controller.run()
+            session = Session([np.array(row) for row in self._controller.commands],
+                              len(self._controller.commands), ended="the client has left")
+            if self._moved_by(session.commands):
+                self._brake(session)
+                done(session)
+                self._go_back(session.commands[-1])
+                count += 1
+            elif session.commands:
+                self._reset()
+
+    def stop(self) -> None:
+        """Ends ``sessions`` after the present cycle."""
+        super().stop()
+        self._controller.stop()
+
+    def _carry_and_listen(self, k: int) -> None:
+        self._carry(k)
+
+    def _moved_by(self, commands: list[Array]) -> bool:
+        return bool(commands) and bool(np.abs(np.array(commands) - self._start).max() > 1e-6)

@@ -13,8 +13,8 @@ import numpy as np
 
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
-from scenes.report.replay_file import write_replay
-from scenes.view.recorded import replay_of_columns
+from scenes.report.replay import write_replay
+from scenes.view.viewer import replay_of_columns
 from tests.fuzz import mutate_table, mutate_text, originals
 
 PICTURES = (".png", ".jpg", ".bmp", ".tif", ".webp", ".pgm")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from scenes.follow.journal import META, ROWS
+from scenes.online.journal import META, ROWS
 from tests.fuzz import binary_originals, mutate_text, originals, set_key
 from tests.fuzz.case import Case, Maker
 from tests.fuzz.further_cases import RSI_XML, calibration

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.plain import plain
-from scenes.follow.camera_file import CalibratedCamera
+from ideal_robot.results import plain
+from scenes.online.camera_process import CalibratedCamera
 from scenes.scene_file import load_scene
 from scenes.sweep import _described, jobs
 from sensing.camera.camera_model import CameraModel

@@ -17,9 +17,9 @@ from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.follow.camera_file import calibrated_camera
+from scenes.online.camera_process import calibrated_camera
 from scenes.scene_file import library, load_scene
-from scenes.svg_file import first_path
+from scenes.scene_files.shape import first_path
 from sensing.camera.camera_model import CameraModel
 from tests.fuzz import mutate_table, mutate_text, originals, set_key
 from tests.fuzz.cases import drawn

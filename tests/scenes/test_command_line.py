@@ -2,14 +2,34 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import json
+import pkgutil
+import re
 import subprocess
 import sys
+from itertools import accumulate, pairwise
 from pathlib import Path
+from typing import get_args, get_type_hints
 
+import numpy as np
 import pytest
+from typer.testing import CliRunner
 
-from scenes.cli import main
+import ideal_robot
+import scenes
+from ideal_robot.identification import whole_model
+from ideal_robot.progress import Steps
+from ideal_robot.signals.recording import Recording
+from scenes.cli import VERBS, _register, app, main
+from scenes.commands import diagnose as diagnose_command
+from scenes.commands import identify as identify_command
+from scenes.commands.common import show_table
+from scenes.path import close_loop, kind
+from scenes.scene_file import load_scene
+from scenes.terminal import progress_bar
+from tests.ideal_robot.test_door import ROBOT, frame
 
 SHORT = """
 kind = "line"
@@ -130,3 +150,178 @@ def test_numbers_that_are_none_are_refused_by_every_verb(words: tuple[str, ...],
     done = program(*words, cwd=tmp_path)
     assert done.returncode == 2
     assert "no finite number" in done.stderr
+
+
+# What a person sees in a terminal: tables that lose nothing, the version, one meaning of an option in every verb.
+
+COLUMNS = ["channel", "before", "after", "noise", "depends on"]
+ROWS = [["torque of joint_with_a_long_name", 12.345, 0.06789, None, "position and velocity of that joint"],
+        ["b", 123456.0, 1.5e-9, 3, "nothing"]]
+
+
+@pytest.mark.parametrize("width", [None, 40, 60, 80, 120])
+def test_tables_lose_no_word_and_no_number(width: int | None, monkeypatch: pytest.MonkeyPatch,
+                                           capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    if width is not None:
+        monkeypatch.setenv("COLUMNS", str(width))
+    show_table("errors on held-out data", COLUMNS, ROWS)
+    said = capsys.readouterr().out
+    words = {word for row in ROWS for cell in row if isinstance(cell, str) for word in cell.split()}
+    for word in {*words, "12.3", "0.0679", "1.23e+05", "1.5e-09", "depends", "held-out"}:
+        assert word in said, (word, said)
+    if width is not None:
+        assert max(map(len, said.splitlines())) <= width
+    else:
+        assert "position and velocity of that joint" in said
+
+
+def test_many_columns_become_blocks_of_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+                                             ) -> None:
+    monkeypatch.setenv("COLUMNS", "60")
+    show_table("", [f"column{i}" for i in range(12)], [[f"name{i}" for i in range(12)]])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "name0"
+    assert lines[-1].strip() == "column11: name11"
+
+
+def test_version_is_the_packages() -> None:
+    done = CliRunner().invoke(app, ["--version"])
+    assert done.exit_code == 0
+    assert re.fullmatch(r"ideal-robot \d+\.\d+\.\d+\S*\n", done.stdout)
+
+
+def test_completion_can_be_installed() -> None:
+    _register()
+    assert "--install-completion" in CliRunner().invoke(app, ["--help"]).stdout
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_robot_means_the_same_in_every_verb(verb: str) -> None:
+    """A name or a path of an arm; drive data have their own option."""
+    command = importlib.import_module(f"scenes.commands.{VERBS[verb]}").command
+    hints = get_type_hints(command, include_extras=True)
+    assert "urdf" not in inspect.signature(command).parameters
+    if "robot" in hints:
+        kind, option = get_args(hints["robot"])
+        assert kind in (str, str | None)
+        assert {"--robot", "--urdf"} <= {option.default, *option.param_decls}
+        assert "name of a shipped robot, or path of a URDF" in option.help
+
+
+@pytest.mark.parametrize("width", [60, 70])
+def test_a_parameter_is_a_line_where_its_longest_words_fit(width: int, monkeypatch: pytest.MonkeyPatch,
+                                                           capsys: pytest.CaptureFixture[str]) -> None:
+    """Without borders at 60 columns; at 70 with borders, none of which is cut off."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    show_table("", ["name", "joint", "value", "σ", "σ [%]", "unit"],
+               [["presliding_4", 4, 0.000346, 130.0, 3.77e7, "rad"], ["a4_1", 1, 300.0, 2891.0, 962.0, "1 / (rad/s)"]])
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    found = next(line for line in lines if "presliding_4" in line)
+    assert all(word in found for word in ("4", "0.000346", "130", "3.77e+07", "rad"))
+    assert ("│" in found) == (width == 70)
+    assert found.rstrip().endswith("│") == (width == 70)
+
+
+@pytest.mark.parametrize("width", [40, 60, 120])
+def test_the_bar_keeps_its_numbers_whatever_its_text(width: int, monkeypatch: pytest.MonkeyPatch,
+                                                     capsys: pytest.CaptureFixture[str]) -> None:
+    for name, value in {"COLUMNS": str(width), "TTY_COMPATIBLE": "1", "FORCE_COLOR": "1", "TERM": "xterm"}.items():
+        monkeypatch.setenv(name, value)
+    with progress_bar("line") as move:
+        move(0.42, "searching the gain at which direct feedback overshoots, in words for which there is no room")
+    said = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", capsys.readouterr().err)
+    line = next(one for one in re.split(r"[\r\n]+", said) if "42 %" in one)
+    assert line.startswith("line: s")
+    assert re.search(r"42 % \d:\d\d:\d\d ", line)
+    assert len(line) <= width
+
+
+# The bar goes by measured shares of the time: they are declared, add up to the whole, and are what is told.
+
+diagnosing = importlib.import_module("ideal_robot.diagnosis.diagnose")
+
+
+class Heard:
+    """A progress that remembers what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[float, str]] = []
+
+    def __call__(self, fraction: float, text: str) -> None:
+        self.told.append((fraction, text))
+
+    def begins_as(self, shares: dict[str, float]) -> None:
+        """Every step is told of where the shares before it end, and nothing goes back."""
+        begun = dict(reversed([(text, fraction) for fraction, text in self.told]))
+        for step, start in zip(shares, accumulate([0.0, *shares.values()]), strict=False):
+            assert begun[step] == pytest.approx(start), step
+        assert all(a <= b for (a, _), (b, _) in pairwise(self.told))
+
+
+def declared() -> list[tuple[str, dict[str, float]]]:
+    found = []
+    for package in (ideal_robot, scenes):
+        for module in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            found += [(f"{module.name}.{name}", shares) for name, shares in
+                      vars(importlib.import_module(module.name)).items()
+                      if name.startswith("SHARES") and isinstance(shares, dict)]
+    return found
+
+
+@pytest.mark.parametrize(("where", "shares"), declared())
+def test_shares_add_up_to_the_whole(where: str, shares: dict[str, float]) -> None:
+    assert sum(shares.values()) == pytest.approx(1.0), where
+    assert min(shares.values()) > 0.0
+
+
+def test_steps_begin_where_those_before_end_and_never_go_back() -> None:
+    heard = Heard()
+    steps = Steps(heard, {"first": 0.2, "second": 0.5, "third": 0.3})
+    steps.begin("first")(0.5, "half")
+    part = steps.begin("second", "in other words")
+    part(0.8, "far")
+    part(0.1, "again from the beginning")
+    steps.begin("third")(1.0, "")
+    assert [text for _, text in heard.told] == ["first", "half", "in other words", "far", "again from the beginning",
+                                                "third", ""]
+    assert [fraction for fraction, _ in heard.told] == pytest.approx([0.0, 0.1, 0.2, 0.6, 0.6, 0.7, 1.0])
+
+
+def test_diagnosis_goes_by_its_shares(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(diagnosing.SHARES)[1:] == list(diagnosing.STAGES)
+
+    def stage(case, found):  # type: ignore[no-untyped-def]
+        case.progress(1.0, "done")
+        return found
+
+    monkeypatch.setattr(diagnosing, "STAGES", dict.fromkeys(diagnosing.STAGES, stage))
+    monkeypatch.setattr(diagnosing, "diagnosis_of", lambda case, found: None)
+    recording = Recording.from_arrays(0.01 * np.arange(3000.0), q=np.column_stack(
+        [0.8 * np.sin((0.7 + 0.2 * j) * 0.01 * np.arange(3000.0)) for j in range(6)]), tau=np.random.default_rng(
+            0).normal(size=(3000, 6)))
+    heard = Heard()
+    diagnosing.diagnose(recording, ROBOT, progress=heard)
+    heard.begins_as(diagnosing.SHARES)
+    assert heard.told[-1] == (pytest.approx(1.0), "done")
+
+
+def test_identification_and_a_played_path_go_by_their_shares() -> None:
+    heard = Heard()
+    whole_model.identify_model(Recording.from_frame(frame()), ROBOT, friction="viscous_coulomb", cascade=False,
+                               progress=heard)
+    heard.begins_as(whole_model.SHARES)
+    played = Heard()
+    kind.run(load_scene("iso9283_1"), progress=played)
+    begun = {text: fraction for fraction, text in played.told}
+    assert begun["report"] == pytest.approx(1.0 - kind.SHARES["report"])
+    assert all(a <= b for (a, _), (b, _) in pairwise(played.told))
+
+
+def test_drawing_the_page_is_no_last_moment() -> None:
+    """It takes a third of the time or more, so that the bar has room left for it."""
+    for shares in (diagnose_command.SHARES, identify_command.SHARES, identify_command.SHARES_WITH_CASCADE):
+        assert list(shares)[-1] == "drawing"
+        assert shares["drawing"] > 0.25
+    assert close_loop.SHARES["rounds"] > 0.5

@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
+import json
 import os
+import resource
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from ideal_robot import row_log
 from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
 from ideal_robot.whole_file import OutputError, write_text
+from scenes.cli import ended_by, main
 from scenes.commands import export, new
-from scenes.cycle import CycleLog, CycleSettings, play_cycles
+from scenes.models import prepared_model, shipped_model
+from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
+from scenes.outputs import check_outputs, whole_folder
+from scenes.path.last_good import last_good
+from scenes.report.video import write_video
 from scenes.result import silent
+from scenes.rsi.server import RsiRun
+from scenes.scene_files.scene import SceneError
+from scenes.sweep import SweepFile
+from sim.arm.body import load_links, start_physics
+from sim.arm.world import World
+from sim.bullet import pybullet
+from tests.fuzz import mutate_table, originals
+from tests.scenes.report.test_replay import _replay
 from tests.scenes.test_pinned_findings import Drifting
 
 
@@ -86,3 +109,163 @@ def test_places_of_an_export_are_tried_before_work_begins(tmp_path: Path) -> Non
         export.command(tmp_path / "absent.csv", mcap=place, csv=tmp_path / "x.csv")
     with pytest.raises(InputError, match="a bag is a new folder"):
         export.command(tmp_path / "absent.csv", rosbag2=place, csv=tmp_path / "x.csv")
+
+
+# A limit on the size of files stands for a disk that is full: verbs say in one line what and what helps.
+
+HELP = "raise the limit on the size of files"
+
+
+@contextmanager
+def files_of_at_most(size: int) -> Iterator[None]:
+    """No file may become larger [bytes]; Python ignores the signal, so that write(2) fails as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def _recording(rows: int = 3000) -> Recording:
+    rng = np.random.default_rng(1)
+    return Recording.from_arrays(np.arange(float(rows)), q=rng.normal(size=(rows, 6)), q_d=rng.normal(size=(rows, 6)),
+                                 q_c=rng.normal(size=(rows, 6)), tau=rng.normal(size=(rows, 6)))
+
+
+def _served(*_: object, **__: object) -> Any:
+    """A server of packets whose path has been played."""
+    counts = dict.fromkeys(("lost", "repeated", "refused", "ignored", "late"), 0)
+    run = RsiRun(_recording(), None, counts, "even", {"median": 1.0, "max": 1.0}, [], 0, 3000)
+    link = SimpleNamespace(axes=SimpleNamespace(known=True), address=("127.0.0.1", 1), counts=SimpleNamespace(cycles=0))
+    return nullcontext(SimpleNamespace(link=link, stop=lambda: None, play=lambda **_: run))
+
+
+@pytest.mark.parametrize("verb", ["detect", "sweep", "rsi", "precorrect"])
+def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                                     capsys: pytest.CaptureFixture[str]) -> None:
+    picture = np.full((200, 300), 255, np.uint8)
+    cv2.line(picture, (0, 100), (299, 120), 0, 8)
+    (tmp_path / "a.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+    (tmp_path / "p.csv").write_bytes(mutate_table._csv(originals.joint_path()))
+    (tmp_path / "s.toml").write_bytes(originals.PATH)
+    words = {"detect": ["a.png", "--out", "o"], "sweep": ["s.toml", "--seeds", "1-6", "--csv", "c.csv"],
+             "rsi": ["p.csv", "--robot", "kr6", "--record", "c.csv"],
+             "precorrect": ["p.csv", "--model", str(shipped_model("kr6")), "-o", "c.csv", "--out", "o"]}[verb]
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["ideal-robot", verb, *words, "--json", "j.json"])
+    monkeypatch.setattr("scenes.rsi.setup.rsi_server", _served)
+    # The verb's answer to SIGTERM is not to become that of the tests.
+    monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
+    # Once with room: what is compiled is kept then.
+    with pytest.raises(SystemExit):
+        main()
+    for name in ("o/report.html", "j.json", "c.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("previous")
+    before = sorted(tmp_path.rglob("*"))
+    capsys.readouterr()
+    with files_of_at_most(5000), pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ideal-robot:")]
+    (line,) = said[-1:]
+    assert HELP in line
+    assert ".part" not in line
+    assert any(name in line for name in ("o/report.html", "j.json", "c.csv"))
+    assert sorted(tmp_path.rglob("*")) == before
+    assert {(tmp_path / name).read_text() for name in ("o/report.html", "j.json", "c.csv")} == {"previous"}
+
+
+def test_a_folder_s_error_names_the_file_in_it_by_its_place(tmp_path: Path) -> None:
+    def write() -> None:
+        with whole_folder(tmp_path / "run") as new:
+            _recording().write(new / "recording.parquet")
+
+    with files_of_at_most(5000), pytest.raises(OutputError) as refused:
+        write()
+    assert str(refused.value).startswith(f"{tmp_path / 'run' / 'recording.parquet'}: cannot be written (File too large")
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_answer_that_finds_no_room_leaves_the_whole_ones_before_it(tmp_path: Path) -> None:
+    file = SweepFile(tmp_path / "l.jsonl", resume=False)
+
+    def fill() -> None:
+        for seed in range(1000):
+            file.add({"seed": seed}, {"scene": "line", "method": None, "seed": seed, "failure": None})
+
+    with files_of_at_most(2000), pytest.raises(OutputError, match="--resume"):
+        fill()
+    lines = (tmp_path / "l.jsonl").read_text().splitlines()
+    assert [json.loads(line)["job"]["seed"] for line in lines] == list(range(len(lines)))
+    assert len(lines) > 5
+    assert len(SweepFile(tmp_path / "l.jsonl", resume=True).answers) == len(lines)
+
+
+@pytest.mark.parametrize("ending", [".gif", ".mp4"])
+def test_a_film_that_finds_no_room_leaves_the_old_one(ending: str, tmp_path: Path) -> None:
+    """OpenCV tells nobody."""
+    short = dataclasses.replace(_replay(60), t=np.linspace(0.0, 0.5, 60))
+    film = tmp_path / f"run{ending}"
+    film.write_text("previous")
+    with files_of_at_most(6000), pytest.raises(OutputError, match="cannot be written"):
+        write_video(short, film, rate=10.0, slow=1.0)
+    assert film.read_text() == "previous"
+    assert list(tmp_path.iterdir()) == [film]
+
+
+def test_a_disk_without_room_is_found_before_work_begins(tmp_path: Path) -> None:
+    with files_of_at_most(0), pytest.raises(InputError, match="cannot be written") as refused:
+        check_outputs({"--out": tmp_path / "o"})
+    assert refused.value.field == "--out"
+
+
+def test_a_cache_folder_that_cannot_be_written_is_told_before_the_arm_moves(tmp_path: Path,
+                                                                            monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cache").write_text("a file")
+    monkeypatch.setenv("IDEAL_ROBOT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr("scenes.models.identified_model", lambda *_, **__: pytest.fail("moved"))
+    with pytest.raises(InputError, match="IDEAL_ROBOT_CACHE"):
+        prepared_model(Robot.load("kr6"), World.default("kr6"))
+
+
+def test_a_recording_s_ending_is_refused_before_the_arm_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    from scenes.commands import rsi
+
+    monkeypatch.setattr("scenes.rsi.setup.rsi_server", lambda *_, **__: pytest.fail("moved"))
+    with pytest.raises(InputError, match=r"\.parquet or \.csv"):
+        rsi.command(Path("p.csv"), record=Path("moved.txt"))
+
+
+def test_a_closing_that_finds_no_room_says_which_model_is_left(tmp_path: Path) -> None:
+    model = Model.nominal(Robot.load("kr6"))
+
+    def rounds() -> None:
+        with last_good(tmp_path) as keep:
+            keep.round = 1
+            keep.model(model)
+            keep.round = 2
+            with files_of_at_most(100):
+                keep.model(model)
+
+    with pytest.raises(SceneError, match=f"{HELP}; ended in round 2; .* is the model of round 1"):
+        rounds()
+    assert Model.load(tmp_path / "extended_model.json").n == 6
+
+
+def test_a_full_folder_for_temporary_files_is_named_with_what_helps() -> None:
+    client = start_physics()
+    try:
+        with files_of_at_most(0), pytest.raises(OutputError, match="TMPDIR"):
+            load_links(Robot.load("kr6").pinocchio, client)
+    finally:
+        pybullet.disconnect(client)
+
+
+def test_a_full_disk_that_nobody_foresaw_is_told_with_what_helps(capsys: pytest.CaptureFixture[str]) -> None:
+    """E.g. where numba keeps compiled code; the system's error has no name then."""
+    assert ended_by(OSError(errno.ENOSPC, "No space left on device")) == 1
+    said = capsys.readouterr().err
+    assert "NUMBA_CACHE_DIR" in said
+    assert "make room" in said

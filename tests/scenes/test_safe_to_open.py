@@ -14,9 +14,8 @@ from ideal_robot.errors import InputError
 from scenes import load_scene
 from scenes.cli import main
 from scenes.commands.common import show_table
-from scenes.formula import FUNCTIONS, evaluated
-from scenes.progress_bar import progress_bar
-from scenes.shape import Shape
+from scenes.scene_files.shape import FUNCTIONS, Shape, evaluated
+from scenes.terminal import progress_bar
 
 SCENE = """
 kind = "line"

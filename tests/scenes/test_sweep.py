@@ -16,8 +16,7 @@ import pytest
 from ideal_robot.errors import InputError
 from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
-from scenes.sweep import Job, jobs, play, sweep
-from scenes.sweep_file import SweepFile
+from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
 
 WORK = jobs(["line", "straight"], seeds=[1, 2])

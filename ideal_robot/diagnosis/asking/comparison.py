@@ -9,8 +9,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import stages
-from ideal_robot.diagnosis.asking.causes import Causes
 from ideal_robot.diagnosis.case import Case
+from ideal_robot.diagnosis.next_motion.questions import Causes
 from ideal_robot.diagnosis.search.choice import Options, Scored
 from ideal_robot.diagnosis.search.forward_selection import silent
 from ideal_robot.effects import MOTOR_TORQUE, library

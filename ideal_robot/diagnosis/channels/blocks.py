@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ideal_robot.arrays import Array
+
 
 @dataclass(frozen=True)
 class Blocks:
@@ -59,3 +61,74 @@ def time_blocks(samples: int, dt: float, held_out: bool) -> Blocks:
     else:
         fold = number % 8
     return Blocks(tuple(int(e) for e in edges), fold, int(fold.max()) + 1)
+
+
+# Cross-products of columns, block by block in time: all fits, folds and tests are made from these small matrices.
+#
+# The rows of a recording (samples × channels) are many, the columns few. With ``X_b`` the rows of a block ``b`` every
+# least-squares fit on some blocks and its error on others is a function of ``X_b' X_b``; so the rows are touched once.
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns that are zero outside some channels.
+
+    Attributes:
+        values: ``(N, k, m)``: ``m`` columns on ``k`` channels.
+        channels: which channels these are, ascending, from 0.
+        alike: whether the columns are pieces of one curve, in one unit.
+        own: of each column's squares the share ``(m,)`` that is not of the form of the model's own parameters; None
+            where all of it may be the columns' own.
+    """
+
+    values: Array
+    channels: tuple[int, ...]
+    alike: bool = False
+    own: Array | None = None
+
+    @property
+    def m(self) -> int:
+        """Number of columns."""
+        return int(self.values.shape[2])
+
+    def without(self, form: Columns) -> Array:
+        """What of the columns ``(N, k, m)`` those of ``form``, on the same channels, cannot make."""
+        own, theirs = (one.values.reshape(-1, one.m) for one in (self, form))
+        return np.asarray(own - theirs @ np.linalg.lstsq(theirs, own, rcond=None)[0]).reshape(self.values.shape)
+
+
+class BlockProducts:
+    """The rows of a recording, ready for cross-products.
+
+    Args:
+        y: ``(N, c)``.
+        W: ``(N, c, p)``.
+        use: samples that count ``(N, c)``.
+        blocks: of the ``N`` samples.
+    """
+
+    def __init__(self, y: Array, W: Array, use: np.ndarray, blocks: Blocks) -> None:
+        self.blocks = blocks
+        self.use = use
+        self.c = y.shape[1]
+        everywhere = tuple(range(self.c))
+        self.W = Columns(W * use[:, :, None], everywhere)
+        self.y = Columns((y * use)[:, :, None], everywhere)
+        self.count = np.array([[float(use[a:b, j].sum()) for j in range(self.c)]
+                               for a, b in zip(blocks.edges[:-1], blocks.edges[1:], strict=True)])
+
+    def masked(self, columns: Array) -> Columns:
+        """Columns ``(N, c, m)`` with unused samples set to zero and empty channels dropped."""
+        channels = tuple(int(j) for j in np.flatnonzero(np.any(columns != 0.0, axis=(0, 2))))
+        kept = columns[:, list(channels)] * self.use[:, list(channels), None]
+        return Columns(np.ascontiguousarray(kept), channels)
+
+    def cross(self, a: Columns, b: Columns) -> Array:
+        """``a_b' b_b`` for each block and channel, ``(B, c, m_a, m_b)``."""
+        result = np.zeros((self.blocks.count, self.c, a.m, b.m))
+        edges = self.blocks.edges
+        for j in set(a.channels) & set(b.channels):
+            left, right = a.values[:, a.channels.index(j)], b.values[:, b.channels.index(j)]
+            for k in range(self.blocks.count):
+                rows = slice(edges[k], edges[k + 1])
+                result[k, j] = left[rows].T @ right[rows]
+        return result

@@ -2,17 +2,316 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
+from scipy import ndimage
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
-from ideal_robot.diagnosis.channels.contact import contact_regression
-from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.channels.wrench import wrench_of, wrench_regression
+from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
+from ideal_robot.effects import SENSOR
+from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
+from ideal_robot.effects.learned import spline_basis
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, resampled
 from ideal_robot.signals.recording import Recording
+
+# The regression of a force sensor's wrench while nothing touches the tool.
+#
+# Then the wrench is bias, the tool's weight in the changing orientation, and its inertia.
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+TURNS = 0.1
+"""Spread of the direction of gravity in the sensor [rad] from which on weight and bias are distinguished."""
+FEWEST = 20
+"""Rows a regression needs."""
+_CHUNK = 0.1
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """A sensor's wrench on the grid of the torque's regression, and what the motion says about it.
+
+    Attributes:
+        values: measured minus what calibration says ``(N, 3 or 6)``.
+        rotation: of the sensor in the base frame ``(N, 3, 3)``.
+        pull: gravity in the sensor frame ``(N, 3)`` [m/s²].
+        push: minus the sensor's acceleration in its own frame ``(N, 3)`` [m/s²].
+        free: samples without contact ``(N,)``.
+        load: bias and mass ``(3 + 1,)`` as they follow from the free samples.
+    """
+
+    values: Array
+    rotation: Array
+    pull: Array
+    push: Array
+    free: np.ndarray
+    load: Array
+
+    @property
+    def turns(self) -> bool:
+        """Whether the orientation changes enough for weight and bias to be distinguished."""
+        pull = self.pull[self.free] / 9.81
+        return bool(np.linalg.norm(np.std(pull, axis=0)) > TURNS) if len(pull) else False
+
+
+def wrench_of(recording: Recording, robot: Robot, torque: Regression) -> Wrench | None:
+    """The recorded wrench, minus bias and weight in the recording's ``tool`` metadata; None without ``fx fy fz``.
+
+    Args:
+        recording: with ``fx fy fz`` and at best ``mx my mz``.
+        robot: the arm.
+        torque: the regression of its torques, for signals and filters.
+    """
+    names = [name for name in ("fx", "fy", "fz", "mx", "my", "mz") if name in recording.columns]
+    if names not in (["fx", "fy", "fz"], ["fx", "fy", "fz", "mx", "my", "mz"]):
+        return None
+    measured = np.column_stack([recording.columns[name] for name in names])
+    if not np.all(np.isfinite(measured)):
+        return None
+    filtered = torque.filtered
+    values = resampled(recording.t, measured, filtered.t)
+    rotation, place = _poses(robot, filtered.q)
+    pull = np.einsum("kij,i->kj", rotation, GRAVITY)
+    acceleration = np.gradient(np.gradient(place, filtered.dt, axis=0), filtered.dt, axis=0)
+    push = -np.einsum("kij,ki->kj", rotation, acceleration)
+    known = recording.meta.get("tool")
+    if known:
+        mass, com = float(known["mass"]), np.asarray(known["com"], dtype=float)
+        weight = np.column_stack([mass * pull, np.cross(mass * com, pull)])
+        values = values - (np.asarray(known["bias"], dtype=float) + weight)[:, : len(names)]
+    free, load = _untouched(values[:, :3], pull, push, filtered.dt, bool(known))
+    return Wrench(values, rotation, pull, push, free, load)
+
+
+def _poses(robot: Robot, q: Array) -> tuple[Array, Array]:
+    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
+    rotation, place = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+    for k, row in enumerate(q):
+        pin.forwardKinematics(model, data, row)
+        pose = pin.updateFramePlacement(model, data, tool)
+        rotation[k], place[k] = pose.rotation, pose.translation
+    return rotation, place
+
+
+def _untouched(force: Array, pull: Array, push: Array, dt: float, calibrated: bool) -> tuple[np.ndarray, Array]:
+    """Samples without contact ``(N,)``, and bias and mass from them ``(4,)``.
+
+    All samples if bias and weight explain them all; else those that agree with the beginning, where nothing touches.
+    """
+    width = max(1, round(0.02 / dt))
+    smooth = ndimage.uniform_filter1d(force, width, axis=0)
+    noise = np.linalg.norm(np.median(np.abs(force - smooth), axis=0)) / 0.67
+    limit = 1.0 + 3.0 * noise / np.sqrt(width)
+    rows = np.zeros((len(force), 3, 5))
+    rows[:, :, :3], rows[:, :, 3], rows[:, :, 4] = np.eye(3), pull, push
+    # A bias of ten newtons, a tool of three kilograms (or as calibrated): decides what the orientations leave open.
+    ridge = np.diag((max(noise, 1e-3) / np.array([10.0, 10.0, 10.0, 0.02 if calibrated else 3.0, 3.0])) ** 2)
+
+    def fitted(gram: Array, right: Array) -> Array:
+        return np.asarray(np.linalg.solve(gram + ridge, right))
+
+    def sums(where: slice | np.ndarray) -> tuple[Array, Array]:
+        flat = rows[where].reshape(-1, 5)
+        return flat.T @ flat, flat.T @ smooth[where].reshape(-1)
+
+    everything = fitted(*sums(slice(None)))
+    if np.percentile(np.linalg.norm(smooth - rows @ everything, axis=1), 99.0) < limit:
+        return np.ones(len(force), dtype=bool), everything[:4]
+    chunk = max(5, round(_CHUNK / dt))
+    free = np.zeros(len(force), dtype=bool)
+    free[: 2 * chunk] = True
+    gram, right = sums(slice(0, 2 * chunk))
+    for start in range(2 * chunk, len(force), chunk):
+        here = slice(start, start + chunk)
+        left = np.linalg.norm(smooth[here] - rows[here] @ fitted(gram, right), axis=1)
+        if np.all(left < limit):
+            free[here] = True
+            more = sums(here)
+            gram, right = gram + more[0], right + more[1]
+    # A touch begins before it is felt.
+    return ndimage.binary_erosion(free, iterations=chunk // 2, border_value=1), fitted(gram, right)[:4]
+
+
+def wrench_regression(wrench: Wrench, torque: Regression, turns: bool) -> Regression | None:
+    """The wrench without contact; mass and first moments of the tool are taken for granted, inertia on its own.
+
+    A sensor that leaves inertia out, or takes it away, then does not look biased.
+
+    Args:
+        wrench: of the recording.
+        torque: the regression of its torques, for signals and filters.
+        turns: whether the orientation changes enough for weight and bias to be distinguished.
+    """
+    count = wrench.values.shape[1]
+    W = np.zeros((len(wrench.values), count, 8 if count == 6 else 2))
+    for i, field in enumerate((wrench.pull, wrench.push)):
+        W[:, :3, i] = field
+        if count == 6:
+            for axis, unit in enumerate(np.eye(3)):
+                W[:, 3:, 2 + 3 * i + axis] = np.cross(unit, field)
+    if not turns:
+        # In one orientation weight is a constant like the bias; what is found then is their sum.
+        W = W[:, :, [1, 5, 6, 7] if count == 6 else [1]]
+    filtered = rows_of(torque, wrench.free)
+    if int(filtered.keep.sum()) < FEWEST:
+        return None
+    y = filtered.decimate(wrench.values)
+    extra = {MOMENTS: np.full(len(wrench.values), float(count == 6)),
+             **{f"gravity_{axis}": wrench.pull[:, i] for i, axis in enumerate("xyz")}}
+    names = ("fx", "fy", "fz", "mx", "my", "mz")[:count]
+    units = ("N", "N", "N", "N m", "N m", "N m")[:count]
+    return sensor_regression(torque, filtered, names, units, y, filtered.decimate(W), extra, y)
+
+
+def rows_of(torque: Regression, mask: np.ndarray) -> FilteredSignals:
+    """The filter with rows of some samples only; the ends count, where the position's derivatives do not, too."""
+    filtered, rows = torque.filtered, np.flatnonzero(torque.filtered.keep)
+    keep = filtered.keep.copy()
+    keep[: rows[0]], keep[rows[-1] :] = True, True
+    return dataclasses.replace(filtered, keep=keep & mask[:: filtered.factor])
+
+
+def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: tuple[str, ...],
+                      units: tuple[str, ...], y: Array, W: Array, extra: dict[str, Array],
+                      measured: Array) -> Regression:
+    """A regression of the sensor.
+
+    Args:
+        torque: the regression of the torques, for the signals.
+        filtered: its filter, with the rows that count.
+        channels: names ``(c,)``.
+        units: theirs.
+        y: measured minus expected ``(N, c)``.
+        W: its derivative by what is fitted beside effects ``(N, c, p)``.
+        extra: signals for effects, undecimated.
+        measured: what was measured ``(N, c)``.
+    """
+    signals = dataclasses.replace(torque.signals, extra=extra, frames=None)
+    return dataclasses.replace(torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
+                               measured=measured, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
+                               filtered=filtered, noise_floor=noise_in_band(y, torque), domain=SENSOR)
+
+
+# The regression of the tip's place while it touches a surface.
+#
+# The tip stands on the surface, so what its place along the normal does in proportion to the force is compliance.
+
+LEAST_FORCE = 3.0
+"""Contact force that counts as contact [N]."""
+_CONTACT_BAND = 8.0
+"""Band in which a contact is looked at [Hz]."""
+_SLOW = 0.01
+"""Speed below which the direction of sliding says little [m/s]."""
+_FEATURE = 0.04
+"""Shortest undulation of an unknown surface that is followed [m]."""
+
+
+def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torque: Regression,
+                       stiffness: Array | None) -> Regression | None:
+    """Place of the tip along the surface's normal in contact, plus the give that is assumed (``contact_stiffness``).
+
+    The surface is fitted as a smooth curve along the path.
+
+    Args:
+        recording: as for ``force_regressions``.
+        robot: the arm.
+        wrench: of the recording.
+        torque: the regression of its torques, for signals and filters.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
+    """
+    contact = wrench.values[:, :3] - wrench.load[:3] - wrench.load[3] * wrench.pull
+    force = np.einsum("kij,kj->ki", wrench.rotation, contact)
+    strong = ~wrench.free & (np.linalg.norm(force, axis=1) > LEAST_FORCE)
+    filtered = rows_of(torque, strong)
+    if int(filtered.keep.sum()) < FEWEST:
+        return None
+    place = _arm_side(recording, robot, torque, force, stiffness)
+    normal = _normal(force, place, strong, torque.filtered.dt)
+    pressed = force @ normal
+    if float(np.mean(pressed[strong] > LEAST_FORCE)) < 0.9 or float(np.ptp(pressed[strong])) < LEAST_FORCE:
+        return None
+    assumed = recording.meta.get("contact_stiffness")
+    y = place @ normal + (pressed / float(assumed) if assumed else 0.0)
+    y = y - y[strong].mean()
+    # Damping of the tip, and a force that is a little late against the position, follow the force's rate.
+    rate = np.gradient(pressed, torque.filtered.dt)
+    W = np.concatenate([_surface(place, normal, strong), rate[:, None, None]], axis=2)
+    # The filter looks to both sides: out of contact stands what was last or next in contact, for which the law holds.
+    touching = _nearest(strong)
+    # Noise of the force is in the column as well and would make it look too small: less of it in a narrow band.
+    dt = torque.filtered.dt
+    band = min(_CONTACT_BAND, 0.2 / dt)
+    wide = noise_in_band(filtered.decimate(y[touching])[:, None], torque)
+    y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
+    small = filtered.decimate(y)
+    extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
+    made = sensor_regression(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra,
+                 (small - small.mean())[:, None])
+    return dataclasses.replace(made, noise_floor=wide * np.sqrt(2.0 * band * dt * filtered.factor))
+
+
+def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:
+    """Normal of the surface ``(3,)``: mean direction of the contact force without what turns with the sliding."""
+    width = max(1, round(0.05 / dt))
+    velocity = np.gradient(ndimage.uniform_filter1d(place, width, axis=0), dt, axis=0)[strong]
+    direction = force[strong] / np.linalg.norm(force[strong], axis=1, keepdims=True)
+    normal = direction.mean(axis=0)
+    for _ in range(3):
+        normal = normal / np.linalg.norm(normal)
+        sliding = velocity - np.outer(velocity @ normal, normal)
+        sliding = sliding / np.sqrt((sliding**2).sum(axis=1, keepdims=True) + _SLOW**2)
+        # direction = normal - mu sliding, mu from the scatter of both about their means.
+        middle, spread = sliding.mean(axis=0), sliding - sliding.mean(axis=0)
+        mu = -float(np.sum(spread * direction)) / max(float(np.sum(spread**2)), 1e-9)
+        normal = direction.mean(axis=0) + float(np.clip(mu, 0.0, 1.0)) * middle
+    return np.asarray(normal / np.linalg.norm(normal))
+
+
+def _nearest(mask: np.ndarray) -> np.ndarray:
+    """Index of the nearest sample inside a mask, for each sample ``(N,)``."""
+    inside, every = np.flatnonzero(mask), np.arange(len(mask))
+    right = np.clip(np.searchsorted(inside, every), 0, len(inside) - 1)
+    left = np.maximum(right - 1, 0)
+    closer = np.abs(inside[left] - every) < np.abs(inside[right] - every)
+    return np.asarray(np.where(closer, inside[left], inside[right]))
+
+
+def _arm_side(recording: Recording, robot: Robot, torque: Regression, force: Array, stiffness: Array | None) -> Array:
+    """Tip ``(N, 3)`` where it is measured, else by kinematics, minus what the gears are known to give way."""
+    if all(axis in recording.columns for axis in "xyz"):
+        measured = np.column_stack([recording.columns[axis] for axis in "xyz"])
+        if np.all(np.isfinite(measured)):
+            return resampled(recording.t, measured, torque.filtered.t)
+    q = torque.signals.q
+    frames = frames_along(robot, q)
+    if stiffness is None:
+        return frames.tool
+    bend = -(torque.signals.load - np.einsum("kij,ki->kj", frames.jacobian, force)) / stiffness
+    return np.asarray(frames.tool + np.einsum("kij,kj->ki", frames.jacobian, bend))
+
+
+def _surface(place: Array, normal: Array, strong: np.ndarray) -> Array:
+    """Columns ``(N, 1, p)`` of an unknown smooth surface along the path that was driven in contact."""
+    middle = place[strong].mean(axis=0)
+    flat = (place - middle) - np.outer((place - middle) @ normal, normal)
+    _, _, axes = np.linalg.svd(flat[strong][:: max(1, int(strong.sum()) // 2000)], full_matrices=False)
+    along, across = flat @ axes[0], flat @ axes[1]
+    # A path on one line leaves nothing across but what tilts the normal; it must not stand for the force.
+    columns = [across] if float(np.std(across[strong])) > 0.1 * _FEATURE else []
+    low, high = float(along[strong].min()), float(along[strong].max())
+    intervals = int(min((high - low) / _FEATURE, 40))
+    if intervals >= 2:
+        knots = tuple(float(v) for v in np.linspace(low, high, intervals + 1))
+        columns += list(spline_basis(along, knots, 0.1).T)
+    else:
+        columns += [np.ones(len(along)), along]
+    return np.column_stack(columns)[:, None, :]
 
 
 def force_regressions(recording: Recording, validate: Recording | None, robot: Robot, torque: Regression,

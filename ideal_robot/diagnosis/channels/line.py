@@ -15,7 +15,7 @@ import pinocchio as pin
 from scipy import ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.arm_angle import arm_angles, deflection
+from ideal_robot.diagnosis.channels.arm import arm_angles, deflection
 from ideal_robot.diagnosis.channels.blocks import Blocks
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import SENSOR, Signals, library

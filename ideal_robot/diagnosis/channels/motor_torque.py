@@ -13,9 +13,14 @@ import numpy as np
 from scipy import interpolate, ndimage
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.moving import apart_from_ends, apart_from_reversals, moving_samples, small_velocity
-from ideal_robot.diagnosis.channels.noise import noise_above_band
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import (
+    Regression,
+    apart_from_ends,
+    apart_from_reversals,
+    moving_samples,
+    noise_above_band,
+    small_velocity,
+)
 from ideal_robot.dynamics import regressor
 from ideal_robot.dynamics.newton_euler import chain_of, gravity_across, inverse_dynamics
 from ideal_robot.effects import MOTOR_TORQUE, Signals

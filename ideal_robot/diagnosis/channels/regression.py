@@ -7,10 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
+from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, Domain, FittedEffect, Signals
+from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals
+from ideal_robot.signals.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -94,3 +97,216 @@ def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions
         return made
     said = [made.decimate(effect.contribution(made.signals)) for effect in known]
     return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))
+
+
+# Which samples of a recording count: those at which a joint moves, apart from its reversals and from the ends.
+
+_SLOW = 0.004
+"""Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
+filter's cut-off, friction hangs on a direction that the filter has blurred, and those samples do not count."""
+_BRISTLES = 0.003
+"""Travel since a reversal or rest that does not count [rad or m]: three times the millimetre or milliradian over which
+the bristles of a drive yield."""
+_BRISTLES_SHARE = 0.01
+"""The same as a share of the range of a joint that moves little."""
+_EDGE = 3.0
+"""Memory of the position filter in periods of its cut-off; effects differentiate the load, which it made, once more."""
+
+
+def moving_samples(t: Array, q: Array, qd: Array, v_small: Array, rest: float,
+                   robot: Robot) -> tuple[Array, dict[int, str]]:
+    """Samples at which each joint moves ``(N, n)``, and joints that move too little, with the reason.
+
+    Args:
+        t: times ``(N,)`` [s], evenly spaced.
+        q: positions ``(N, n)`` [rad or m].
+        qd: velocities ``(N, n)`` [rad/s or m/s].
+        v_small: velocities below which the direction is lost in noise ``(n,)`` [rad/s].
+        rest: passages through low speed shorter than that count as motion [s].
+        robot: which joints slide.
+    """
+    dt = float(t[1] - t[0])
+    moving = np.ones(q.shape, dtype=bool)
+    undecided: dict[int, str] = {}
+    for j in range(q.shape[1]):
+        speed = np.abs(qd[:, j])
+        slow = speed < np.maximum(2.0 * v_small[j], _SLOW * np.percentile(speed, 99))
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], slow.astype(int), [0]])))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if (stop - start) * dt > rest:
+                moving[start:stop, j] = False
+        seconds = float(np.sum(moving[:, j]) * dt)
+        travel = float(np.ptp(q[:, j]))
+        turns = int(np.sum(np.diff(np.sign(qd[moving[:, j], j])) != 0))
+        noise_travel = 20.0 * v_small[j] * dt
+        if seconds < 2.0 or travel < max(noise_travel, 0.004 if robot.prismatic[j] else 0.02):
+            unit = "m" if robot.prismatic[j] else "rad"
+            undecided[j + 1] = (f"moves only {seconds:.1f} s over {travel:.2g} {unit}; "
+                                "at least 2 s and 0.02 rad (4 mm) are needed")
+        elif turns < 2:
+            undecided[j + 1] = f"reverses {turns} times; at least two reversals tell friction from gravity and offset"
+    return moving, undecided
+
+
+def apart_from_reversals(q: Array, qd: Array, moving: np.ndarray, width: float, dt: float) -> np.ndarray:
+    """Mask ``(N, n)`` of moving samples apart from each change of direction and each rest, in time and in travel.
+
+    How friction goes through zero there is another matter in every drive, and no cause may be built on it. Filters
+    remember it for a time, bristles for a travel, which slow motion is long in covering.
+
+    Args:
+        q: positions ``(N, n)`` [rad or m].
+        qd: velocities ``(N, n)`` [rad/s or m/s].
+        moving: samples at which each joint moves ``(N, n)``.
+        width: time left out to either side [s].
+        dt: between samples [s].
+    """
+    near = ~moving
+    change = np.diff(np.sign(qd), axis=0) != 0
+    near[:-1] |= change
+    near[1:] |= change
+    half = max(1, round(width / dt))
+    apart = ~ndimage.maximum_filter1d(near, 2 * half + 1, axis=0, mode="nearest")
+    last = np.maximum.accumulate(np.where(near, np.arange(len(q))[:, None], 0), axis=0)
+    travel = np.abs(q - np.take_along_axis(q, last, axis=0))
+    return np.asarray(apart & (travel > np.minimum(_BRISTLES, _BRISTLES_SHARE * np.ptp(q, axis=0))))
+
+
+def apart_from_ends(filtered: FilteredSignals) -> np.ndarray:
+    """Mask ``(N,)`` without what the position filter does not know at both ends; at most a tenth is left out."""
+    t = filtered.t_decimated
+    first, last = float(filtered.t[0]), float(filtered.t[-1])
+    edge = min(_EDGE / filtered.cutoff, 0.05 * (last - first))
+    return np.asarray((t > first + edge) & (t < last - edge))
+
+
+def small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
+    """Velocity below which its sign is not known ``(n,)``: twice the noise that the position filter lets through."""
+    raw = np.column_stack([np.interp(filtered.t, recording.t, recording.columns[f"q_{j + 1}"])
+                           for j in range(recording.n)])
+    noise = np.std(np.diff(raw, 3, axis=0), axis=0) / np.sqrt(20.0)
+    # White position noise through the low-pass, differentiated: integral of (2 pi f)^2 up to the cut-off.
+    share = 2.0 * np.pi * filtered.cutoff * np.sqrt(2.0 * filtered.cutoff * filtered.dt / 3.0)
+    top = np.percentile(np.abs(filtered.qd), 99, axis=0)
+    return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
+
+
+# Level of the measurement's own noise, from parts of the spectrum where the motion is not.
+
+_FEWEST = 20
+"""Differences from which a level is estimated, at least."""
+
+
+def noise_above_band(filtered: FilteredSignals) -> Array:
+    """Noise of the torque in the band that is looked at ``(n,)`` [N m]: the floor of its spectrum above that band."""
+    rate = 1.0 / filtered.dt
+    band = min(filtered.cutoff_decimation, 0.5 * rate)
+    f, power = signal.welch(filtered.tau, fs=rate, nperseg=min(len(filtered.tau), 1024), axis=0)
+    above = f >= 0.8 * f[-1]
+    return np.sqrt(np.median(power[above], axis=0) / np.log(2.0) * band)
+
+
+def noise_in_band(y: Array, torque: Regression) -> Array:
+    """Noise of measured positions in the band that is looked at ``(c,)``.
+
+    Effects follow the motion and are slow against the band's end; so the floor of the spectrum over the band's upper
+    part, where only noise is left, times the whole band. Noise whose spectrum falls is underestimated by that.
+
+    Args:
+        y: residual at the decimated rows ``(N, c)``.
+        torque: whose filters made them.
+    """
+    rate = 1.0 / (torque.filtered.dt * torque.filtered.factor)
+    length = min(len(y), 256)
+    f, power = signal.welch(y, fs=rate, nperseg=length, axis=0)
+    # The decimation filter falls off at the very end of the band.
+    upper = (f >= 0.25 * rate) & (f <= 0.42 * rate)
+    # The median of an average of K periodograms lies below its mean.
+    K = max(1.0, 2.0 * len(y) / length - 1.0)
+    return np.asarray(np.sqrt(np.median(power[upper], axis=0) / (1.0 - 1.0 / (9.0 * K)) ** 3 * 0.5 * rate))
+
+
+def noise_left(residual: Array, use: np.ndarray) -> Array:
+    """What a residual ``(N, c)`` holds of white noise ``(c,)``; infinite where too few samples count.
+
+    Its third differences, in which no motion is left, over stretches that count ``(N, c)``: never more than noise, and
+    for a residual that is nothing else all of it.
+    """
+    third, whole = _third_differences(residual, use)
+    count = whole.sum(axis=0)
+    squares = (third**2 * whole).sum(axis=0) / np.maximum(count, 1)
+    return np.where(count >= _FEWEST, np.sqrt(squares / 20.0), np.inf)
+
+
+def usual_noise(residual: Array, use: np.ndarray) -> Array:
+    """The same from the median of their sizes ``(c,)``, which kicks do not raise; zero where too few samples count.
+
+    What changes from each sample to the next all the time depends on nothing that the motion does: encoder steps and
+    jitter that a controller hands on, and oscillations at the end of the band. Above it the controller damps them, so
+    that the spectrum there does not show them.
+    """
+    third, whole = _third_differences(residual, use)
+    sizes = [np.median(np.abs(d[w])) if w.sum() >= _FEWEST else 0.0 for d, w in zip(third.T, whole.T, strict=True)]
+    return np.asarray(1.4826 * np.array(sizes) / np.sqrt(20.0))
+
+
+def _third_differences(residual: Array, use: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Third differences ``(N - 3, c)``, and where all samples of one count."""
+    return np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]
+
+
+# What of a recording a diagnosis does not use, and why: nothing that was measured is left out without a word.
+
+_FORCE, _MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
+_GAPS = "it holds gaps"
+
+
+def unused_columns(recording: Recording, searched: tuple[Regression, ...]) -> dict[str, str]:
+    """Columns that measure something but took no part, with the reason.
+
+    Args:
+        recording: checked, with ``tau_i``.
+        searched: the regressions of all domains that were searched, that of the motor torques first.
+    """
+    torque, result = searched[0], {}
+    for prefix in ("qa", "temp"):
+        for j, there in enumerate(recording.having(prefix)):
+            name = f"{prefix}_{j + 1}"
+            if name in recording.columns and not there:
+                result[name] = _GAPS
+            elif there and prefix == "qa" and j + 1 in torque.undecided:
+                result[name] = f"joint {j + 1} is left out"
+    for name in ("x", "y", "z"):
+        if name in recording.columns and not np.all(np.isfinite(recording.columns[name])):
+            result[name] = _GAPS
+    _together(recording, ("qx", "qy", "qz", "qw"), "the tool's orientation is not looked at", result)
+    if recording.has("tau") and recording.has("current") and not _made_of_current(recording):
+        _together(recording, tuple(f"current_{j + 1}" for j in range(recording.n)), "torques are there", result)
+    sensors = {name for made in searched if made.domain == SENSOR for name in made.channels}
+    wrench = tuple(name for name in (*_FORCE, *_MOMENT) if name in recording.columns)
+    if wrench and wrench not in (_FORCE, (*_FORCE, *_MOMENT)):
+        _together(recording, wrench, "fx fy fz are needed, and mx my mz all or none", result)
+    elif wrench and not any(name.startswith(("f", "m", "contact")) for name in sensors):
+        _together(recording, wrench, "too little of it, free or in contact, to tell anything", result)
+    if "cam_t" in recording.columns and not any(name.startswith("line") for name in sensors):
+        result["cam_t, line_x_i, line_y_i, line_z_i"] = "too few fields in which the line was seen"
+    for name, values in torque.signals.extra.items():
+        if not np.all(np.isfinite(values)):
+            result[name] = _GAPS
+        elif np.ptp(values) == 0.0:
+            result[name] = "it never changes"
+    return result
+
+
+def _together(recording: Recording, names: tuple[str, ...], why: str, result: dict[str, str]) -> None:
+    there = [name for name in names if name in recording.columns]
+    if there:
+        result[", ".join(there)] = why
+
+
+def _made_of_current(recording: Recording) -> bool:
+    """Whether the torques are nothing but the currents times a factor each."""
+    tau, current = recording.joints("tau"), recording.joints("current")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = np.nansum(tau * current, axis=0) / np.nansum(current**2, axis=0)
+    return bool(np.allclose(tau, factor * current, rtol=1e-6, atol=1e-9, equal_nan=True))

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from ideal_robot.diagnosis.statistics.candidate import Candidate
+import numpy as np
+
+from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.dependence import Dependence
-from ideal_robot.diagnosis.statistics.least_squares import HeldOutTest
+from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.diagnosis.statistics.least_squares import Fit, HeldOutTest, weights_of_channels
+from ideal_robot.diagnosis.statistics.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -106,3 +110,206 @@ class Scored:
     p_value: float
     share: float
     dependence: Dependence | None = field(default=None)
+
+
+# The present model of a search: the parameters and the effects that were selected so far.
+
+_ROUNDS = 2
+"""Refits after which the channels' weights have settled."""
+
+
+class PresentModel:
+    """Selected effects, the weights of the channels that follow from what they leave, and fits with them.
+
+    Args:
+        problem: the regression.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        self.design = problem.design()
+        self.choices: list[Choice] = []
+        self.weights = self._weights()
+
+    def keys(self, *without: Choice) -> list[str]:
+        """Groups of the fit."""
+        return ["W", *[c.candidate.key for c in self.choices if not any(c is other for other in without)]]
+
+    def fit(self, *without: Choice) -> Fit:
+        """Fit with the selected effects but some."""
+        return Fit(self.design, self.keys(*without), self.weights, self.problem.prior)
+
+    def fit_beside(self, candidate: Candidate, *without: Choice) -> Fit:
+        """Fit with the selected effects but some and with one more, with the weights of these."""
+        self.add_columns(candidate)
+        return Fit(self.design, [*self.keys(*without), candidate.key], self.weights, self.problem.prior)
+
+    def fit_of_rivals(self, choice: Choice) -> Fit:
+        """The fit against which a choice has to hold its place: without it, and without curves where it is physical.
+
+        Curves of other joints stay: what they take away would else be looked for in the parameters.
+        """
+        if choice.candidate.effect.learned:
+            return self.fit(choice)
+        curves = [c for c in self.choices if c.candidate.effect.learned
+                  and (c.candidate.joint == choice.candidate.joint or not choice.candidate.joint)]
+        return self.fit(choice, *curves)
+
+    def residual(self, fit: Fit) -> Array:
+        """Residual at all rows ``(N, c)``."""
+        r = self.problem.products.y.values[:, :, 0].copy()
+        at = 0
+        for key in fit.keys:
+            group = self.design.groups[key]
+            r[:, list(group.channels)] -= group.values @ fit.beta[at : at + group.m]
+            at += group.m
+        return np.asarray(r)
+
+    def add_columns(self, candidate: Candidate) -> None:
+        """Makes a candidate's columns part of the design if they are not yet."""
+        if candidate.key not in self.design.groups:
+            self.design.add(candidate.key, self.problem.columns(candidate))
+
+    def take(self, choice: Choice) -> None:
+        """Adds a choice."""
+        self.replace([*self.choices, choice])
+
+    def drop(self, choice: Choice) -> None:
+        """Takes a choice out."""
+        self.replace([c for c in self.choices if c is not choice])
+
+    def replace(self, choices: list[Choice]) -> None:
+        """Other choices, with the weights that follow from them."""
+        self.choices = choices
+        for choice in choices:
+            self.add_columns(choice.candidate)
+        self.weights = self._weights()
+
+    def with_prior(self, prior: Array) -> None:
+        """Other knowledge of the parameters."""
+        self.problem = self.problem.with_prior(prior)
+        self.weights = self._weights()
+
+    def mean_squares(self) -> float:
+        """Geometric mean over channels of the mean squares on blocks left out."""
+        selecting, count = self.problem.blocks.selecting, self.problem.products.count
+        squares = self.fit().held_out_squares[selecting].sum(axis=0)
+        samples = count[selecting].sum(axis=0)
+        kept = samples > 0
+        return float(np.exp(np.mean(np.log(np.maximum(squares[kept], 1e-300) / samples[kept]))))
+
+    def _weights(self) -> Array:
+        return weights_of_channels(self.design, self.keys(), self.problem.prior, _ROUNDS)
+
+
+# Comparing scored candidates: which stand out of chance, and which the data cannot tell apart.
+
+_NEARLY = 0.9
+"""Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""
+_NOT_TOLD = 0.8
+"""The same where the difference is no more than what scatters from block to block."""
+SIMPLER = 0.95
+"""Share of a reduction from which on a law with fewer parameters may stand for one with more."""
+
+
+def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:
+    """Candidates that Benjamini–Hochberg accepts.
+
+    Args:
+        scored: candidates with their p-values.
+        tests: how many were tested, joints × effects.
+        rate: of false discoveries.
+    """
+    ordered = sorted(scored, key=lambda s: s.p_value)
+    last = 0
+    for rank, s in enumerate(ordered, start=1):
+        if s.p_value <= rate * rank / max(tests, 1):
+            last = rank
+    return ordered[:last]
+
+
+def rivals_of(model: PresentModel, best: Scored, others: list[Scored]) -> tuple[tuple[str, int, float], ...]:
+    """Candidates with nine tenths of the reduction, or not significantly less: with other data they might be ahead.
+
+    Args:
+        model: the present model.
+        best: the candidate that was selected.
+        others: all that were refined beside it.
+
+    Returns:
+        Name, joint, and share of the best one's reduction.
+    """
+    rivals = []
+    for s in others:
+        if s is best:
+            continue
+        ratio = s.test.total / max(best.test.total, 1e-300)
+        nearly = ratio > _NEARLY and overlap(model, best.candidate, s.candidate)
+        if nearly or indistinguishable(model, best, s, _NOT_TOLD):
+            rivals.append((s.candidate.effect.name, s.candidate.joint, ratio))
+    return tuple(rivals)
+
+
+def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: float) -> bool:
+    """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
+
+    Args:
+        model: the present model.
+        best: scored against it.
+        other: likewise.
+        share: of the best one's reduction that the other has to reach.
+    """
+    if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
+        return False
+    difference = best.test.reduction - other.test.reduction
+    difference = difference[np.isfinite(difference)]
+    error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
+    return bool(float(difference.sum()) < 2.0 * error)
+
+
+def adds_little(model: PresentModel, best: Scored, other: Scored, share: float, asked: float) -> bool:
+    """Whether of what another candidate leaves the best one takes away less than any effect is asked for.
+
+    Where nearly everything is explained, causes differ by little that hardly scatters: what the model class leaves
+    decides then, and a form with more parameters fits more of that.
+
+    Args:
+        model: the present model.
+        best: scored against it.
+        other: likewise.
+        share: of the best one's reduction that the other has to reach.
+        asked: share of a channel's squares that an effect has to take away.
+    """
+    if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
+        return False
+    return best.share - other.share < asked * (1.0 - other.share)
+
+
+def likelier(model: PresentModel, best: Scored, others: list[Scored]) -> Scored:
+    """The best one, or one of the others that is taken sooner and reduces nearly as much.
+
+    Args:
+        model: the present model.
+        best: scored.
+        others: scored against the same model.
+    """
+    for other in others:
+        if best.candidate.effect.name in other.candidate.effect.sooner_than \
+                and (other.test.total > _NEARLY * best.test.total
+                     or indistinguishable(model, best, other, _NOT_TOLD)):
+            return other
+    return best
+
+
+def overlap(model: PresentModel, a: Candidate, b: Candidate) -> bool:
+    """Whether two candidates act on a common channel, so that one can stand for the other.
+
+    Args:
+        model: the present model.
+        a: a candidate.
+        b: another one.
+    """
+    groups = model.design.groups
+    ours, theirs = (set(groups[c.key].channels) for c in (a, b) if c.key in groups)
+    same = a.joint == b.joint or not a.joint or not b.joint
+    return bool(ours & theirs) and (same or min(len(ours), len(theirs)) == 1)

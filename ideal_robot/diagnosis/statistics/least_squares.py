@@ -10,7 +10,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.statistics.block_products import BlockProducts, Columns
+from ideal_robot.diagnosis.channels.blocks import BlockProducts, Columns
 
 _RIDGE = 1e-9
 """Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""

@@ -10,12 +10,11 @@ import numpy as np
 from scipy import signal
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.blocks import Blocks
+from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.block_products import BlockProducts, Columns
-from ideal_robot.diagnosis.statistics.candidate import Candidate
-from ideal_robot.diagnosis.statistics.estimate import Estimate
+from ideal_robot.diagnosis.statistics.estimate import Candidate, Estimate
 from ideal_robot.diagnosis.statistics.least_squares import Design, Fit, weights_of_channels
+from ideal_robot.model.model import Model
 
 _ROUNDS = 2
 """Refits after which the channels' weights of the final fit have settled."""
@@ -165,3 +164,54 @@ class Problem:
             keys.append(f"d{i}:{candidate.key}")
             design.add(f"d{i}:{candidate.key}", self.prepared(((sides[0] - sides[1]) / (2.0 * step))[:, :, None]))
         return keys
+
+
+# What is known of a model's parameters before a recording is looked at.
+
+def prior_precision(model: Model, problem: Problem) -> Array:
+    """Precision of the model's parameters ``(P, P)``, in the units of the weighted squares.
+
+    That of ``prior_covariance`` times the number of samples that count for one, as the residual is coloured.
+    """
+    design = problem.design()
+    fit = Fit(design, ["W"], weights_of_channels(design, ["W"], None, 0))
+    covariance = prior_covariance(model, problem)
+    # Of parameters without a finite covariance nothing is known.
+    known = np.isfinite(covariance).all(axis=0) & np.isfinite(covariance).all(axis=1)
+    precision = np.zeros_like(covariance)
+    precision[np.ix_(known, known)] = fit.inflation * np.linalg.pinv(covariance[np.ix_(known, known)])
+    return precision
+
+
+def prior_covariance(model: Model, problem: Problem) -> Array:
+    """Covariance of the model's parameters ``(P, P)``.
+
+    The model's own, never taken for better than two percent of a friction coefficient or, of any parameter, than what
+    moves a torque by a five-hundredth of its size.
+    """
+    products = problem.products
+    squares = np.einsum("bcii->ci", problem.design().cross("W", "W")[problem.blocks.selecting])
+    torque = (problem.regression.measured**2 * products.use).sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moves = 0.002 * np.sqrt(torque[:, None] / squares)
+        visible = np.min(np.where(squares > 0, moves, np.inf), axis=0)
+    # Friction changes from day to day, bodies do not.
+    friction = np.abs(np.concatenate([np.concatenate([law.coefficients[:, 0] for law in model.friction.laws]),
+                                      *[law.shape[:, 0] for law in model.friction.laws]]))
+    values = np.concatenate([np.zeros(model.base.count), friction])
+    size = len(values)
+    floor = np.where(np.isfinite(visible[:size]), np.hypot(0.02 * values, visible[:size]), 1.0)
+    return np.asarray(model.covariance + np.diag(floor**2))
+
+
+def torque_left_open(model: Model, problem: Problem) -> Array:
+    """Standard deviation of each joint's torque, as what is not known of the parameters makes it ``(n,)`` [N m]."""
+    covariance, made = prior_covariance(model, problem), problem.regression
+    result = np.full(len(made.channels), np.inf)
+    for j in range(len(result)):
+        rows = made.W[made.use[:, j], j]
+        moves = np.any(rows != 0.0, axis=0)
+        rows, own = rows[:, moves], covariance[np.ix_(moves, moves)]
+        if len(rows) and np.isfinite(own).all():
+            result[j] = np.sqrt(np.mean(np.sum(rows @ own * rows, axis=1)))
+    return result

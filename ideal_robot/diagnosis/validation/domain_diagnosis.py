@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.noise import noise_left, usual_noise
-from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.channels.regression import Regression, noise_left, usual_noise
 from ideal_robot.diagnosis.search.choice import Choice
-from ideal_robot.diagnosis.statistics.candidate import Candidate
-from ideal_robot.diagnosis.statistics.estimate import Estimate, fitted_effect
+from ideal_robot.diagnosis.statistics.estimate import Candidate, Estimate, fitted_effect
 from ideal_robot.diagnosis.statistics.problem import Problem
-from ideal_robot.diagnosis.validation.evidence import discriminating_motion, ranked_structure
-from ideal_robot.diagnosis.validation.limits import at_standstill, with_limits
-from ideal_robot.diagnosis.validation.misfit import with_misfit
+from ideal_robot.diagnosis.validation.evidence import (
+    at_standstill,
+    discriminating_motion,
+    ranked_structure,
+    with_limits,
+    with_misfit,
+)
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION

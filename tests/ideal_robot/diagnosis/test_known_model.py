@@ -5,9 +5,24 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
+from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Search
+from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.evidence import with_misfit
+from ideal_robot.diagnosis.validation.final_fit import beside_held_model
+from ideal_robot.diagnosis.validation.refit import with_named_effects
+from ideal_robot.dynamics.regressor import regressor
+from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, library
+from ideal_robot.effects.registry import find
 from ideal_robot.identification.idim import identify
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -15,6 +30,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.diagnosis.page import summary
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from tests.ideal_robot.diagnosis.test_adoption import STICKS, recorded, with_coulomb
 from tests.ideal_robot.diagnosis.test_diagnose import arm
 from tests.trials.strangers.plants import a_plant, an_arm
 from trials.strangers.arm import arm_of
@@ -22,6 +38,30 @@ from trials.strangers.engines import ENGINES
 from trials.strangers.logger import draw_logger, record
 from trials.strangers.motion import STEP, draw_motion
 from trials.strangers.plant import BRISTLE, TANH
+
+# What tests of causes beside a known model draw alike: a motion of all joints, and a body of no extent.
+
+def harmonics(rng: np.random.Generator, t: Array, middle: Array, size: float,
+              frequencies: tuple[float, float], count: int) -> tuple[Array, Array, Array]:
+    """Positions, velocities and accelerations ``(N, n)`` of sines of random frequency and phase about ``middle``.
+
+    Args:
+        rng: draws them.
+        t: times ``(N,)`` [s].
+        middle: of the motion ``(n,)`` [rad].
+        size: amplitude of each sine [rad].
+        frequencies: least and largest [rad/s].
+        count: of sines in each joint.
+    """
+    frequency, phase = rng.uniform(*frequencies, (count, len(middle))), rng.uniform(0.0, 6.0, (count, len(middle)))
+    angle = t[:, None, None] * frequency + phase
+    return (middle + size * np.sin(angle).sum(axis=1), size * (frequency * np.cos(angle)).sum(axis=1),
+            -size * (frequency**2 * np.sin(angle)).sum(axis=1))
+
+
+def point_mass(mass: float, at: Array) -> Array:
+    """Mass, first moments and inertias ``(10,)`` of a mass [kg] at a place ``(3,)`` [m], in Pinocchio's order."""
+    return np.asarray(pin.Inertia(mass, np.asarray(at, dtype=float), np.zeros((3, 3))).toDynamicParameters())
 
 
 def with_spring(part: float, spring: float, seed: int, about: float = 0.0) -> Recording:
@@ -127,3 +167,117 @@ def test_a_model_made_of_late_torques_is_no_other_than_one_made_of_punctual_ones
 
     # Inertia that is late by 8 ms is friction: left in the parameters it changes some of these by more than a tenth.
     np.testing.assert_allclose(viscous(0.008), viscous(0.0), rtol=0.04)
+
+
+# What is named is estimated beside a model that stays as it is: nothing else moves, and it has its true size.
+
+OFFSET = FittedEffect("current_offset", 3, "tau_3", (8.0,))
+
+
+@pytest.fixture(scope="module")
+def known_kr15():
+    robot = Robot.load("kr15")
+    known = with_coulomb(robot, [100.0] * robot.n)
+    # What the model does not say well: without its being held, it would move with the effects.
+    known = dataclasses.replace(known, covariance=np.diag(np.full(len(known.covariance), 1e2)))
+    return robot, known, recorded(known.with_effects((STICKS, OFFSET)))
+
+
+def test_oracle_finds_sizes_and_leaves_the_model_as_it_was(known_kr15):
+    robot, known, recording = known_kr15
+    told = with_named_effects(recording, robot, known, (("stribeck", 2), ("current_offset", 3)))
+    np.testing.assert_array_equal(told.base_values, known.base_values)
+    assert [law.coefficients.tolist() for law in told.friction.laws] == [
+        law.coefficients.tolist() for law in known.friction.laws]
+    assert [effect.name for effect in told.effects] == ["stribeck", "current_offset"]
+    assert told.effects[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
+    before, after = (model.predict(recording).relative_error_percent for model in (known, told))
+    assert np.all(after[1:3] < 0.6 * before[1:3])
+
+
+def test_an_effect_of_a_joint_fit_has_its_own_size_beside_the_model(known_kr15):
+    """A joint fit had given half of it to friction."""
+    robot, known, recording = known_kr15
+    half = dataclasses.replace(STICKS, coefficients=(30.0,))
+    regression = torque_regression(recording, robot, known, payload=True)
+    own = beside_held_model(regression, known, (half, dataclasses.replace(OFFSET, coefficients=(1.0,))))
+    assert own[0].coefficients[0] == pytest.approx(60.0, rel=0.1)
+    assert own[1].coefficients[0] == pytest.approx(8.0, rel=0.1)
+
+
+def test_errors_of_several_joints_kinematics_are_estimated_together(known_kr15):
+    """Each alone takes all that the others make as well: together they would count it several times."""
+    robot, known, recording = known_kr15
+    q = recording.joints("q")
+    pose = robot.fk()
+    x = np.array([pose(row).translation for row in q])
+    columns = {**recording.columns, **dict(zip("xyz", (x + 2e-4 * np.sin(3.0 * q[:, 1:2])).T.copy(), strict=True))}
+    seen = dataclasses.replace(recording, columns=columns)
+    every = tuple(("kinematic_error", joint) for joint in range(1, 7))
+    told = with_named_effects(seen, robot, known, every)
+    alone = [with_named_effects(seen, robot, known, (one,)).effects[0] for one in every]
+    size = [np.linalg.norm([effect.coefficients for effect in effects], axis=1) for effects in (told.effects, alone)]
+    assert not np.allclose(size[0], size[1], rtol=0.1)
+
+
+# A body that the given model does not know: on the flange it is a payload, on another link a load of that link.
+
+def carrying(name: str, link: int, mass: float, at: np.ndarray, left: float = 0.02) -> tuple[Problem, Robot]:
+    """An arm whose parameters are known, with a point mass fixed to one of its links.
+
+    Args:
+        name: of a shipped robot.
+        link: that carries it, from 1.
+        mass: of the body [kg].
+        at: where, in the frame of the link's joint ``(3,)`` [m].
+        left: what of the torques of joints 1 to 3 no model knows, as a share of them; two hundredths of a wrist's.
+    """
+    robot, rng, t = Robot.load(name), np.random.default_rng(2), np.arange(0.0, 24.0, 0.004)
+    q, qd, qdd = harmonics(rng, t, robot.home, 0.25, (0.8, 5.0), 4)
+    model = Model.nominal(robot)
+    columns = regressor(robot.pinocchio, q, qd, qdd)[:, :, 10 * link - 10 : 10 * link]
+    tau = model.inverse_dynamics(q, qd, qdd) + columns @ point_mass(mass, at)
+    # What rotors do with the inertia of a wrist is known no better than this.
+    share = np.where(np.arange(robot.n) < 3, left, 0.02)
+    tau = tau + share * np.std(tau, axis=0) * np.sin(7.0 * q) + 0.002 * np.std(tau, axis=0) * rng.normal(size=q.shape)
+    made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
+    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    return problem.with_prior(1e9 * np.eye(made.W.shape[2])), robot
+
+
+@pytest.mark.parametrize("name", ["kr6", "kr15"])
+@pytest.mark.parametrize("mass", [1.0, 5.0])
+def test_a_body_on_the_flange_is_a_payload_of_its_mass(name, mass):
+    # On the axis of the last joint it turns like a body on the link before.
+    robot = Robot.load(name)
+    flange = robot.tool_place
+    problem, robot = carrying(name, robot.n, mass, np.asarray(flange))
+    bodies = tuple((e.name, j) for e in library() if e.domain == MOTOR_TORQUE and e.name in ("payload", "link_load")
+                   for j in e.joints(problem.regression.signals))
+    search = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=True, only=bodies)
+    choices = search.run()
+    assert [(c.candidate.effect.name, c.candidate.joint) for c in choices] == [("payload", 0)]
+    (found,) = problem.fit([choices[0].candidate]).coefficients
+    assert found[0] == pytest.approx(mass, rel=0.1)
+
+
+def test_a_body_on_an_inner_link_is_a_load_of_that_link():
+    problem, _ = carrying("kr6", 3, 3.0, np.array([0.2, 0.05, 0.0]))
+    bodies = (("payload", 0), *(("link_load", j) for j in range(1, 6)))
+    choices = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=True, only=bodies).run()
+    assert (choices[0].candidate.effect.name, choices[0].candidate.joint) == ("link_load", 3)
+
+
+def test_a_light_body_is_a_payload_by_its_weight_at_the_wrist():
+    """Its mass hides in what the strong joints leave; a rotor or a filter of the wrist has no weight."""
+    robot = Robot.load("kr15")
+    flange = robot.tool_place
+    problem, _ = carrying("kr15", robot.n, 0.1, flange + np.array([0.02, -0.04, 0.05]), left=0.05)
+    payload = Candidate(find("payload", "tau"), 0)
+    final = problem.on_all_blocks().fit([payload], uncertainty=True)
+    domain = DomainDiagnosis(problem, [Choice(payload, 1e-9, asked=0.1)], final, None, True, "")
+    wide = with_misfit(problem, [payload], final)
+    assert abs(wide.coefficients[0][0]) < 3.0 * wide.std[0][0]
+    settled, dropped = domain.settled()
+    assert [choice.candidate.effect.name for choice in settled.choices] == ["payload"]
+    assert not dropped

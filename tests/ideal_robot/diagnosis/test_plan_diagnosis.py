@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Open, plan_diagnosis, read_questions
-from ideal_robot.diagnosis.asking.causes import Asked
 from ideal_robot.diagnosis.asking.comparison import compared
-from ideal_robot.diagnosis.asking.motion import require_within_limits
-from ideal_robot.diagnosis.asking.plan import planned_pair
-from ideal_robot.diagnosis.asking.questions import Named
-from ideal_robot.diagnosis.asking.separation import Cause, Pair, Separation, products_of, separation_of
-from ideal_robot.diagnosis.statistics.candidate import Candidate
+from ideal_robot.diagnosis.next_motion.motion import require_within_limits
+from ideal_robot.diagnosis.next_motion.plan import planned_pair
+from ideal_robot.diagnosis.next_motion.questions import Asked, Named
+from ideal_robot.diagnosis.next_motion.separation import Cause, Pair, Separation, products_of, separation_of
+from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.effects import MOTOR_TORQUE, Effect
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import InputError
-from ideal_robot.identification.workspace import Workspace
+from ideal_robot.identification.excitation import Workspace
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from trials.report import arm_of

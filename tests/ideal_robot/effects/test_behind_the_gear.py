@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ideal_robot.diagnosis.channels.frames import frames_along
+from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.effects import FittedEffect, Signals, effect_of, library
 from ideal_robot.effects.force import CONTACT_FORCE, MOMENTS
 from ideal_robot.model.model import Model

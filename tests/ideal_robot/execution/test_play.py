@@ -10,7 +10,9 @@ import pytest
 import ideal_robot as ir
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 
 ROBOT = ir.Robot.load("kr6")
 MODEL = ir.Model.load(Path(__file__).parents[3] / "scenes" / "models" / "kr6.json")
@@ -96,3 +98,19 @@ def test_paths_that_cannot_be_played_are_refused_before_anything_moves(q_d: Arra
         ir.play(arm, ir.feedforward("none", None, ROBOT), q_d, robot=ROBOT)
     assert caught.value.field == field
     assert not arm.commands
+
+
+# A path at the cycles of a controller.
+
+KR6 = Robot.load("kr6")
+
+
+@pytest.mark.parametrize("duration", [1e-3, 0.5, 0.504, 0.5101])
+def test_the_end_of_a_path_is_reached_wherever_in_a_cycle_it_lies(duration: float) -> None:
+    """A path within one cycle was left out altogether, and none of its limits were looked at."""
+    t = np.linspace(0.0, duration, 200)
+    q = KR6.home + 0.05 * (t / duration)[:, None] ** 2
+    times, positions = path_at_cycles(t, q, KR6, rest=0.12)
+    np.testing.assert_allclose(np.diff(times), KR6.t_ipo)
+    np.testing.assert_allclose(positions[0], q[0])
+    np.testing.assert_allclose(positions[-1], q[-1], atol=1e-12)

@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.learning import Playback
-from ideal_robot.feedforward.linear_inverse import LinearInverse
-from ideal_robot.feedforward.passthrough import PassThrough
+from ideal_robot.feedforward.method import Needs, Practice, Rehearsed, Setting
 from ideal_robot.feedforward.precorrection import Precorrection
-from ideal_robot.feedforward.training import train
+from ideal_robot.feedforward.registry import feedforward, method, methods, register, unregister
+from ideal_robot.feedforward.training import LinearInverse, train
+from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.impulse_response import LinearLoop
-from ideal_robot.model.controller_model import ControllerModel
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import ControllerModel
+from ideal_robot.robots.robot import Robot
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant
 
 LIMITS = ROBOT.q_min, ROBOT.q_max
@@ -121,3 +128,129 @@ def test_a_horizon_of_one_is_borne(named):
     assert np.isfinite(q_c).all()
     # Without a horizon no law can be good; it must not be wild either: 0.1 rad is what the arm moves in four cycles.
     assert np.max(np.abs(q_c - motion())) < 0.1
+
+
+# Methods by their key: laws over all of them, and one that a user adds.
+
+MODELS = Path(__file__).parents[3] / "scenes" / "models"
+KR6 = Robot.load("kr6")
+MODEL = Model.load(MODELS / "kr6.json")
+
+
+def path() -> np.ndarray:
+    """Half a second of rest, a smooth move of all joints, rest again."""
+    s = np.clip(np.linspace(-0.5, 1.5, 120), 0.0, 1.0)[:, None]
+    return KR6.home + 0.1 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def practice() -> Practice:
+    """An arm to play on: the identified loop itself, with gears a little softer."""
+    loop = loop_model(MODEL, KR6, delay=0)
+    arm = loop.replace(stiffness=0.9 * loop.stiffness)
+
+    def play(law: Feedforward, q_d: np.ndarray) -> Rehearsed:
+        return Rehearsed(law.init(q_d[0]), lambda: np.asarray(q_d - simulate(arm, law.along(q_d)).q_a[:-1]))
+
+    return Practice(play, KR6)
+
+
+@pytest.mark.parametrize("key", [key for key in methods() if method(key).needs <= Needs.PATH])
+def test_every_method_is_made_by_its_key_and_holds_an_arm_at_rest(key: str) -> None:
+    law = feedforward(key, MODEL, KR6, q_d=path())
+    state = law.init(KR6.home)
+    for _ in range(20):
+        q_c, state = law.step(state, np.tile(KR6.home, (law.n_d, 1)))
+    assert np.max(np.abs(q_c - KR6.home)) < 0.01
+    assert method(key).description
+
+
+def test_a_method_that_learns_on_the_arm_shares_its_plays() -> None:
+    place = practice()
+    laws = [feedforward(f"learned_{p}", MODEL, KR6, q_d=path(), practice=place) for p in (1, 4)]
+    q_d = path()
+    off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in laws]
+    plain = np.sqrt(np.mean(place.play(PassThrough(KR6.t_ipo), q_d).errors() ** 2))
+    assert off[1] <= off[0] < 0.3 * plain
+
+
+@pytest.mark.parametrize(("key", "field"), [("ideal", "model"), ("linear", "q_d"), ("trained", "practice"),
+                                            ("unknown", "method")])
+def test_what_is_missing_is_named(key: str, field: str) -> None:
+    given = {"model": None if field == "model" else MODEL, "q_d": None if field == "q_d" else path()}
+    with pytest.raises(InputError) as caught:
+        feedforward(key, given["model"], KR6, q_d=given["q_d"])
+    assert caught.value.field == field
+
+
+class HalfAhead(PassThrough):
+    """Commands the middle of the next cycle."""
+
+    n_d = 2
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting.robot.t_ipo)
+
+    def step(self, state: None, q_d: np.ndarray, tau_ext_d: np.ndarray | None = None) -> tuple[np.ndarray, None]:
+        return 0.5 * (q_d[0] + q_d[-1]), None
+
+
+@pytest.fixture
+def own() -> Iterator[str]:
+    register("half_ahead", HalfAhead, needs=Needs.NOTHING)
+    yield "half_ahead"
+    unregister("half_ahead")
+
+
+def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
+    assert methods()[-1] == own
+    assert own in methods(Needs.NOTHING)
+    assert "ideal" not in methods(Needs.NOTHING)
+    assert method(own).description == "Commands the middle of the next cycle."
+    q_d = path()
+    commands = feedforward(own, None, KR6).along(q_d)
+    np.testing.assert_allclose(commands[:-1], 0.5 * (q_d[:-1] + q_d[1:]))
+    with pytest.raises(InputError, match="another name"):
+        register(own, PassThrough)
+    with pytest.raises(InputError, match="lower case"):
+        register("My Method", HalfAhead)
+
+
+def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:
+    """[G] (7), (12): an arm that is a linear filter is inverted without a model; the motion keeps the arm's limits."""
+    place, q_d = practice(), path()
+    g = np.array([0.0, 0.3, 0.4, 0.2, 0.1])
+
+    def play(law: Feedforward, wanted: np.ndarray) -> Rehearsed:
+        q_c = law.along(wanted)
+        answer = q_c[:1] + np.array([np.convolve(g, column)[: len(q_c)] for column in (q_c - q_c[0]).T]).T
+        return Rehearsed(law.init(wanted[0]), lambda: np.asarray(wanted - answer))
+
+    linear = Practice(play, KR6)
+    motion = linear.sinusoids(q_d)
+    assert np.all(motion > KR6.q_min)
+    assert np.all(motion < KR6.q_max)
+    assert np.all(np.abs(np.diff(motion, axis=0)) < 0.5 * KR6.v_max * KR6.t_ipo)
+    np.testing.assert_allclose(motion[0], np.median(q_d, axis=0), atol=1e-9)
+    law = feedforward("linear_1", None, KR6, n_d=30, q_d=q_d, practice=linear)
+    before, after = (np.abs(play(one, q_d).errors()).max() for one in (PassThrough(KR6.t_ipo), law))
+    # The inverse of paths of 3 Hz, of responses that sinusoids told.
+    assert after < 0.15 * before
+    assert feedforward("linear_1", MODEL, KR6, q_d=q_d, practice=place).n_d == 30
+
+
+def test_training_as_printed_weighs_no_torques() -> None:
+    """[G] (13) has positions and signs; ``trained`` adds the rigid body, and is better where links couple."""
+    place, q_d = practice(), path()
+    printed, more = (feedforward(key, MODEL, KR6, q_d=q_d, practice=place) for key in ("trained_1", "trained"))
+    assert len(printed.w) == 0  # type: ignore[attr-defined]
+    assert len(more.w) > 0  # type: ignore[attr-defined]
+    off = [np.sqrt(np.mean(place.play(law, q_d).errors() ** 2)) for law in (PassThrough(KR6.t_ipo), printed, more)]
+    assert off[2] < off[1] < off[0]
+
+
+@pytest.mark.parametrize(("q_d", "learns"), [(path(), True), (None, False)])
+def test_frictions_shape_is_learned_where_the_path_is_known_beforehand(q_d: np.ndarray | None, learns: bool) -> None:
+    """On paths planned anew the following error is not friction's alone."""
+    law = feedforward("adapted", MODEL, KR6, q_d=q_d)
+    assert isinstance(law, AdaptedIdeal)
+    assert (law.curve is not None) == learns

@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from ideal_robot.errors import InputError
+from ideal_robot.friction import ViscousCoulomb
 from ideal_robot.identification.checks import checked, require_motion
 from ideal_robot.identification.idim import identify
 from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import lowpass, preprocess
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.arm import record, robot, truth
+from tests.ideal_robot.identification.arm import SHARED, base, record, robot, truth
 
 
 @pytest.fixture(scope="module")
@@ -129,3 +132,112 @@ def test_an_arm_at_rest_tells_nothing(good: Recording) -> None:
     with pytest.raises(InputError, match="no joint moves"):
         identify([still], robot())
     require_motion([still, good])
+
+
+# Filters, channels and errors of the motion are found from the data, and a known truth behind them is recovered.
+
+PANDA = SHARED / "panda" / "panda_a.parquet"
+TIAGO = SHARED / "tiago" / "tiago_a.parquet"
+
+
+def altered(recording: Recording, **columns: np.ndarray) -> Recording:
+    return replace(recording, columns={**recording.columns, **columns})
+
+
+def stepped_and_late(recording: Recording, rng: np.random.Generator) -> Recording:
+    """As a poor logger has it: encoder steps of 0.5 mrad, stamps 1 ms about the clock."""
+    t = np.sort(recording.t + np.clip(rng.normal(scale=1e-3, size=len(recording.t)), -1.9e-3, 1.9e-3))
+    q = {f"q_{j + 1}": 5e-4 * np.round(recording.columns[f"q_{j + 1}"] / 5e-4) for j in range(recording.n)}
+    return altered(recording, t=t, **q)
+
+
+def test_truth_behind_encoder_steps_and_jitter_without_a_switch() -> None:
+    rng, what = np.random.default_rng(3), truth()
+    result = identify([stepped_and_late(record(what, rng), rng)], robot(), friction="viscous_coulomb")
+    std = np.sqrt(np.diag(result.model.covariance))[: base().count]
+    good = std < 0.2 * np.abs(result.model.base_values)
+    z = ((result.model.base_values - what.base) / std)[good]
+    assert good.sum() >= 12
+    assert np.all(np.abs(z) < 4.0)
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    error = result.model.provenance["position_error"]
+    assert error["jitter"] == pytest.approx(1e-3, rel=0.2)
+    np.testing.assert_allclose(error["step"], 5e-4, rtol=1e-3)
+    assert result.model.provenance["filters"]["cutoff"] <= 20.0
+    names = {text.split(":")[0] for text in result.warnings}
+    assert {"irregular-stamps", "stepped-channel"} <= names
+
+
+def test_a_dead_channel_is_named_and_left_out() -> None:
+    rng, what = np.random.default_rng(4), truth()
+    good = record(what, rng)
+    dead = np.where(rng.random(len(good.t)) < 0.8, 0.0, good.columns["tau_6"])
+    result = identify([altered(good, tau_6=dead)], robot(), friction="viscous_coulomb")
+    assert any(text.startswith("dead-channel: tau_6") for text in result.warnings)
+    assert result.model.provenance["samples_counted_percent"][5] == 0.0
+    assert result.model.provenance["samples_counted_percent"][0] > 50.0
+    assert np.all(result.estimation[0].residual_std_percent[:5] < 10.0)
+    assert np.all(np.isfinite(result.model.covariance))
+
+
+def test_torque_filtered_before_it_was_logged_is_named() -> None:
+    rng, what = np.random.default_rng(5), truth()
+    good = record(what, rng)
+    sos = signal.butter(6, 5.0 / 125.0, output="sos")
+    slow = signal.sosfiltfilt(sos, good.columns["tau_2"])
+    result = identify([altered(good, tau_2=slow)], robot(), friction="viscous_coulomb")
+    named = [text for text in result.warnings if text.startswith("filtered-channel")]
+    assert len(named) == 1
+    assert "tau_2" in named[0]
+
+
+def test_friction_never_drives() -> None:
+    """Viscous friction that is not there comes out at its bound, without a standard deviation, and is named."""
+    rng = np.random.default_rng(6)
+    laws = [ViscousCoulomb(np.array([[0.0], [0.04 * tau]])) for tau in robot().tau_max]
+    result = identify([record(truth(laws), rng)], robot(), friction="viscous_coulomb")
+    viscous = {p.name: p for p in result.model.parameters if p.name.startswith("Fv")}
+    assert all(p.value >= 0.0 for p in viscous.values())
+    held = [p for p in viscous.values() if p.value == 0.0]
+    assert held
+    assert all(p.std == 0.0 for p in held)
+    assert any(text.startswith("friction-at-bound") and held[0].name in text for text in result.warnings)
+
+
+def test_the_wrong_sign_is_said_only_where_it_is_wrong() -> None:
+    rng, what = np.random.default_rng(7), truth()
+    good = record(what, rng)
+    names = [f"tau_{j + 1}" for j in range(6)]
+    assert not any("wrong-sign" in text for text in identify([good], robot(), friction="viscous_coulomb").warnings)
+    flipped = altered(good, **{name: -good.columns[name] for name in names})
+    found = [text for text in identify([flipped], robot(), friction="viscous_coulomb").warnings if "wrong-sign" in text]
+    assert found
+
+
+@pytest.mark.skipif(not PANDA.exists(), reason="measured data (../shared/data/panda) are not there")
+def test_panda_ahead_of_its_authors_without_a_switch() -> None:
+    """Published: std(residual) / std(torque) on the second half, positions below 8 Hz, torques below 4 Hz."""
+    model = identify([Recording.read(PANDA)], Robot.load(PANDA.parent / "panda.urdf")).model
+    s = preprocess(Recording.read(PANDA.parent / "panda_b.parquet"), cutoff=8.0)
+    residual, torque = (lowpass(values, s.dt, 4.0)[500:-500] for values in (
+        s.tau - model.inverse_dynamics(s.q, s.qd, s.qdd), s.tau))
+    errors = 100.0 * np.std(residual, axis=0) / np.std(torque, axis=0)
+    assert np.sum(errors > [6.3, 2.5, 2.4, 5.1, 11.5, 7.4, 19.9]) <= 1
+
+
+@pytest.mark.skipif(not TIAGO.exists(), reason="measured data (../shared/data/tiago) are not there")
+def test_dead_channels_of_a_real_arm() -> None:
+    result = identify([Recording.read(TIAGO)], Robot.load(TIAGO.parent / "tiago.urdf"),
+                                      friction="viscous_coulomb")
+    dead = [text for text in result.warnings if text.startswith("dead-channel")]
+    assert [text.split()[1] for text in dead] == ["tau_6", "tau_7", "tau_8"]
+
+
+def test_a_recording_of_three_seconds_ends_in_a_model() -> None:
+    """None of the laws that led a first look at a joint brakes in the second: the simplest one is left."""
+    whole = record(truth(), np.random.default_rng(1), noise=0.02)
+    here = (whole.t >= 6.0) & (whole.t < 9.25)
+    short = replace(whole, columns={name: values[here] for name, values in whole.columns.items()})
+    model = identify([short], robot()).model
+    assert np.all(np.isfinite(model.covariance))
+    assert np.all(model.friction.torque(np.full((1, 6), 0.5)) > 0.0)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from ideal_robot.arrays import Array
 from ideal_robot.friction import Arctan, CubeRoot, ViscousCoulomb
 from ideal_robot.identification.idim import identify, relative_error
+from ideal_robot.identification.joint_fit import regions_of_motion, stiffness_from_arm
+from ideal_robot.identification.weighted_least_squares import weighted_least_squares
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.arm import SHARED, base, record, robot, truth, wrong_by_half
+from tests.ideal_robot.identification.arm import SHARED, base, motion, record, robot, truth, wrong_by_half
 
 EMPS = SHARED / "emps" / "emps_estimation.parquet"
 UR10E = SHARED / "ur10e" / "free_12harm_50s.parquet"
@@ -135,3 +140,63 @@ def test_a_real_arm_better_than_plain_least_squares() -> None:
     result = identify([free50, free30], arm, validation=[free20, points])
     assert np.all(result.validation[0].residual_std_percent < [12.1, 5.9, 6.0, 13.4, 20.9, 16.2])
     assert np.all(result.validation[1].residual_std_percent < [23, 9, 5.5, 17, 36, 54])
+
+
+# What a motion repeats does not make a model that is not quite right any surer.
+
+def line(cycles: int, bend: float, *, regional: bool = True) -> tuple[Array, Array]:
+    """Offset and slope, and their covariance, of a line through what is bent, seen along one cycle again and again."""
+    rng, phase = np.random.default_rng(3), np.linspace(0.0, 2.0 * np.pi * cycles, 100 * cycles, endpoint=False)
+    q, qd = np.sin(phase)[:, None], np.cos(phase)[:, None]
+    W = np.stack([np.ones_like(q), q], axis=2)
+    y = 1.0 + 2.0 * q + bend * q**3 + 0.01 * rng.normal(size=q.shape)
+    regions = regions_of_motion(q, qd) if regional else []
+    solution = weighted_least_squares(W, y, np.zeros(2), regions=regions)
+    return solution.value, solution.covariance
+
+
+def test_regions_part_the_samples_evenly_and_keep_what_repeats_together() -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False) + 0.001
+    q, qd = np.column_stack([np.sin(phase), np.sin(2.0 * phase)]), np.column_stack([np.cos(phase), np.cos(2.0 * phase)])
+    regions = regions_of_motion(np.tile(q, (5, 1)), np.tile(qd, (5, 1)))
+    assert [len(rows) for rows in regions] == [250] * 8
+    assert sorted(np.concatenate(regions)) == list(range(2000))
+    for rows in regions:
+        # All repetitions of a sample are in its region, but for the few at the borders.
+        assert len(set(rows % 400)) <= 50 + 8
+
+
+def test_repeating_a_cycle_tells_no_more_of_a_model_that_is_not_right() -> None:
+    few, many = (np.sqrt(np.diag(line(cycles, 0.3)[1])) for cycles in (4, 64))
+    assert np.all(many > 0.8 * few)
+    plain = np.sqrt(np.diag(line(64, 0.3, regional=False)[1]))
+    # The same range passed at an even pace gives another slope, 2 + 3/5 of the bend.
+    other = abs(line(64, 0.3)[0][1] - (2.0 + 0.6 * 0.3))
+    assert other > 5.0 * plain[1]
+    assert other < 3.0 * many[1]
+
+
+def test_a_model_that_is_right_is_as_sure_as_without_regions() -> None:
+    assert np.allclose(line(16, 0.0)[1], line(16, 0.0, regional=False)[1], rtol=0.0, atol=1e-15)
+
+
+# Stiffness from motor and arm angles: the truth comes back, also from a coarse encoder.
+
+STIFFNESS = np.array([3e5, 3.5e5, 2e5, 3e4, 3e4, 1.2e4])
+
+
+@pytest.mark.parametrize("step", [0.0, 4e-4])
+def test_the_true_stiffness_comes_back(step: float) -> None:
+    """Accelerations from increments of 0.4 mrad once made gears ten times as stiff, or rigid."""
+    model = replace(Model.nominal(robot()), provenance={"filters": {"cutoff": 6.0}})
+    t = np.arange(0.0, 12.0, 0.002)
+    qa, qd, qdd = motion().at(t)
+    q = qa + model.rigid_body(qa, qd, qdd) / STIFFNESS
+    if step:
+        q = step * np.round(q / step)
+    recording = Recording.from_arrays(t, meta={}, q=q, qa=qa, tau=np.zeros_like(q))
+    k, d = stiffness_from_arm([recording], model)
+    # The last joints hardly twist: increments are all that is left of them.
+    seen = 4 if step else 6
+    np.testing.assert_allclose(k[:seen], STIFFNESS[:seen], rtol=0.1)
+    assert np.all(d >= 0)

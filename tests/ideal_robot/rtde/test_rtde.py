@@ -20,7 +20,7 @@ from ideal_robot.rtde.wire import MAX_PACKAGE, Kind, Reader, Recipe, package, sa
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.rtde_controller import RtdeController, RtdeFaults
-from tests.sim.devices.rtde_link import serving
+from tests.sim.devices.controllers import serving
 
 ROBOT = Robot.load("kr6")
 

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+from rosbags.highlevel import AnyReader
 
 from ideal_robot.errors import InputError
-from ideal_robot.signals.recording import Recording
+from ideal_robot.row_log import KEPT, ColumnStore, in_file
+from ideal_robot.signals import sampling as module
+from ideal_robot.signals import table_file
+from ideal_robot.signals.preprocess import uniform_time
+from ideal_robot.signals.recording import WRITTEN_ROWS, Recording
+from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
+from ideal_robot.signals.sampling import shortened, stretches
 
 
 @pytest.fixture
@@ -106,3 +115,163 @@ def test_true_and_false_are_no_torque() -> None:
     with pytest.raises(InputError, match="tau_1: column holds true and false"):
         Recording({"t": np.arange(4.0), "tau_1": np.array([True, False, True, True])})
     assert Recording({"t": np.arange(2.0), "touched": np.array([True, False])}).columns["touched"].dtype == bool
+
+
+# Recordings longer than memory should hold: their columns are in a file, and they are written piece by piece.
+
+def stored_recording(length: int) -> tuple[Recording, bool]:
+    store = ColumnStore(["t", "q_1"], length)
+    for first in range(0, length, 5000):
+        rows = np.arange(first, min(first + 5000, length))
+        store.fill("t", first, 0.002 * rows)
+        store.fill("q_1", first, np.where(rows % 7 == 0, np.nan, np.sin(rows)))
+        store.release()
+    return Recording(store.finished()), store.in_memory
+
+
+@pytest.mark.parametrize("length", [100, KEPT, KEPT + 1, 3 * KEPT])
+def test_columns_are_the_same_wherever_they_are(length: int) -> None:
+    found, in_memory = stored_recording(length)
+    assert in_memory == (length <= KEPT)
+    rows = np.arange(length)
+    plain = Recording.from_arrays(0.002 * rows, q=np.where(rows % 7 == 0, np.nan, np.sin(rows))[:, None])
+    assert found.hash == plain.hash
+    # Of a long one nothing is copied into memory.
+    assert all(in_file(column) for column in found.columns.values()) == (not in_memory)
+    with pytest.raises(ValueError, match="read-only"):
+        found.columns["q_1"][0] = 1.0
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+def test_long_recordings_are_written_in_pieces(tmp_path: Path, ending: str) -> None:
+    found, _ = stored_recording(2 * WRITTEN_ROWS + 10)
+    place = found.write(tmp_path / f"long{ending}")
+    if ending == ".parquet":
+        assert pq.ParquetFile(place).num_row_groups == 3
+    read = Recording.read(place)
+    for name, values in found.columns.items():
+        np.testing.assert_array_equal(read.columns[name], values)
+
+
+# Very long recordings are read piece by piece, and stretches of them are used.
+
+def long_recording(length: int, source: str = "a") -> Recording:
+    rows = np.arange(length)
+    return Recording.from_arrays(0.002 * rows, q=np.sin(rows)[:, None], source=source,
+                                 tau=np.where(rows % 7 == 0, np.nan, rows)[:, None], meta={"robot": "kr15"})
+
+
+def test_recordings_of_normal_length_are_used_as_they_are() -> None:
+    given = (long_recording(1000), long_recording(10))
+    used, warnings = stretches(given)
+    assert all(one is other for one, other in zip(used, given, strict=True))
+    assert not warnings
+
+
+def test_of_long_ones_stretches_from_begin_to_end_are_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MOST", 10_000)
+    monkeypatch.setattr(module, "STRETCH", 1000)
+    monkeypatch.setattr(module, "FEWEST", 200)
+    used, (warning,) = stretches([long_recording(50_000), long_recording(100, "short")])
+    assert warning.startswith("long-recording: of 50100 samples")
+    long, short = used[:-1], used[-1]
+    assert len(long) == 9
+    assert all(len(one.t) == 1000 for one in long)
+    assert long[0].t[0] == 0.0
+    assert long[-1].t[-1] == pytest.approx(0.002 * 49_999)
+    assert len(short.t) == 100
+    assert short.source.startswith("short")
+    np.testing.assert_array_equal(long[3].columns["q_1"], np.sin(np.rint(long[3].t / 0.002)))
+
+
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+def test_a_table_read_piece_by_piece_is_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str) -> None:
+    place = long_recording(40_000).write(tmp_path / f"r{ending}")
+    whole = Recording.read(place)
+    monkeypatch.setattr(table_file, "AT_ONCE", 1000)
+    monkeypatch.setattr(table_file, "PIECE", 7000)
+    pieces = Recording.read(place)
+    assert not in_file(whole.t)
+    assert in_file(pieces.t)
+    assert pieces.hash == whole.hash
+    assert pieces.meta == whole.meta
+
+
+def test_a_word_far_down_a_long_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table_file, "AT_ONCE", 100)
+    monkeypatch.setattr(table_file, "PIECE", 50)
+    lines = [f"{0.002 * i},{i}" for i in range(500)]
+    lines[444] = "0.888,broken"
+    place = tmp_path / "r.csv"
+    place.write_text("t,q_1\n" + "\n".join(lines) + "\n")
+    with pytest.raises(InputError, match="not numeric"):
+        Recording.read(place)
+
+
+def test_stretches_of_one_recording_follow_each_other_after_a_pause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a diagnosis works on; the camera's stamps stay with their samples."""
+    monkeypatch.setattr(module, "MOST", 10_000)
+    monkeypatch.setattr(module, "STRETCH", 1000)
+    given = long_recording(50_000)
+    assert shortened(long_recording(9_000))[1] == []
+    given = replace(given, columns={**given.columns, "cam_t": given.t - 0.04})
+    used, (warning,) = shortened(given)
+    assert warning.startswith("long-recording: of 50000 samples 10000 are used")
+    assert len(used.t) == 10_000
+    steps = np.diff(used.t)
+    assert np.count_nonzero(steps > 0.01) == 9
+    np.testing.assert_allclose(steps[steps > 0.01], 0.9)
+    np.testing.assert_allclose(used.t - used.columns["cam_t"], 0.04)
+    np.testing.assert_array_equal(used.columns["q_1"][-1000:], given.columns["q_1"][-1000:])
+    uniform, hole = uniform_time(used)
+    assert len(uniform) < 15_000
+    assert np.count_nonzero(np.diff(hole.astype(int)) == 1) == 9
+
+
+# What is written as a bag is read back by the library that others read bags with.
+
+RNG = np.random.default_rng(0)
+T = 0.012 * np.arange(50.0)
+QUATERNION = np.tile([0.0, 0.0, 0.0, 1.0], (50, 1))
+RECORDING = Recording.from_arrays(
+    T, q=RNG.normal(size=(50, 6)), tau=RNG.normal(size=(50, 6)), q_c=RNG.normal(size=(50, 6)), x=T, y=T, z=T,
+    qx=QUATERNION[:, 0], qy=QUATERNION[:, 1], qz=QUATERNION[:, 2], qw=QUATERNION[:, 3],
+    **{name: np.where(np.arange(50) % 2, T, np.nan) for name in ("fx", "fy", "fz", "mx", "my", "mz")})
+
+
+@pytest.mark.parametrize("mcap", [True, False])
+def test_joint_states_come_back_as_they_were(mcap: bool, tmp_path: Path) -> None:
+    path = write_mcap(RECORDING, tmp_path / "run.mcap") if mcap else write_rosbag2(RECORDING, tmp_path / "run")
+    back = Recording.read(path)
+    np.testing.assert_allclose(back.t, RECORDING.t, atol=1e-9)
+    np.testing.assert_array_equal(back.joints("q"), RECORDING.joints("q"))
+    np.testing.assert_array_equal(back.joints("tau"), RECORDING.joints("tau"))
+    with AnyReader([path]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert counts == {"/joint_states": 50, "/joint_commands": 50, "/tcp": 50, "/wrench": 25}
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+def test_names_that_cannot_be_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.mcap"):
+        write_mcap(RECORDING, tmp_path / "run.bag")
+    (tmp_path / "there").mkdir()
+    with pytest.raises(InputError, match="does not exist"):
+        write_rosbag2(RECORDING, tmp_path / "there")
+    with pytest.raises(InputError, match="no joints"):
+        write_mcap(Recording.from_arrays(T, x=T), tmp_path / "run.mcap")
+    with pytest.raises(InputError, match="no rows"):
+        write_mcap(Recording({"t": T[:0], "q_1": T[:0]}), tmp_path / "run.mcap")
+
+
+def test_names_of_joints_that_are_none_are_not_taken(tmp_path: Path) -> None:
+    told = Recording(RECORDING.columns, {"joints": 3})
+    back = Recording.read(write_mcap(told, tmp_path / "run.mcap"))
+    assert back.meta["joints"] == [f"joint_{i + 1}" for i in range(6)]
+
+
+@pytest.mark.parametrize("t", [-T[::-1], T[::-1], 1e300 * T, 1.7e18 + 1e7 * T])
+def test_times_that_no_stamp_holds_are_refused(t: np.ndarray, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="give t in seconds"):
+        write_mcap(Recording.from_arrays(t, q=np.zeros((50, 2))), tmp_path / "run.mcap")
+    assert not list(tmp_path.iterdir())

@@ -2,9 +2,39 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from planning.force.contact import BEGUN, FORCE_ERRORS, GENTLEST, SLOPE, STAMPS, UNSEEN, ContactSettings
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import ArmObserver
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from planning.force.contact import (
+    BEGUN,
+    CLEAR,
+    FORCE_ERRORS,
+    GENTLEST,
+    LONGEST,
+    SHARE,
+    SLOPE,
+    STAMPS,
+    UNSEEN,
+    ContactSettings,
+    EmergencyStopError,
+    StopConditions,
+    StopLimits,
+    Tare,
+    dry_run,
+)
+from planning.force.surface_forecast import FeltArm
+from planning.path.kinematics import InverseKinematics
+from planning.path.reference import ReferencePath
+from scenes.models import shipped_model
+from tests.planning.cell import T, kr6
 
 
 def test_a_slope_that_was_not_felt_yet_costs_no_more_force_on_a_stiff_contact() -> None:
@@ -27,3 +57,146 @@ def test_the_stiffer_a_tip_the_less_its_damping_delays_the_force() -> None:
     soft, stiff = (ContactSettings(elasticity=k).lateness for k in (4e3, 5e4))
     assert soft == FORCE_ERRORS[1]
     assert STAMPS < stiff < 0.6e-3
+
+
+# The motion above a path before the job: it keeps away, rests at both ends, and keeps the joints' speeds.
+
+ROBOT = Robot.load("kr6")
+REFERENCE = ReferencePath(np.column_stack([np.full(60, 0.95), np.linspace(-0.3, 0.3, 60), np.full(60, 0.4)]),
+                          turning=1.0)
+
+
+def planned(speed: float, robot: Robot = ROBOT) -> Array:
+    return dry_run(robot, REFERENCE, speed, InverseKinematics(robot).search(REFERENCE.pose(0.0), robot.home))
+
+
+def places(q: Array) -> Array:
+    fk = ROBOT.fk()
+    return np.array([fk(one).translation.copy() for one in q])
+
+
+def test_it_goes_along_the_path_and_back_without_coming_near_the_surface() -> None:
+    q = planned(0.2)
+    where = places(q)
+    assert where[:, 2].min() > 0.4 + CLEAR - 1e-6
+    np.testing.assert_allclose(where[0], where[-1], atol=1e-6)
+    assert np.ptp(where[:, 1]) > 0.55
+    # Slow at both ends, at the speed of the job in between.
+    along = np.abs(np.diff(where[:, 1])) / ROBOT.t_ipo
+    assert along[0] < 0.01
+    assert along[-1] < 0.01
+    np.testing.assert_allclose(along.max(), 0.2, rtol=0.02)
+
+
+def test_joints_that_carry_the_height_turn_round_again_and_again() -> None:
+    v = np.diff(planned(0.2), axis=0)
+    assert np.all(np.sum(np.diff(np.sign(v[:, [1, 2, 4]]), axis=0) != 0, axis=0) >= 3)
+
+
+def test_a_long_path_takes_no_longer_and_slow_joints_take_their_time() -> None:
+    assert len(planned(0.02)) * ROBOT.t_ipo <= LONGEST + ROBOT.t_ipo
+    slow = replace(ROBOT, v_max=ROBOT.v_max / 20.0)
+    v = np.abs(np.diff(planned(0.2, slow), axis=0)) / ROBOT.t_ipo
+    assert np.all(v <= SHARE * slow.v_max * (1.0 + 1e-9))
+
+
+# Every reason to stop is noticed and said with value, limit and remedy.
+
+@pytest.fixture
+def watch() -> StopConditions:
+    return StopConditions(Robot.load("kr6"), StopLimits(force=50.0, lost=0.1))
+
+
+def motion(robot: Robot, speed: float, acceleration: float = 0.0, joint: int = 1) -> np.ndarray:
+    t = robot.t_ipo * np.arange(12)
+    q = np.tile(robot.home, (12, 1))
+    q[:, joint] += speed * t + 0.5 * acceleration * t * (t - t[-1])
+    return q
+
+
+def test_what_is_allowed_passes(watch: StopConditions) -> None:
+    watch.force(1.0, 49.0)
+    watch.contact(1.0, 0.95)
+    watch.approach(1.0, 0.01, 0.05)
+    watch.command(1.0, motion(Robot.load("kr6"), 0.5))
+
+
+@pytest.mark.parametrize(("call", "cause", "text"), [
+    (lambda w, r: w.force(1.0, 51.0), "force", "51.0 N is above the limit 50.0 N"),
+    (lambda w, r: w.force(1.0, float("nan")), "force", "nan N is above the limit 50.0 N"),
+    (lambda w, r: w.contact(1.0, 0.85), "contact", "150 ms ago, allowed are 100 ms"),
+    (lambda w, r: w.approach(1.0, 0.06, 0.05), "contact", "no contact within 50 mm"),
+    (lambda w, r: w.command(1.0, motion(r, 1.1 * r.v_max[1])), "velocity", "joint 2 would need velocity"),
+    (lambda w, r: w.command(1.0, motion(r, 0.0, 1.1 * r.a_max[1])), "acceleration", "joint 2 would need acceleration"),
+    (lambda w, r: w.command(1.0, np.tile(r.q_max + 0.01, (5, 1))), "position", "would need position"),
+])
+def test_what_is_not_allowed_stops(watch: StopConditions, call: object, cause: str, text: str) -> None:
+    with pytest.raises(EmergencyStopError, match=text.replace(".", r"\.")) as caught:
+        call(watch, Robot.load("kr6"))  # type: ignore[operator]
+    assert caught.value.cause == cause
+    assert "stopped at t = 1.000 s" in str(caught.value)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.4])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("joint", range(6))
+def test_joints_may_use_their_share_of_the_limits_and_no_thousandth_more(joint: int, sign: float, share: float) -> None:
+    robot = Robot.load("kr6")
+    watch = StopConditions(robot, StopLimits(share=share))
+    speed, acceleration = sign * share * robot.v_max[joint], sign * share * robot.a_max[joint]
+    for q_d, cause in ((lambda k: motion(robot, k * speed, joint=joint), "velocity"),
+                       (lambda k: motion(robot, 0.0, k * acceleration, joint), "acceleration")):
+        watch.command(1.0, q_d(0.999))
+        with pytest.raises(EmergencyStopError) as caught:
+            watch.command(1.0, q_d(1.001))
+        assert caught.value.cause == cause
+    limit = (robot.q_max if sign > 0 else robot.q_min)[joint]
+    q = np.tile(robot.home, (5, 1))
+    q[:, joint] = limit - 1e-4 * sign
+    watch.command(1.0, q)
+    q[3, joint] = limit + 1e-4 * sign
+    with pytest.raises(EmergencyStopError, match="position"):
+        watch.command(1.0, q)
+
+
+def test_limits_have_to_make_sense() -> None:
+    with pytest.raises(InputError, match="positive"):
+        StopLimits(force=0.0)
+
+
+# The arm behind its gears, once the forces that bent them are known.
+
+def test_late_forces_give_what_an_observer_gives_that_knew_them_at_once() -> None:
+    robot = kr6()
+    model = Model.load(shipped_model("kr6"))
+    rng = np.random.default_rng(2)
+    force = np.array([0.0, 0.0, 1.0]) * (20.0 + 10.0 * rng.standard_normal((30, 1)))
+
+    def torque(q: np.ndarray, f: np.ndarray) -> np.ndarray:
+        data = robot.pinocchio.createData()
+        jacobian = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
+        return np.asarray(jacobian[:3].T @ f)
+
+    felt, knew = FeltArm(ArmObserver(model, T), robot.home, torque), ArmObserver(model, T)
+    state = knew.init(robot.home)
+    revised: dict[int, np.ndarray] = {}
+    truth: dict[int, np.ndarray] = {}
+    for k in range(30):
+        q = robot.home + 0.01 * np.sin(0.3 * k)
+        felt.step(k * T, q, torque(robot.home, np.array([0.0, 0.0, 20.0])))
+        state = knew.step(state, q, torque(state.q_a, force[k]))
+        truth[k] = state.q_a
+        if k >= 2:
+            changed = felt.feel(np.array([(k - 2) * T - 0.004]), force[k - 2][None])
+            revised.update((round(t / T), q_a) for t, q_a in changed)
+    for k in range(5, 28):
+        np.testing.assert_allclose(revised[k], truth[k], atol=5e-6)
+
+
+def test_drift_of_the_bias_shows_in_the_air_and_a_touch_does_not() -> None:
+    tare, t = Tare(), np.arange(0.0, 0.3, 0.004)
+    drift = np.array([0.1, -0.1, 0.3])
+    touching = np.where(t > 0.26, 50.0 * (t - 0.26), 0.0)[:, None] * np.array([0.0, 0.0, 1.0])
+    for at, one in zip(t, drift + touching, strict=True):
+        tare.add(np.array([at]), one[None])
+    np.testing.assert_allclose(tare.force, drift, atol=1e-12)

@@ -4,13 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter as Peer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.line.deviation_model import ConstantDeviation, DeviationModel, PathDeviation, SlowlyVaryingDeviation
+from planning.line.deviation_model import (
+    ConstantDeviation,
+    DeviationModel,
+    KalmanFilter,
+    PathDeviation,
+    SlowlyVaryingDeviation,
+)
 from planning.line.fusion import DeviationFilter, Fused, Measurement
 from tests.planning.cell import reference
 
@@ -335,3 +342,21 @@ def test_a_sensor_that_is_moved_changes_its_own_error_and_not_the_map() -> None:
     seen = 0.014 * 59 + AHEAD
     mean, variance = fusion.deviation(seen)
     assert np.all(np.abs(mean[:, 0] - truth.at(seen)[:, 0]) < 5 * np.sqrt(variance[:, 0]))
+
+
+# The own Kalman filter against the library's.
+
+def test_the_same_numbers_as_filterpy_bit_for_bit() -> None:
+    rng = np.random.default_rng(1)
+    x, root = rng.standard_normal(7), rng.standard_normal((7, 7))
+    own, peer = KalmanFilter(x.copy(), root @ root.T), Peer(dim_x=7, dim_z=1)
+    peer.x, peer.P = x.copy(), root @ root.T
+    for m in (1, 3, 5, 1, 2):
+        F, Q = np.eye(7) + 0.1 * rng.standard_normal((7, 7)), 0.01 * np.eye(7)
+        z, H, noise = rng.standard_normal(m), rng.standard_normal((m, 7)), rng.standard_normal((m, m))
+        R = np.eye(m) + noise @ noise.T
+        for each in (own, peer):
+            each.predict(F=F, Q=Q)
+            each.update(z, R=R, H=H)
+        np.testing.assert_array_equal(own.x, peer.x)
+        np.testing.assert_array_equal(own.P, peer.P)

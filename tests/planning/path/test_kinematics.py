@@ -10,9 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planning.path.kinematics import InverseKinematics
-from planning.planning_error import OutOfReachError
-from tests.planning.cell import joint_path, kr6, reference
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import chain_of
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics, log6, tool_jacobian
+from planning.path.pose_history import PoseHistory
+from planning.planning_error import OutOfReachError, PlanningError
+from tests.planning.cell import T, joint_path, kr6, reference
 
 
 def gap(a: pin.SE3, b: pin.SE3) -> float:
@@ -94,3 +98,142 @@ def test_joint_limit_names_joint_angle_and_limit() -> None:
             solve()
         assert failure.value.joint == 5
         assert failure.value.limit == pytest.approx(robot.q_max[4])
+
+
+# The compiled inverse kinematics of a whole horizon against Pinocchio's.
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def random_arm(rng: np.random.Generator) -> pin.Model:
+    """Six joints about and along any axes, and a tool."""
+    model, parent = pin.Model(), 0
+    for i in range(6):
+        axis = rng.standard_normal(3)
+        axis /= np.linalg.norm(axis)
+        kind = pin.JointModelPrismaticUnaligned if rng.random() < 0.3 else pin.JointModelRevoluteUnaligned
+        parent = model.addJoint(parent, kind(*axis), pin.SE3.Random(), f"joint_{i}")
+    model.addFrame(pin.Frame("tool", parent, pin.SE3.Random(), pin.FrameType.OP_FRAME))
+    return model
+
+
+@settings(max_examples=40, deadline=None)
+@given(SEEDS)
+def test_jacobian_and_pose_are_pinocchios(seed: int) -> None:
+    pin.seed(seed)
+    rng = np.random.default_rng(seed)
+    model = random_arm(rng)
+    q, data, tool = rng.uniform(-2.0, 2.0, 6), model.createData(), model.getFrameId("tool")
+    expected = pin.computeFrameJacobian(model, data, q, tool, pin.LOCAL)
+    pin.framesForwardKinematics(model, data, q)
+    at = model.frames[tool].placement
+    J, R, p = np.empty((6, 6)), np.empty((3, 3)), np.empty(3)
+    tool_jacobian(chain_of(model), 6, np.ascontiguousarray(at.rotation), np.array(at.translation), q, J, R, p)
+    np.testing.assert_allclose(J, expected, atol=1e-12)
+    np.testing.assert_allclose(R, data.oMf[tool].rotation, atol=1e-12)
+    np.testing.assert_allclose(p, data.oMf[tool].translation, atol=1e-12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(SEEDS, st.sampled_from([0.0, 1e-9, 1e-6, 9.9e-5, 1.1e-4, 1e-2, 1.0, 2.5]))
+def test_the_twist_of_a_motion_is_pinocchios(seed: int, angle: float) -> None:
+    rng = np.random.default_rng(seed)
+    axis = rng.standard_normal(3)
+    motion = pin.SE3(pin.exp3(angle * axis / np.linalg.norm(axis)), rng.standard_normal(3))
+    found = np.empty(6)
+    assert log6(np.ascontiguousarray(motion.rotation), np.array(motion.translation), found)
+    np.testing.assert_allclose(found, pin.log6(motion).vector, atol=1e-9)
+
+
+def test_half_a_turn_is_said_to_be_one() -> None:
+    assert not log6(pin.exp3(np.array([0.0, 0.0, np.pi])), np.zeros(3), np.empty(6))
+
+
+def horizon(robot: Robot, rng: np.random.Generator) -> tuple[Array, list[pin.SE3]]:
+    """Joint angles of a motion, and its poses."""
+    q = robot.home + 0.3 * np.sin(np.linspace(0.0, 3.0, 30)[:, None] * rng.uniform(0.5, 2.0, 6))
+    pose = robot.fk()
+    return q, [pose(row) for row in q]
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_a_horizon_is_solved_as_pose_by_pose(seed: int) -> None:
+    rng, robot = np.random.default_rng(seed), Robot.load("kr6")
+    q, poses = horizon(robot, rng)
+    kinematics, guess = InverseKinematics(robot), q + rng.normal(0.0, 1e-3, q.shape)
+    together = kinematics.refine(poses, guess, 1e-12)
+    np.testing.assert_allclose(together, q, atol=1e-9)
+    alone = [kinematics._refined(pose, row, 1e-12) for pose, row in zip(poses, guess, strict=True)]
+    np.testing.assert_allclose(together, alone, atol=1e-12)
+
+
+def test_a_posture_that_cannot_be_solved_by_all_six_joints_is_left_to_pinocchio() -> None:
+    """The wrist stretched: two axes are one, so the Jacobian has no inverse and the damped one takes its place."""
+    robot = Robot.load("kr6")
+    stretched = robot.home.copy()
+    stretched[4] = 0.0
+    kinematics = InverseKinematics(robot)
+    found = kinematics.refine([kinematics.fk(stretched)], stretched[None])
+    np.testing.assert_allclose(kinematics.fk(found[0]).homogeneous, kinematics.fk(stretched).homogeneous, atol=1e-6)
+
+
+# Poses between the controller's samples.
+
+def motion(t: float) -> np.ndarray:
+    return kr6().home + 0.2 * np.sin(2.0 * t + np.arange(6))
+
+
+def filled(count: int = 30) -> PoseHistory:
+    history = PoseHistory(kr6())
+    for k in range(count):
+        history.add(k * T, motion(k * T))
+    return history
+
+
+def test_samples_themselves_are_exact() -> None:
+    history = filled()
+    for k in (0, 3, 15, 29):
+        np.testing.assert_allclose(history.q(k * T), motion(k * T), atol=1e-12)
+
+
+def test_between_samples_the_error_is_that_of_a_cubic() -> None:
+    history = filled()
+    t = np.linspace(T, 28 * T, 97)
+    error = max(np.max(np.abs(history.q(x) - motion(x))) for x in t)
+    # |f''''| T⁴ · 3/128, and 1/24 in the last interval.
+    assert error < 0.2 * 2.0**4 * T**4 / 24.0
+
+
+def test_pose_and_velocity_fit_the_motion() -> None:
+    history, fk = filled(), kr6().fk()
+    t = 0.1234
+    np.testing.assert_allclose(history.pose(t).translation, fk(motion(t)).translation, atol=1e-7)
+    v, w = history.velocity(t)
+    before, after = fk(motion(t - 1e-4)), fk(motion(t + 1e-4))
+    np.testing.assert_allclose(v, (after.translation - before.translation) / 2e-4, atol=1e-4)
+    S = (after.rotation - before.rotation) / 2e-4 @ fk(motion(t)).rotation.T
+    np.testing.assert_allclose(w, [S[2, 1], S[0, 2], S[1, 0]], atol=1e-3)
+
+
+def test_a_little_ahead_is_extrapolated_and_more_is_refused() -> None:
+    history = filled()
+    np.testing.assert_allclose(history.q(29.5 * T), motion(29.5 * T), atol=1e-6)
+    for t in (-0.01, 29 * T + 0.06):
+        with pytest.raises(PlanningError, match="no pose at"):
+            history.q(t)
+    with pytest.raises(PlanningError, match="nothing"):
+        PoseHistory(kr6()).q(0.0)
+
+
+def test_few_samples_are_enough_to_begin_with() -> None:
+    history = filled(2)
+    np.testing.assert_allclose(history.q(0.5 * T), 0.5 * (motion(0.0) + motion(T)), atol=1e-12)
+
+
+def test_old_samples_are_forgotten_and_time_runs_forwards() -> None:
+    history = filled(200)
+    with pytest.raises(PlanningError, match="no pose at"):
+        history.q(0.1)
+    with pytest.raises(PlanningError, match="came after"):
+        history.add(1.0, motion(1.0))

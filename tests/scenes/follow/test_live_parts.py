@@ -20,21 +20,19 @@ from ideal_robot.errors import InputError
 from ideal_robot.rsi.rsi_error import RsiError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError
-from scenes.camera_table import CameraTable, believed_camera
-from scenes.follow.camera_file import CalibratedCamera, calibrated_camera
-from scenes.follow.camera_messages import Header
-from scenes.follow.camera_worker import work
-from scenes.follow.held_command import holding_share
-from scenes.follow.journal import Journal, left_behind, rescue
-from scenes.follow.live_arm import FollowStoppedError, LiveArm, moves
-from scenes.follow.live_camera import LiveCamera
-from scenes.follow.live_force import LiveForce
-from scenes.follow.scene_of_cell import load_cell
-from scenes.scene_error import SceneError
+from scenes.online.camera_process import CalibratedCamera, Header, calibrated_camera
+from scenes.online.camera_worker import work
+from scenes.online.cycle import holding_share
+from scenes.online.journal import Journal, left_behind, rescue
+from scenes.online.live_arm import FollowStoppedError, LiveArm, moves
+from scenes.online.live_sensors import LiveCamera, LiveForce
+from scenes.online.run import load_cell
+from scenes.scene_files.drawn_line import CameraTable, believed_camera
+from scenes.scene_files.scene import SceneError
 from sensing.camera.line_search import DetectionSettings
-from sensing.clock.clock_relation import ClockRelation
-from sensing.force.wrench_source import Reading, ReadingCounts
-from tests.scenes.follow.parts import Tame
+from sensing.clock_relation import ClockRelation
+from sensing.force.sensors import Reading, ReadingCounts
+from tests.scenes.follow.pair import Tame
 
 
 @pytest.fixture(name="link")
@@ -48,8 +46,8 @@ def _arm(link: Tame, tmp_path: Path) -> LiveArm:
 
 
 def test_the_followers_process_knows_no_simulator() -> None:
-    program = ("import sys, scenes.commands.follow, scenes.follow.run, scenes.follow.scene_of_cell as s, "
-               "scenes.follow.camera_process, scenes.options, scenes.outputs;"
+    program = ("import sys, scenes.commands.follow, scenes.online.run, scenes.online.run as s, "
+               "scenes.online.camera_process, scenes.scene_files.scene, scenes.outputs;"
                "s.load_cell('line'), s.load_cell('glue');"
                "found = sorted(m for m in sys.modules if m.split('.')[0] in ('sim', 'pybullet'));"
                "raise SystemExit(f'imported: {found}' if found else 0)")
@@ -58,9 +56,9 @@ def test_the_followers_process_knows_no_simulator() -> None:
 
 
 def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None:
-    program = ("import sys, scenes.commands.follow; from scenes.follow.run import _job; "
-               "from scenes.follow.devices import Devices; from scenes.follow.scene_of_cell import load_cell; "
-               "from scenes.commands.common import closed; from scenes.progress_bar import progress_bar; "
+    program = ("import sys, scenes.commands.follow; from scenes.online.run import _job; "
+               "from scenes.online.devices import Devices; from scenes.online.run import load_cell; "
+               "from scenes.commands.common import closed; from scenes.terminal import progress_bar; "
                "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"
                "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.stats', 'scipy.signal', 'cv2', 'filterpy');"
                "found = [m for m in large if m in sys.modules];"
@@ -129,8 +127,8 @@ def test_a_held_command_costs_the_speed_of_that_moment(link: Tame) -> None:
 
 
 def test_a_journal_survives_its_program(tmp_path: Path) -> None:
-    program = (f"import os, numpy as np; from pathlib import Path; from tests.scenes.follow.parts import Tame;"
-               f"from scenes.follow.journal import Journal; from scenes.follow.live_arm import LiveArm;"
+    program = (f"import os, numpy as np; from pathlib import Path; from tests.scenes.follow.pair import Tame;"
+               f"from scenes.online.journal import Journal; from scenes.online.live_arm import LiveArm;"
                f"link = Tame(); journal = Journal(Path({str(tmp_path)!r}), link.robot, dict(scene='x'));"
                "arm = LiveArm(link, journal);"
                "[arm.cycle(link.robot.home + 0.001 * k) for k in range(50)];"

@@ -9,12 +9,11 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes.follow.devices import Devices
-from scenes.follow.run import follow
-from scenes.follow.scene_of_cell import load_cell
+from scenes.online.devices import Devices
+from scenes.online.run import follow, load_cell
 from scenes.serve.carried import ServedCamera
-from sim.camera.camera_settings import CameraSettings
-from sim.devices.unkind import DeviceClock, Outbox, Unkindness
+from sim.camera.camera import CameraSettings
+from sim.devices.stream_server import DeviceClock, Outbox, Unkindness
 
 
 @pytest.mark.parametrize("cycle", [0.0, -0.004, 0.0045, 1.0, float("nan")])

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.channels.frames import frames_along
+from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.effects.registry import find

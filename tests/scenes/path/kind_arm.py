@@ -17,13 +17,13 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.feedforward.method import Setting
 from ideal_robot.feedforward.registry import method
-from ideal_robot.model.controller_model import ControllerModel
 from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene
-from scenes.path.player import Play, play
-from scenes.path.scene import JointPath, PathScene, joint_path
+from scenes.path.result import Play, play
+from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm import arm as simulated
 from sim.arm.specimen import Specimen, draw_specimen
 from sim.arm.world import World

@@ -13,20 +13,18 @@ import pytest
 
 from docs.effects_table import DOCUMENT, change_of, with_table
 from ideal_robot.arrays import held
-from ideal_robot.diagnosis.channels.arm_angle import arm_angle_regression
+from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.channels.tool_position import tool_regression
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.effects.camera import CameraErrors
 from ideal_robot.effects.force import ForceErrors
 from ideal_robot.feedforward.ideal import IdealRobot
-from ideal_robot.loop.effects_in_loop import with_effects
-from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.from_model import loop_model, with_effects
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.signals.recording import Recording
-from scenes.path.player import Play
+from scenes.path.result import Play
 from sensing.force.force_calibration import ToolLoad
 from tests.scenes.path import kind_arm as arm
 from tests.scenes.path.effect_cases import CASES, friction_of

@@ -14,8 +14,8 @@ from scenes.path import close_loop as module
 from scenes.path.cell import PathCell
 from scenes.path.close_loop import close_loop
 from scenes.path.last_good import NAME, last_good
-from scenes.path.scene import PathScene
-from scenes.scene_error import SceneError
+from scenes.scene_files.path_scene import PathScene
+from scenes.scene_files.scene import SceneError
 from scenes.undeclared import undeclared_effects
 
 

@@ -7,7 +7,7 @@ import pytest
 from ideal_robot.errors import InputError
 from scenes import load_scene
 from scenes.force.close_loop import close_loop, undeclared_effects
-from scenes.force.scene import ForceScene
+from scenes.scene_files.force_scene import ForceScene
 
 
 def test_right_sensor_is_refused_and_a_wrong_one_named() -> None:

@@ -12,8 +12,8 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
 from scenes.line.close_loop import close_loop, undeclared_effects
-from scenes.line.scene import LineScene
-from scenes.line.task import assumed_latency
+from scenes.online.line_task import assumed_latency
+from scenes.scene_files.line_scene import LineScene
 from scenes.sensor_loop import with_effects
 
 

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
+from typer.testing import CliRunner
 
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
-from scenes.report.replay import FRAMES, Replay, link_poses, polygons
+from ideal_robot.signals.recording import Recording
+from scenes.cli import _register, app
+from scenes.path.page import path_replay, run_page
+from scenes.play import run_scene
+from scenes.report.replay import FRAMES, Replay, link_poses, polygons, sensed_force, sensed_line
+from scenes.report.video import frames, write_video
+from scenes.scene_file import load_scene
 
 ROBOT = Robot.load("kr6")
 
@@ -87,3 +97,79 @@ document.getElementById("said").textContent = JSON.stringify({{moved: canvas.toD
     found = re.search(r'<pre id="said">(.*?)</pre>', done.stdout)
     assert found is not None, done.stderr
     assert json.loads(found[1]) == {"moved": True, "frame": "10", "blank": False}
+
+
+# Replays of paths and of methods side by side, and the film of ``run --video``.
+
+def test_a_paths_replay_shows_the_errors_of_its_table() -> None:
+    scene = load_scene("iso9283_1")
+    ideal, none = (run_scene(scene, method=method) for method in ("ideal", "none"))
+    replay = path_replay(ideal, none)
+    assert replay is not None
+    assert np.sqrt(np.nanmean(replay.error**2)) == pytest.approx(1e3 * ideal.errors.time_matched.E_car, rel=0.02)
+    assert replay.ghost is not None
+    # The ghost is the arm without correction: late by its delay, so further away.
+    assert np.max(np.abs(replay.ghost - replay.q)) > 1e-3
+    kinds = [block["kind"] for block in run_page(ideal)._blocks]
+    assert kinds.index("replay") < kinds.index("table")
+
+
+def test_a_film_of_another_format_is_refused_before_the_run(tmp_path: Path) -> None:
+    _register()
+    done = CliRunner().invoke(app, ["run", "line", "--out", str(tmp_path / "o"), "--video", str(tmp_path / "x.avi")])
+    assert done.exit_code != 0
+    assert ".mp4 or .gif" in str(done.exception)
+    assert not (tmp_path / "o").exists()
+
+
+# What the sensors felt, in the base frame: the weight of the tool and the sensor's bias are not the environment's.
+
+def test_the_force_of_the_environment_comes_back() -> None:
+    q = _replay(50).q
+    true = np.tile([3.0, -4.0, 12.0], (50, 1))
+    bias, mass = np.array([1.0, 2.0, -3.0, 0.0, 0.0, 0.0]), 0.8
+    pose = ROBOT.fk()
+    weight = np.array([0.0, 0.0, -9.81 * mass])
+    felt = np.array([pose(row).rotation.T @ (force + weight) for row, force in zip(q, true, strict=True)])
+    columns = {name: felt[:, i] + bias[i] for i, name in enumerate(("fx", "fy", "fz"))}
+    plain = Recording.from_arrays(np.arange(50) * 0.01, meta={"tool": {"bias": bias.tolist(), "mass": mass}}, q=q)
+    recording = Recording({**plain.columns, **columns}, plain.meta, "test")
+    np.testing.assert_allclose(sensed_force(ROBOT, recording), true, atol=1e-9)
+    some = sensed_force(ROBOT, recording, np.array([3, 7]))
+    assert some is not None
+    assert some.shape == (2, 3)
+
+
+def test_recordings_without_sensors_have_neither() -> None:
+    plain = Recording.from_arrays(np.arange(50) * 0.01, meta={}, q=_replay(50).q)
+    assert sensed_force(ROBOT, plain) is None
+    assert len(sensed_line(ROBOT, plain)) == 0
+
+
+# Films of a run.
+
+def test_the_arm_moves_and_the_trace_grows() -> None:
+    shown = list(frames(_replay(200), 1.0))
+    assert len(shown) == 4
+    assert all(frame.shape == shown[0].shape for frame in shown)
+    arm = np.abs(shown[0][:400, :500].astype(int) - shown[2][:400, :500]).mean()
+    assert arm > 1.0
+
+
+@pytest.mark.parametrize("ending", [".gif", ".mp4"])
+def test_a_film_can_be_played(ending: str, tmp_path: Path) -> None:
+    short = dataclasses.replace(_replay(60), t=np.linspace(0.0, 0.5, 60))
+    path = write_video(short, tmp_path / f"run{ending}", rate=10.0, slow=1.0)
+    if ending == ".gif":
+        with Image.open(path) as film:
+            assert film.n_frames == 5
+    else:
+        film = cv2.VideoCapture(str(path))
+        assert int(film.get(cv2.CAP_PROP_FRAME_COUNT)) == 5
+        film.release()
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+def test_another_ending_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"\.mp4 or \.gif"):
+        write_video(_replay(50), tmp_path / "run.avi")

@@ -12,10 +12,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from sensing.camera.cameras import open_camera
-from sensing.camera.frame_source import Frame
-from sensing.camera.genicam import GenICamCamera
-from sensing.camera.stream_camera import StreamCamera
+from sensing.camera.cameras import Frame, GenICamCamera, StreamCamera, open_camera
 from sensing.camera.video_capture import VideoCapture
 from sensing.sensing_error import SensingError
 from tests.sensing.stream.device import device, package

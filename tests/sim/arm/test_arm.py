@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from ideal_robot import row_log
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import KEPT
+from ideal_robot.signals.recording import Recording
+from sim.arm import history as of_arm
 from sim.arm.arm import SimulatedArm
+from sim.arm.body import picture
+from sim.arm.history import History
+from sim.arm.kernel import LOGGED
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
@@ -276,3 +285,83 @@ def test_uneven_gears_turn_the_arm_unevenly(elastic: bool) -> None:
     basis = np.column_stack([np.sin(40 * q_m), np.cos(40 * q_m), np.ones_like(q_m)])
     fitted = np.linalg.lstsq(basis, log["q_a"][steady, 0] - q_m, rcond=None)[0]
     assert np.hypot(*fitted[:2]) == pytest.approx(2e-4, rel=0.05)
+
+
+# A long run keeps a bounded number of rows in memory and loses none.
+
+def fill(history: History, rows: int) -> None:
+    for _ in range(rows):
+        history.reserve(1)
+        history.next_row[:] = history.rows + np.arange(len(history.next_row)) / 100.0
+        history.next_row[0] = history.rows * history.step
+        history.rows += 1
+
+
+def test_rows_in_memory_are_bounded_and_all_rows_are_there() -> None:
+    history, rows = History(1, 0.002), 3 * KEPT + 500
+    fill(history, rows)
+    assert history.kept <= KEPT
+    early = history.columns()
+    fill(history, KEPT)
+    assert history.kept <= KEPT
+    found = history.columns()
+    assert len(early["t"]) == rows
+    assert len(found["t"]) == rows + KEPT
+    np.testing.assert_allclose(found["t"], 0.002 * np.arange(rows + KEPT))
+    for i, name in enumerate(LOGGED):
+        np.testing.assert_array_equal(found[name][:, 0], np.arange(rows + KEPT) + (1 + i) / 100.0)
+
+
+def test_a_pose_of_long_ago_is_known() -> None:
+    history = History(1, 0.002)
+    fill(history, KEPT + 100)
+    now = np.zeros(1)
+    for row in (3, KEPT - 1, KEPT, KEPT + 50):
+        at = history.pose(row * 0.002, 1e9, now, now)
+        np.testing.assert_allclose(at, row + (1 + LOGGED.index("q_a")) / 100.0, atol=1e-9)
+
+
+def test_a_recording_of_many_pieces_is_that_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def played() -> tuple[Recording, Array]:
+        robot = Robot.load("kr6")
+        with SimulatedArm(robot, World.from_table("kr6", {}), np.random.default_rng(3)) as arm:
+            for k in range(150):
+                arm.cycle(robot.home + 1e-4 * k)
+            return arm.recording(external=True), arm.tcp_path()[1]
+
+    whole, tool = played()
+    for module in (row_log, of_arm, row_log):
+        monkeypatch.setattr(module, "KEPT", 512)
+    pieces, tool_of_pieces = played()
+    assert len(whole.t) > 512
+    assert row_log.in_file(pieces.t)
+    assert not row_log.in_file(whole.t)
+    assert pieces.hash == whole.hash
+    np.testing.assert_array_equal(tool_of_pieces, tool)
+
+
+# Pictures for reports show the arm where it is.
+
+def test_a_kuka_is_orange_and_moves() -> None:
+    robot = Robot.load("kr6")
+    assert ET.parse(robot.urdf).getroot().find("./link/visual") is not None
+    home = picture(robot, robot.home, width=240, height=180)
+    assert home.shape == (180, 240, 3)
+    assert home.dtype == np.uint8
+    red, green, blue = home.astype(int).transpose(2, 0, 1)
+    assert np.mean((red - blue > 60) & (red - green > 30)) > 0.05
+    turned = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), width=240, height=180)
+    assert np.mean(np.abs(turned.astype(int) - home).max(axis=2) > 30) > 0.05
+
+
+def test_a_path_is_drawn() -> None:
+    robot = Robot.load("manutec_r15")
+    view = {"width": 240, "height": 180, "target": (0.6, 0.0, 0.8), "distance": 3.0}
+    line = np.array([[0.9, -0.4, 0.3], [0.9, 0.4, 0.3], [0.9, 0.4, 0.9]])
+    without, drawn = picture(robot, robot.home, **view), picture(robot, robot.home, lines=[line], **view)
+    assert np.any(np.abs(drawn.astype(int) - without).max(axis=2) > 30)
+
+
+def test_posture_must_fit() -> None:
+    with pytest.raises(InputError, match="6 joint angles"):
+        picture(Robot.load("kr6"), np.zeros(5))

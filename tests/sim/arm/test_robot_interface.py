@@ -17,8 +17,7 @@ from ideal_robot.rtde import RtdeRobot
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.rtde_controller import RtdeController
-from tests.sim.devices.rsi_link import PATIENCE, controlled
-from tests.sim.devices.rtde_link import serving
+from tests.sim.devices.controllers import PATIENCE, controlled, serving
 
 ROBOT = Robot.load("kr6")
 KINDS = ("simulated", "rsi_absolute", "rsi_relative", "rtde")

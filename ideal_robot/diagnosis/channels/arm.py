@@ -1,0 +1,181 @@
+"""The regressions of measured arm angles and TCP positions."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
+from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames, Signals
+from ideal_robot.robots.robot import Robot, common_normals
+from ideal_robot.signals.preprocess import resampled
+from ideal_robot.signals.recording import Recording
+
+# The regression of measured arm angles against motor angles.
+
+def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
+                   stiffness: Array | None) -> Regression | None:
+    """Arm angle minus motor angle of each joint, and minus the gears' known deflection.
+
+    Only a constant difference is taken for granted. Joints without an encoder on the arm's side are absent.
+
+    Args:
+        recording: with ``qa_i`` of some joints, else the result is None.
+        robot: the arm.
+        torque: the regression of its torques, for signals and filters.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
+    """
+    there = recording.having("qa")
+    if not there.any():
+        return None
+    n = robot.n
+    motor = resampled(recording.t, recording.joints("q"), torque.filtered.t)
+    y = torque.decimate(np.where(there, arm_angles(recording, torque, motor) - motor - deflection(torque, stiffness),
+                                 0.0))
+    W = np.zeros((len(y), n, n))
+    W[:, np.arange(n), np.arange(n)] = 1.0
+    names = tuple(f"qa_{j + 1}" for j in range(n))
+    units = tuple("m" if unit == "N" else "rad" for unit in torque.units)
+    without = {j + 1: "has no angle measured on the arm's side" for j in range(n) if not there[j]}
+    return dataclasses.replace(torque, channels=names, units=units, y=y, measured=y - y.mean(axis=0),
+                               W=W, use=np.tile(there, (len(y), 1)), noise_floor=noise_in_band(y, torque),
+                               undecided={**torque.undecided, **without}, domain=ARM_POSITION,
+                               absent=frozenset(int(j) for j in np.flatnonzero(~there)))
+
+
+def arm_angles(recording: Recording, torque: Regression, otherwise: Array) -> Array:
+    """Measured arm angles at the undecimated instants ``(N, n)``, where there are none something else.
+
+    Args:
+        recording: with ``qa_i`` of some joints.
+        torque: the regression of its torques, for the instants.
+        otherwise: for the other joints ``(N, n)``.
+    """
+    angles = np.array(otherwise)
+    for j in np.flatnonzero(recording.having("qa")):
+        angles[:, j] = resampled(recording.t, recording.columns[f"qa_{j + 1}"][:, None], torque.filtered.t)[:, 0]
+    return angles
+
+
+def deflection(torque: Regression, stiffness: Array | None) -> Array:
+    """Arm minus motor angle by gears of known stiffness ``(N, n)``, [J] (2)."""
+    if stiffness is None:
+        return np.zeros_like(torque.signals.q)
+    return np.asarray(-torque.signals.load / stiffness)
+
+
+def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regression:
+    """The regression with what springs bend their gears by, where torques do not tell them from the arm's weight.
+
+    A term of the form of gravity goes to the spring or to the masses as it falls out, and whether a spring pulls on
+    the motor's or on the arm's side of its gear no torque says: what the gear carries is known but for its columns.
+
+    Args:
+        made: of the arm angles.
+        effects: of the motor torques.
+    """
+    loose = [made.decimate(one.effect.columns(made.signals, one.joint, one.theta)) for one in effects
+             if one.joint not in made.undecided and one.effect.of_angle_alone
+             and one.effect.like_the_model(made.signals, one.joint) is not None]
+    if not loose:
+        return made
+    return dataclasses.replace(made, W=np.concatenate([made.W, *loose], axis=2))
+
+
+# Joint frames and the TCP along a motion.
+
+def frames_along(robot: Robot, q: Array) -> Frames:
+    """Joint frames, their axes and the TCP along a motion ``(N, n)``."""
+    model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
+    N, n = q.shape
+    axis, x, position, tip = (np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, n, 3)), np.empty((N, 3)))
+    prismatic = robot.prismatic
+    normals = common_normals(robot)
+    jacobian = np.empty((N, 3, n))
+    for k in range(N):
+        pin.framesForwardKinematics(model, data, q[k])
+        tip[k] = data.oMf[tool].translation
+        full = _jacobian(robot, data, q[k])
+        jacobian[k] = full[:3]
+        for j in range(n):
+            placement = data.oMi[j + 1]
+            position[k, j] = placement.translation
+            axis[k, j] = full[3:, j] if not prismatic[j] else full[:3, j]
+            x[k, j] = placement.rotation @ normals[j]
+    return Frames(axis, x, position, tip, jacobian)
+
+
+def _jacobian(robot: Robot, data: pin.Data, q: Array) -> Array:
+    """Jacobian of the tool's place ``(6, n)``; Pinocchio's has one dimension where there is one joint."""
+    full = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    return np.asarray(full).reshape(6, robot.n)
+
+
+# The regression of a measured TCP against kinematics.
+
+@dataclass(frozen=True)
+class ToolRegression(Regression):
+    """The regression of the TCP's position: effects of every joint show in all three channels."""
+
+    def channel_of(self, joint: int) -> int | None:
+        """None: a joint has no channel of its own."""
+        return None
+
+    def decimated_signals(self) -> Signals:
+        """The signals at the rows of ``y`` with the frames, through which effects of a joint are looked for."""
+        signals, frames = super().decimated_signals(), self.signals.frames
+        if frames is None:
+            return signals
+        step, keep = self.filtered.factor, self.filtered.keep
+        at = {f.name: getattr(frames, f.name)[::step][keep] for f in dataclasses.fields(Frames)}
+        return dataclasses.replace(signals, frames=Frames(**at))
+
+
+def tool_regression(recording: Recording, robot: Robot, torque: Regression,
+                   stiffness: Array | None) -> ToolRegression | None:
+    """Measured TCP minus that of the nominal kinematics at the arm angles; None where it was not measured.
+
+    Where arm angles are not measured they are the motor angles with the gears' known deflection. An axis that was not
+    measured is absent. Where the measuring device stands (a small rotation and a shift) is fitted beside it.
+
+    Args:
+        recording: with some of ``x y z``, else the result is None.
+        robot: the arm.
+        torque: the regression of its torques, for signals and filters.
+        stiffness: of the gears as far as the model knows ``(n,)`` [N m/rad], or None.
+    """
+    there = measured_axes(recording)
+    if not there.any():
+        return None
+    grid = torque.filtered.t
+    q = arm_angles(recording, torque, torque.signals.q + deflection(torque, stiffness))
+    frames = frames_along(robot, q)
+    xyz = np.array(frames.tool)
+    for k in np.flatnonzero(there):
+        xyz[:, k] = resampled(recording.t, recording.columns["xyz"[k]][:, None], grid)[:, 0]
+    y = torque.decimate(xyz - frames.tool)
+    p = frames.tool - frames.tool.mean(axis=0)
+    W = np.zeros((len(grid), 3, 6))
+    W[:, :, :3] = np.eye(3)
+    for i, axis in enumerate(np.eye(3)):
+        W[:, :, 3 + i] = np.cross(axis, p)
+    # With a measured arm angle the gear has no part in what is left.
+    load = np.where(recording.having("qa"), 0.0, torque.signals.load)
+    signals = dataclasses.replace(torque.signals, q=q, load=load, frames=frames)
+    own = {f.name: getattr(torque, f.name) for f in dataclasses.fields(Regression)}
+    own |= {"channels": ("x", "y", "z"), "units": ("m",) * 3, "y": y, "measured": y - y.mean(axis=0),
+            "W": torque.decimate(W), "use": np.tile(there, (len(y), 1)), "signals": signals, "domain": TCP_POSITION,
+            "noise_floor": noise_in_band(y, torque), "absent": frozenset(int(i) for i in np.flatnonzero(~there))}
+    return ToolRegression(**own)
+
+
+def measured_axes(recording: Recording) -> np.ndarray:
+    """Which of ``x y z`` the recording has without gaps ``(3,)``."""
+    return np.array([axis in recording.columns and bool(np.all(np.isfinite(recording.columns[axis])))
+                     for axis in "xyz"])

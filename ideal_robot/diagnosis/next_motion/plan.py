@@ -1,0 +1,252 @@
+"""The motion that a diagnosis asks for: it tells apart what the recording could not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import stages
+from ideal_robot.diagnosis.case import Case, Findings
+from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.next_motion.motion import Foresight, MotionSearch, Part, played, require_within_limits
+from ideal_robot.diagnosis.next_motion.questions import Asked, Causes, Open, undecided_joints
+from ideal_robot.diagnosis.next_motion.separation import (
+    Products,
+    Separation,
+    products_of,
+    separation_of,
+    smallest_share,
+)
+from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.search.forward_selection import Progress, silent
+from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, Domain, library
+from ideal_robot.errors import InputError
+from ideal_robot.identification.checks import checked
+from ideal_robot.identification.excitation import Workspace
+from ideal_robot.model.model import Model
+from ideal_robot.results import Summarised, plain
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+
+LONGEST = 30.0
+"""Length of a motion [s], at most, unless asked otherwise."""
+_PLENTY = 3.0
+"""Margin beyond which a pair no longer weighs: what is told apart three times over need not be told better."""
+_BEHIND = ("no motion within the limits tells them apart by what motors show; a device on the arm's side (qa_i or "
+           "x y z) or a clamped flange ([J], ideal-robot stiffness) would")
+_NOTHING = "no motion within the limits and this time tells them apart"
+
+
+@dataclass(frozen=True)
+class PlannedPair:
+    """One pair of causes, or a joint to be decided, and how far each motion tells it.
+
+    Attributes:
+        cause, rival: in words; the rival is empty for a joint that is to be decided.
+        before, planned: by the recording's motion and by the planned one.
+        only: what would tell them where the planned motion does not; empty where it does.
+    """
+
+    cause: str
+    rival: str
+    before: Separation
+    planned: Separation
+    only: str = ""
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether the planned motion is expected to tell them apart."""
+        return self.planned.told_apart
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"cause": self.cause, "rival": self.rival or None, "told_apart": self.told_apart,
+                "sigma": {"before": self.before.sigma, "planned": self.planned.sigma},
+                "own_share": {"before": self.before.own_share, "planned": self.planned.own_share},
+                "seen_share": {"before": self.before.seen_share, "planned": self.planned.seen_share},
+                "only": self.only or None}
+
+
+@dataclass(frozen=True, repr=False)
+class DiagnosisPlan(Summarised):
+    """The answer.
+
+    Attributes:
+        pairs: what was asked.
+        commands: ``(N, n)`` [rad] every ``t_ipo``, from rest to rest; empty where no motion helps or nothing is open.
+        t_ipo: interpolation cycle [s].
+        not_asked: what is open, but cannot be answered by a motion of the joints, with the reason.
+        still_undecided: joints that move too little even then.
+    """
+
+    pairs: tuple[PlannedPair, ...]
+    commands: Array = field(repr=False)
+    t_ipo: float
+    not_asked: tuple[str, ...] = ()
+    still_undecided: tuple[int, ...] = ()
+
+    def summary(self) -> list[tuple[str, str]]:
+        """What the motion tells apart."""
+        told = sum(pair.told_apart for pair in self.pairs)
+        return [("motion", f"{self.seconds:.1f} s that tell {told} of {len(self.pairs)} pairs"),
+                ("not asked", str(len(self.not_asked)))]
+
+    @property
+    def seconds(self) -> float:
+        """Length of the motion [s]."""
+        return len(self.commands) * self.t_ipo
+
+    @property
+    def useful(self) -> bool:
+        """Whether the motion tells anything apart that the recording did not."""
+        return len(self.commands) > 0 and any(pair.told_apart for pair in self.pairs)
+
+    def path(self) -> Recording:
+        """The motion as a file has it: ``t``, ``q_d_i`` and the same as commands ``q_c_i``.
+
+        Raises:
+            InputError: there is none.
+        """
+        if not len(self.commands):
+            raise InputError("there is no motion to write", field="motion")
+        columns = {f"{name}_{i + 1}": self.commands[:, i].copy() for name in ("q_d", "q_c")
+                   for i in range(self.commands.shape[1])}
+        return Recording({"t": self.t_ipo * np.arange(float(len(self.commands))), **columns}, {}, "plan-diagnosis")
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        values: dict[str, Any] = plain({
+            "pairs": [pair.to_dict() for pair in self.pairs], "duration_s": self.seconds, "cycle_s": self.t_ipo,
+            "samples": len(self.commands), "useful": self.useful, "not_asked": list(self.not_asked),
+            "still_undecided": list(self.still_undecided)})
+        return values
+
+
+def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model: Model | None = None,
+                   longest: float = LONGEST, workspace: Workspace | None = None, seed: int = 1,
+                   options: Options | None = None, progress: Progress = silent) -> DiagnosisPlan:
+    """Plans the motion that tells best what a diagnosis of a recording left open.
+
+    Args:
+        recording: that was diagnosed.
+        robot: the arm it was measured on, with its limits.
+        questions: what the diagnosis found and left open (``open_questions``, ``read_questions``).
+        model: that the diagnosis was given, or None.
+        longest: the motion may take [s].
+        workspace: where tool and links may go; wherever the recording has been is added.
+        seed: of the search.
+        options: thresholds of the diagnosis.
+        progress: called with the share done and a word.
+
+    Raises:
+        InputError: a recording that cannot be used, a model of another arm, no motion within limits.
+    """
+    if not 4.0 <= longest <= 600.0:
+        raise InputError("expected 4 to 600 s", field="length", value=longest)
+    if model is not None:
+        model.require_arm(robot)
+    options = options or Options()
+    (recording,), _ = checked([recording], robot)
+    amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
+    case = Case(recording, robot, model, None, options, np.random.default_rng(seed), silent,
+                shared=model is not None or not amperes, only=None)
+    progress(0.02, "the recording")
+    found = stages.prepared(case, ())
+    if len(found.problem.regression.undecided) < robot.n:
+        found = stages.baseline(case, found)
+    problems = dict(_problems(case, found))
+    asked: list[Asked] = []
+    not_asked: list[str] = []
+    for problem in problems.values():
+        pairs, mute = Causes(problem, options).pairs(questions)
+        asked += pairs
+        not_asked += mute
+    asked += undecided_joints(problems[MOTOR_TORQUE], robot, questions.undecided)
+    not_asked += [f"{one.name}: no motion of the joints by itself tells it from "
+                  f"{', '.join(name for name, _ in one.rivals)}; follow a line longer, with other speeds and curvature"
+                  for one in questions.found
+                  if one.rivals and not any(e.name == one.name and e.channel_prefix == one.prefix
+                                            and e.domain in problems for e in library())]
+    nothing = DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, tuple(not_asked))
+    if not asked:
+        return nothing
+    start = np.clip(recording.joints("q")[0], robot.q_min, robot.q_max)
+    room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
+    foresight = Foresight(case, found.start, found.problem.regression, found.reversal_width)
+    least = [smallest_share(one.pair, options if one.domain == MOTOR_TORQUE else options.finer()) for one in asked]
+    domains = tuple(dict.fromkeys(one.domain for one in asked))
+
+    def products(q_c: Array) -> list[Products]:
+        made = {domain: foresight.regression(q_c, domain) for domain in domains}
+        return [products_of(one.pair, made[one.domain]) for one in asked]
+
+    def told(part: Part) -> list[Products]:
+        return products(played(part, robot.t_ipo))
+
+    def worth(several: Sequence[list[Products]]) -> float:
+        margins = np.array([separation_of(one.pair, _sum(own)).margin(asks)
+                            for one, asks, own in zip(asked, least, zip(*several, strict=True), strict=True)])
+        # Pairs that no motion tells must not keep the others waiting; beyond one, more is better, but not for long.
+        return float(np.mean(np.minimum(margins, 1.0) + 0.1 * np.minimum(margins, _PLENTY)))
+
+    search = MotionSearch(robot, start, room, longest, case.rng)
+    parts = search.best(told, worth, 1.0 + 0.1 * _PLENTY, lambda share, word: progress(0.05 + 0.85 * share, word))
+    q_c = parts.commands()
+    require_within_limits(robot, q_c, room)
+    progress(0.95, "what it will tell")
+    planned = products(q_c)
+    own = [products_of(one.pair, problems[one.domain].regression) for one in asked]
+    pairs_found = tuple(planned_pair(one, separation_of(one.pair, before), separation_of(one.pair, after), recording)
+                        for one, before, after in zip(asked, own, planned, strict=True))
+    still = foresight.regression(q_c, MOTOR_TORQUE).undecided
+    return DiagnosisPlan(pairs_found, q_c, robot.t_ipo, tuple(not_asked),
+                         tuple(joint for joint in questions.undecided if joint in still))
+
+
+def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
+    """The domains in which a motion of the joints tells anything, as the diagnosis sees them."""
+    problem = found.problem
+    if case.given is not None and np.any(found.start.covariance):
+        problem = problem.with_prior(prior_precision(found.start, problem)).held()
+    yield MOTOR_TORQUE, problem
+    torque = in_position_band(found.problem.regression, case.recording)
+    made: dict[Domain, Regression | None] = {
+        ARM_POSITION: arm_angle_regression(case.recording, case.robot, torque, case.stiffness),
+        TCP_POSITION: tool_regression(case.recording, case.robot, torque, case.stiffness)}
+    for domain, regression in made.items():
+        if regression is not None:
+            dt = float(regression.t[1] - regression.t[0])
+            yield domain, Problem(regression, time_blocks(len(regression.t), dt, held_out=True))
+
+
+def _sum(several: Sequence[Products]) -> Products:
+    total = several[0]
+    for more in several[1:]:
+        total = total + more
+    return total
+
+
+def planned_pair(one: Asked, before: Separation, after: Separation, recording: Recording) -> PlannedPair:
+    """How far each motion tells a pair, and what else would where the planned one does not.
+
+    Args:
+        one: the pair and its domain.
+        before: what the recording's motion tells.
+        after: what the planned motion is expected to tell.
+        recording: whose columns say what is measured.
+    """
+    pair = one.pair
+    only = ""
+    if not after.told_apart:
+        names = {c.candidate.effect.name for c in (pair.cause, pair.rival) if c is not None}
+        behind = any(effect.name in names and effect.domain == ARM_POSITION for effect in library())
+        only = _BEHIND if behind and one.domain == MOTOR_TORQUE and not recording.has("qa") else _NOTHING
+    return PlannedPair(pair.cause.label, pair.rival.label if pair.rival else "", before, after, only)

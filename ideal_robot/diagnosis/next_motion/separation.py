@@ -1,0 +1,197 @@
+"""How far a motion tells two causes apart, before it is played: T-optimality (Atkinson & Fedorov 1975).
+
+If cause a is the true one it adds ``y = C_a(theta_a) c_a`` to the channels. What of it neither the parameters of the
+model nor the rival can make, whatever the rival's numbers, is what a recording can tell the two by:
+
+    d² = min over theta_b of  y' (I - A (A'A + P)⁺ A') y ,    A = [W, C_b(theta_b)] ,
+
+rows weighted with 1/σ of their channel; ``P`` is what is known of the parameters. The difference of the two fits'
+squares is then ``d²`` with a standard deviation of ``2 d`` (times the colour of the noise): Box & Hill (1967).
+
+All of it follows from cross-products of columns, and those of two motions, one after the other, add up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.statistics.estimate import Candidate
+
+SIGMAS = 4.0
+"""Separation from which two causes count as told apart: the fits differ by twice what their difference scatters."""
+OWN = 0.2
+"""Share of a cause that its rival must not be able to imitate: a rival that reaches more of it stays one."""
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A cause with its numbers.
+
+    Attributes:
+        candidate: effect, joint and theta.
+        coefficients: ``(m,)``.
+        thetas: values of theta that it may take as a rival.
+    """
+
+    candidate: Candidate
+    coefficients: Array
+    thetas: tuple[tuple[float, ...], ...]
+
+    @property
+    def label(self) -> str:
+        """Name and place in words."""
+        joint = self.candidate.joint
+        return f"{self.candidate.effect.name} in joint {joint}" if joint else self.candidate.effect.name
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A cause and the one it is to be told from; no rival means: from nothing at all.
+
+    Attributes:
+        cause, rival: the two.
+        others: further causes, whose numbers are free.
+        weights: 1/σ² of each channel ``(c,)``.
+        colour: how many samples count for one, as the noise is coloured.
+        prior: precision of the model's parameters ``(p, p)`` in weighted units, or None.
+    """
+
+    cause: Cause
+    rival: Cause | None
+    others: tuple[Candidate, ...]
+    weights: Array
+    colour: float
+    prior: Array | None
+
+
+@dataclass(frozen=True)
+class Separation:
+    """How far a motion tells a pair apart, in the less favourable of the two cases of which is true.
+
+    Attributes:
+        sigma: expected distance of the two in standard deviations of the noise.
+        own_share: share of the cause that its rival cannot imitate.
+        seen_share: share of the residual's squares that the cause makes up.
+    """
+
+    sigma: float
+    own_share: float
+    seen_share: float
+
+    @property
+    def told_apart(self) -> bool:
+        """Whether a recording of the motion is expected to tell the two apart."""
+        return self.sigma >= SIGMAS and self.own_share >= OWN
+
+    def margin(self, smallest: float) -> float:
+        """What a motion is chosen by: one where a diagnosis would just see the cause and tell it, and in proportion.
+
+        Args:
+            smallest: share of the residual's squares that it asks of a cause.
+        """
+        return min(self.sigma / SIGMAS, self.own_share / OWN, self.seen_share / smallest)
+
+
+@dataclass(frozen=True)
+class Products:
+    """Cross-products of a pair's columns over a motion, for each of which is true; they add up.
+
+    Attributes:
+        sides: for each case: ``y'y`` per channel ``(c,)``, and for each theta of the rival (``None``: no rival) the
+            matrix of ``[A, y]``.
+        samples: samples of each channel ``(c,)``.
+    """
+
+    sides: tuple[tuple[Array, tuple[Array, ...]], ...]
+    samples: Array
+
+    def __add__(self, other: Products) -> Products:
+        sides = tuple((a[0] + b[0], tuple(x + y for x, y in zip(a[1], b[1], strict=True)))
+                      for a, b in zip(self.sides, other.sides, strict=True))
+        return Products(sides, self.samples + other.samples)
+
+
+def products_of(pair: Pair, made: Regression) -> Products:
+    """Cross-products of a pair over the motion of a regression.
+
+    Args:
+        pair: cause and rival.
+        made: its signals and samples that count; measured values are not looked at.
+    """
+    scale = np.sqrt(pair.weights) * made.use
+    W = made.W * scale[:, :, None]
+    free = [_rows(made, candidate, candidate.theta, scale) for candidate in pair.others]
+    sides = []
+    for true, rival in _cases(pair):
+        y = _rows(made, true.candidate, true.candidate.theta, scale) @ true.coefficients
+        known = np.concatenate([W, *free], axis=2)
+        matrices = [_gram(np.concatenate([known, _rows(made, rival.candidate, theta, scale), y[:, :, None]], axis=2))
+                    for theta in rival.thetas] if rival is not None else [_gram(np.concatenate([known, y[:, :, None]],
+                                                                                               axis=2))]
+        # Without the rival: what of the cause the parameters leave at all.
+        matrices.append(_gram(np.concatenate([known, y[:, :, None]], axis=2)))
+        sides.append(((y**2).sum(axis=0), tuple(matrices)))
+    return Products(tuple(sides), made.use.sum(axis=0).astype(float))
+
+
+def separation_of(pair: Pair, products: Products) -> Separation:
+    """How far the motions of the products tell a pair apart."""
+    results = []
+    for energy, matrices in products.sides:
+        left = [max(_left(matrix, pair.prior), 0.0) for matrix in matrices]
+        own, rest = min(left[:-1]), left[-1]
+        # The channel that shows most of it: what it adds there beside noise of one.
+        strongest = int(np.argmax(energy))
+        count = max(float(products.samples[strongest]), 1.0)
+        part = rest * float(energy[strongest]) / max(float(energy.sum()), 1e-300)
+        if pair.rival is None:
+            # As large as the noise, whatever its unit.
+            share = rest / max(float(energy.sum()), 1e-300)
+            results.append(Separation(float(np.sqrt(share * count / pair.colour)), 1.0, 1.0))
+            continue
+        results.append(Separation(float(np.sqrt(own / pair.colour)), own / max(rest, 1e-300), part / (part + count)))
+    return Separation(min(r.sigma for r in results), min(r.own_share for r in results),
+                      min(r.seen_share for r in results))
+
+
+def smallest_share(pair: Pair, options: Options) -> float:
+    """Share of the residual that a diagnosis asks of the pair's causes."""
+    asked = [options.smallest_absorbed if one.candidate.effect.absorbed_by_base
+             else one.candidate.effect.caution * options.smallest
+             for one in (pair.cause, pair.rival) if one is not None]
+    return max(asked)
+
+
+def _cases(pair: Pair) -> Sequence[tuple[Cause, Cause | None]]:
+    return [(pair.cause, None)] if pair.rival is None else [(pair.cause, pair.rival), (pair.rival, pair.cause)]
+
+
+def _rows(made: Regression, candidate: Candidate, theta: tuple[float, ...], scale: Array) -> Array:
+    columns = candidate.effect.columns(made.signals, candidate.joint, theta)
+    return np.asarray(made.decimate(np.ascontiguousarray(columns)) * scale[:, :, None])
+
+
+def _gram(columns: Array) -> Array:
+    flat = columns.reshape(-1, columns.shape[2])
+    return np.asarray(flat.T @ flat)
+
+
+def _left(matrix: Array, prior: Array | None) -> float:
+    """Squares of the last column that the others leave, ``(m, m)`` being the matrix of all."""
+    A, across, square = matrix[:-1, :-1].copy(), matrix[:-1, -1], float(matrix[-1, -1])
+    if prior is not None:
+        A[: len(prior), : len(prior)] += prior
+    diagonal = np.diag(A)
+    used = diagonal > 0.0
+    scale = 1.0 / np.sqrt(diagonal[used])
+    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + _RIDGE * np.eye(int(used.sum()))
+    right = scale * across[used]
+    return square - float(right @ linalg.solve(inner, right, assume_a="pos"))

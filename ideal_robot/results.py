@@ -1,0 +1,166 @@
+"""Results that say what they are: lines at the prompt, a table in a notebook, plain values, plots."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Results that say what they are: three lines at the prompt, a small table in a notebook.
+
+_WIDTH = 240
+"""Characters of a line of figures; what does not fit is left out."""
+
+
+class Summarised(ABC):
+    """Base of results whose few figures are shown by ``repr`` and in notebooks."""
+
+    @abstractmethod
+    def summary(self) -> list[tuple[str, str]]:
+        """The few figures a person wants first: label and value with unit."""
+
+    def __repr__(self) -> str:
+        (_, first), *rest = self.summary()
+        return in_lines(type(self).__name__, first, [f"{label} {value}" for label, value in rest])
+
+    def _repr_html_(self) -> str:
+        return html_table((type(self).__name__, ""), self.summary())
+
+
+def in_lines(name: str, head: str, figures: Sequence[str]) -> str:
+    """A result at the prompt: what it is, and a line of figures below; what does not fit is left out.
+
+    Args:
+        name: of the result's class.
+        head: what it is, behind the name.
+        figures: each with its label and unit, the important first.
+    """
+    told = f"{name}({_cut(head)})"
+    line = "; ".join(" ".join(figure.split()) for figure in figures)
+    if len(line) > _WIDTH:
+        line = (line[:_WIDTH].rpartition("; ")[0] or _cut(line)) + "; …"
+    return told + (f"\n  {line}" if line else "")
+
+
+def _cut(text: str) -> str:
+    """One line."""
+    text = " ".join(text.split())
+    return text if len(text) <= _WIDTH else text[:_WIDTH].rpartition(" ")[0] + " …"
+
+
+def html_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """An HTML table for notebooks; numbers with four significant digits.
+
+    Args:
+        columns: titles.
+        rows: texts and numbers, one a column.
+    """
+    def line(cells: Sequence[Any], tag: str) -> str:
+        return "<tr>" + "".join(f"<{tag}>{escape(shown_cell(cell))}</{tag}>" for cell in cells) + "</tr>"
+
+    return ("<table><thead>" + line(columns, "th") + "</thead><tbody>" + "".join(line(row, "td") for row in rows)
+            + "</tbody></table>")
+
+
+def listed(values: Array, unit: str = "") -> str:
+    """Values of all joints ``(n,)`` with three significant digits, and their unit."""
+    return ", ".join(f"{value:.3g}" for value in values) + (f" {unit}" if unit else "")
+
+
+def shown_cell(cell: Any) -> str:
+    """A cell of a table: numbers with four significant digits, nothing for None."""
+    return f"{cell:.4g}" if isinstance(cell, float) else "" if cell is None else str(cell)
+
+
+# Plain values: what JSON can hold, from whatever results are made of.
+
+def plain(value: Any, digits: int | None = None) -> Any:
+    """The value as dictionaries, lists, numbers and strings; non-finite numbers as None.
+
+    Args:
+        value: dataclasses, arrays, paths and what they are nested in.
+        digits: significant digits of numbers; all of them if None.
+    """
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {entry.name: plain(getattr(value, entry.name), digits) for entry in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): plain(item, digits) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item, digits) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist(), digits)
+    if isinstance(value, np.generic):
+        return plain(value.item(), digits)
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else float(f"{value:.{digits}g}")
+    return value if value is None or isinstance(value, (str, int)) else str(value)
+
+
+# Pictures of results; the one file of this package that imports matplotlib, when a picture is asked for.
+
+Panel = tuple[str, Sequence[tuple[str, Array]]]
+"""What stands at the vertical axis of a panel, and its series: name and values ``(N,)``."""
+_COLOURS = ("#b0413e", "#2f6690", "#3a7d44", "#8d6a9f")
+_MOST = 4000
+"""Points drawn of a series; more cannot be seen."""
+
+
+def over_time(t: Array, panels: Sequence[Panel], title: str) -> Figure:
+    """Series over time, one panel a channel, one above the other.
+
+    Args:
+        t: times ``(N,)`` [s].
+        panels: what is drawn, of ``N`` values each.
+        title: of the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 1.0 + 1.4 * len(panels)), layout="constrained")
+    axes = np.atleast_1d(np.asarray(figure.subplots(len(panels), sharex=True)))
+    step = max(1, len(t) // _MOST)
+    for axis, (name, series) in zip(axes, panels, strict=True):
+        for (label, values), colour in zip(series, _COLOURS, strict=False):
+            axis.plot(t[::step], values[::step], label=label, color=colour, linewidth=0.9)
+        axis.set_ylabel(name)
+        axis.grid(alpha=0.3)
+    axes[0].legend(loc="upper right", fontsize="small")
+    axes[-1].set_xlabel("t [s]")
+    figure.suptitle(title)
+    return figure
+
+
+def with_intervals(values: Sequence[tuple[str, float, float, float]], unit: str, title: str) -> Figure:
+    """Estimates with their intervals.
+
+    Args:
+        values: name, estimate, lower and upper end of the interval.
+        unit: of all of them.
+        title: of the picture.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 1.2 + 0.35 * len(values)), layout="constrained")
+    axis = figure.subplots()
+    places = np.arange(len(values))
+    middle = np.array([value for _, value, _, _ in values])
+    ends = np.array([[low, high] for _, _, low, high in values]).reshape(-1, 2)
+    axis.hlines(places, ends[:, 0], ends[:, 1], color=_COLOURS[1])
+    axis.plot(middle, places, "o", color=_COLOURS[1])
+    axis.set_yticks(places, [name for name, *_ in values])
+    axis.invert_yaxis()
+    axis.set_xlabel(unit)
+    axis.grid(alpha=0.3)
+    axis.set_title(title)
+    return figure

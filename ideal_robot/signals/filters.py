@@ -1,0 +1,145 @@
+"""Linear filters: forwards and backwards over whole columns, and at few instants."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy  # its signal is large, and loaded where it is used
+
+from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
+
+# A recursive filter run forwards and backwards over many columns at once, as ``scipy.signal.sosfiltfilt`` has it.
+#
+# The same numbers bit by bit, several times as fast: each step waits for the one before it, while the columns are steps
+# that do not wait for each other.
+
+def forwards_and_backwards(sections: Array, values: Array, pad: int) -> Array:
+    """Values filtered without phase, along the first axis.
+
+    Args:
+        sections: of second order ``(S, 6)``.
+        values: ``(N, m)``.
+        pad: samples by which the values are continued, turned about their first and last.
+    """
+    x = np.concatenate([2.0 * values[0] - values[pad:0:-1], values, 2.0 * values[-1] - values[-2 : -pad - 2 : -1]])
+    x = np.ascontiguousarray(x)
+    settled = scipy.signal.sosfilt_zi(sections)
+    _run(sections, x, settled, False)
+    _run(sections, x, settled, True)
+    return x[pad : len(x) - pad]
+
+
+@jit()
+def _run(sections: Array, x: Array, settled: Array, backwards: bool) -> None:
+    """Filters ``x (N, m)`` in place, from the state ``settled (S, 2)`` of a constant of the first value's size."""
+    N, m = x.shape
+    S = len(sections)
+    first, second = np.empty((S, m)), np.empty((S, m))
+    start = N - 1 if backwards else 0
+    for s in range(S):
+        for j in range(m):
+            first[s, j], second[s, j] = settled[s, 0] * x[start, j], settled[s, 1] * x[start, j]
+    for i in range(N):
+        k = N - 1 - i if backwards else i
+        for s in range(S):
+            b0, b1, b2 = sections[s, 0], sections[s, 1], sections[s, 2]
+            a1, a2 = sections[s, 4], sections[s, 5]
+            for j in range(m):
+                value = x[k, j]
+                out = b0 * value + first[s, j]
+                first[s, j] = b1 * value - a1 * out + second[s, j]
+                second[s, j] = b2 * value - a2 * out
+                x[k, j] = out
+
+
+# Linear filters whose output is wanted at few instants: weights on the samples around each instead of filtering all.
+#
+# Outputs are products of matrices, block by block, which is several times as fast as sample by sample where few of the
+# outputs are kept.
+
+_BLOCK = 16
+"""Outputs whose windows are taken together."""
+_SAME = 1e-6
+"""Instants closer than this, in samples, are the same."""
+
+
+def filtered_at(values: Array, place: Array, kernel: Array, *, fine: int = 1, odd: bool = False) -> Array:
+    """``y_m = Σ_k κ(k - place_m) x_k`` of ``values (K, …)``: ``(M, …)``.
+
+    Args:
+        values: evenly spaced in time; quickest where samples of an element are neighbours in memory.
+        place: instants of the outputs in samples ``(M,)``, rising.
+        kernel: κ, symmetric, at every ``1 / fine`` of a sample about its middle ``(2 L + 1,)``, linear in between. It
+            is scaled so that a constant stays what it is.
+        fine: entries of the kernel a sample.
+        odd: goes on beyond the ends as the values turned about their first and last; else with zeros.
+    """
+    shape = np.shape(values)
+    rows = np.asarray(values, dtype=float).reshape(shape[0], -1).T
+    live = not_zero(rows)
+    used = rows if live.all() else rows[live]
+    out = np.empty((len(used), len(place)))
+    known: dict[tuple[int, int], tuple[int, Array]] = {}
+    for start in range(0, len(place), _BLOCK):
+        at = place[start: start + _BLOCK]
+        floor = int(np.floor(at[0]))
+        # Evenly spaced outputs have the same weights again and again.
+        even = len(at) == _BLOCK and np.ptp(np.diff(at)) < _SAME
+        key = round((at[0] - floor) / _SAME), round((at[1] - at[0]) / _SAME) if even else -start
+        if key not in known:
+            known[key] = _weights(at - floor, kernel, fine)
+        before, weight = known[key]
+        first = floor + before
+        last = first + len(weight)
+        if odd and (first < 0 or last > shape[0]):
+            weight = _folded(weight, first, shape[0])
+        else:
+            weight = weight[max(0, -first): len(weight) - max(0, last - shape[0])]
+        out[:, start: start + _BLOCK] = used[:, max(0, first): min(shape[0], last)] @ weight
+    if not live.all():
+        result = np.zeros((len(rows), len(place)))
+        result[live] = out
+        out = result
+    return out.T.reshape(len(place), *shape[1:])
+
+
+def _weights(at: Array, kernel: Array, fine: int) -> tuple[int, Array]:
+    """The first sample that a block of outputs at ``at (B,)`` looks at, and the weights from there on ``(T, B)``."""
+    reach = len(kernel) // 2
+    k = np.arange(int(np.ceil(at[0] - reach / fine)), int(np.floor(at[-1] + reach / fine)) + 1)
+    # Samples are whole numbers: an output has one share between the kernel's entries for all of them.
+    offset = at * fine
+    whole = np.ceil(offset - _SAME).astype(int)
+    share = np.maximum(whole - offset, 0.0)
+    # Zeros on both sides: a block's window is wider than that of each of its outputs.
+    margin = fine * len(k)
+    table = np.concatenate([np.zeros(margin), kernel, np.zeros(margin)])
+    index = fine * k[:, None] - whole + reach + margin
+    weight = (1.0 - share) * table[index] + share * table[index + 1]
+    return int(k[0]), weight / weight.sum(axis=0)
+
+
+def not_zero(rows: Array) -> np.ndarray:
+    """Mask of the rows ``(m, N)`` that are not zero throughout: most show it in their middle."""
+    found = np.asarray(rows[:, rows.shape[1] // 2] != 0.0)
+    rest = np.flatnonzero(~found)
+    found[rest] = rows[rest].any(axis=1)
+    return found
+
+
+def _folded(weight: Array, first: int, count: int) -> Array:
+    """Weights ``(T, B)`` of the samples from ``first`` on as weights of those there are.
+
+    Beyond the ends are ``2 x_0 - x_{-k}`` and the like.
+    """
+    before, after = max(0, -first), max(0, first + len(weight) - count)
+    inner = weight[before: len(weight) - after].copy()
+    if before:
+        beyond = weight[:before][::-1]
+        inner[1: before + 1] -= beyond
+        inner[0] += 2.0 * beyond.sum(axis=0)
+    if after:
+        beyond = weight[len(weight) - after:]
+        inner[-1 - after: -1] -= beyond[::-1]
+        inner[-1] += 2.0 * beyond.sum(axis=0)
+    return inner

@@ -1,1 +1,0 @@
-"""The line detector on a user's own pictures."""

@@ -1,0 +1,232 @@
+"""The interpolation cycles of a play: observe, plan, command; and a stop on the planned path when it cannot go on."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from ideal_robot.arrays import Array, held
+from ideal_robot.errors import LimitError
+from ideal_robot.execution.command_governor import CommandGovernor, stopping_rows, stops_at_once
+from ideal_robot.robots.interface import RobotInterface, RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import RowLog
+from planning.planning_error import PlanningError
+from scenes.result import Progress
+
+PARTED = 0.02
+"""A wanted command so far from the one that keeps the limits ends the play, on the path [rad, or m]."""
+LONGEST_STOP = 10.0
+"""Longest that a stop of a play that is not done takes [s]."""
+_LOOKED = 256
+"""Cycles after which it is looked whether the disk takes what is written down."""
+STANDSTILL = 1e-9
+"""Change of the desired angles within a horizon below which the arm rests [rad]."""
+
+
+class Task(Protocol):
+    """What a play does in each cycle.
+
+    Attributes:
+        n_d: desired positions in a horizon, the current one included.
+        q_start: joint angles at which the arm rests before the first cycle ``(n,)`` [rad].
+    """
+
+    n_d: int
+
+    @property
+    def q_start(self) -> Array:
+        """Joint angles at which the arm rests before the first cycle ``(n,)`` [rad]."""
+        ...
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at the begin of a cycle.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
+        ...
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """The horizon ``(n_d, n)`` [rad] from ``t`` on, from what the sensors have delivered by ``t``.
+
+        Raises:
+            PlanningError, LimitError: the path cannot go on; the arm is then stopped on what was planned last.
+        """
+        ...
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint angles ``(n,)`` [rad]."""
+        ...
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the sensors for what they shall measure in the cycle from ``t0`` to ``t1`` [s]."""
+        ...
+
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Takes note of a cycle that is over.
+
+        Args:
+            t0: its begin [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
+        ...
+
+    def speed(self, t: float) -> float:
+        """Path speed at ``t`` [m/s], from which the arm is braked."""
+        ...
+
+    def done(self, t: float) -> bool:
+        """Whether the cycle that began at ``t`` was the last one."""
+        ...
+
+
+@dataclass
+class CycleLog:
+    """What every play writes down.
+
+    Attributes:
+        t: begin of each cycle [s].
+        q_d: desired position of each cycle ``(n,)`` [rad].
+        q_c: command of each cycle ``(n,)`` [rad].
+        cycles: computing time of each cycle, sensors' simulation not included [s].
+        limited: cycles whose command had to be changed to keep the arm's limits.
+        failure: why the play ended early, or None.
+    """
+
+    t: RowLog = field(default_factory=RowLog)
+    q_d: RowLog = field(default_factory=RowLog)
+    q_c: RowLog = field(default_factory=RowLog)
+    cycles: RowLog = field(default_factory=RowLog)
+    limited: int = 0
+    failure: str | None = None
+
+    @property
+    def refused(self) -> str | None:
+        """Why what is written down is held in memory, as the disk takes no more; None where it takes it."""
+        return next((str(log.refused) for log in vars(self).values() if isinstance(log, RowLog) and log.refused), None)
+
+
+@dataclass(frozen=True)
+class CycleSettings:
+    """How a play ends.
+
+    Attributes:
+        braking: deceleration of a stop on the path [m/s²].
+        rest: time the play goes on after a stop [s].
+        longest: a play that has not ended by then is stuck [s].
+        expected: usual length, for the progress [s].
+        text: what is being done, for the progress.
+    """
+
+    braking: float
+    rest: float
+    longest: float
+    expected: float
+    text: str
+
+
+def play_cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
+                progress: Progress) -> None:
+    """Cycle by cycle until the task is done, or the arm has come to rest because it could not go on.
+
+    Args:
+        robot: the arm, at rest at the task's start.
+        limits: what commands must keep.
+        task: what to do.
+        log: is written to.
+        settings: how the play ends.
+        progress: called now and then.
+    """
+    # What is there by now is not looked through again and again for circles among objects while the arm moves.
+    gc.freeze()
+    try:
+        _cycles(robot, limits, task, log, settings, progress)
+    finally:
+        gc.unfreeze()
+
+
+def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, settings: CycleSettings,
+            progress: Progress) -> None:
+    T = robot.t_ipo
+    q = task.q_start
+    q_d = np.tile(q, (task.n_d, 1))
+    stopping: Iterator[Array] | None = None
+    still, before = 0, q
+    governor = CommandGovernor(limits, q, t_ipo=T)
+    last = int(settings.longest / T)
+    for k in range(last + int(LONGEST_STOP / T)):
+        t = k * T
+        begin = time.perf_counter()
+        task.observe(t, q, q_d)
+        if stopping is None and k % _LOOKED == 0 and (refused := log.refused) is not None:
+            log.failure = f"stopped on the path at {t:.3f} s: {refused}"
+            stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+        if stopping is None and k >= last:
+            log.failure = f"not done after {settings.longest:.0f} s; stopped on the path"
+            stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+        if stopping is None:
+            try:
+                planned = task.plan(t, q_d)
+                if not np.isfinite(planned).all():
+                    raise PlanningError(f"the plan at {t:.3f} s holds values that are not numbers; stopped on the path")
+                q_d = planned
+            except (PlanningError, LimitError) as error:
+                log.failure = str(error)
+                stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+        if stopping is not None:
+            rows = next(stopping)
+            q_d = held(rows, after=1)
+        try:
+            wanted = task.command(t, q_d)
+            q_c = governor.allowed(wanted)
+            if stopping is None and not np.all(np.abs(q_c - wanted) < PARTED):
+                j = int(np.argmin(np.abs(q_c - wanted) < PARTED))
+                log.failure = (f"joint {j + 1}: the command {wanted[j]:.4g} leaves the arm's limits at {t:.3f} s; "
+                               "stopped on the path")
+                stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+            log.limited += not np.array_equal(q_c, wanted)
+            log.cycles.append(time.perf_counter() - begin)
+            log.t.append(t)
+            log.q_d.append(q_d[0].copy())
+            log.q_c.append(q_c)
+            task.request(t, t + T)
+            measured = robot.cycle(q_c)
+            q = measured.q
+        except (PlanningError, LimitError) as error:
+            # A command that leaves the arm's limits, as of a gain too high: the controller refuses it.
+            log.failure = log.failure or str(error)
+            return
+        task.collect(t, t + T, measured)
+        # The plan may rest while the command is still on its way to it, as the limits let it.
+        resting = stops_at_once(q_c - before, limits, T)
+        before = q_c
+        still = still + 1 if stopping is not None and resting and np.allclose(q_d, q_d[0], atol=STANDSTILL) else 0
+        if task.done(t) or still * T > settings.rest:
+            return
+        if k % 16 == 0:
+            progress(min(1.0, t / settings.expected), settings.text)
+
+
+# What it costs when a controller that takes absolute corrections gets none any more: it holds the last command.
+
+def holding_share(q_c: Array, robot: Robot) -> float:
+    """Acceleration of a command that stands still from one cycle to the next, where it was fastest.
+
+    As a multiple of the arm's limit, the worst joint's: all of the speed goes within one cycle.
+
+    Args:
+        q_c: commands of a run ``(N, n)`` [rad].
+        robot: cycle and limits.
+    """
+    if len(q_c) < 2:
+        return 0.0
+    return float(np.max(np.abs(np.diff(q_c, axis=0)) / robot.t_ipo**2 / robot.a_max))

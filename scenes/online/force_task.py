@@ -1,0 +1,408 @@
+"""What keeping a force along a path does in each interpolation cycle: [L] Fig. 1 with a force sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.force import ForceErrors
+from ideal_robot.elasticity.observer import ArmObserver
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.corrected_arm import CorrectedArm
+from ideal_robot.feedforward.friction_at_work import FrictionAtWork
+from ideal_robot.feedforward.method import Setting
+from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import RowLog
+from planning.follower import ForceFollower
+from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, StopConditions, Tare
+from planning.force.contour import ContourFollower, ContourSettings
+from planning.force.direct_force import DirectForceFeedback
+from planning.force.force_follower import SurfaceFollower
+from planning.force.line_on_surface import LineOnSurface, SightSettings
+from planning.force.surface_forecast import FeltArm
+from planning.line.deviation_model import PathDeviation
+from planning.line.fusion import DeviationFilter
+from planning.path.kinematics import InverseKinematics
+from planning.path.reference import ReferencePath
+from planning.path.speed_profile import Limits, SpeedProfile
+from planning.planning_error import OutOfReachError
+from scenes.methods import DIRECT, SceneMethod
+from scenes.online.cycle import CycleLog
+from scenes.scene_files.force_scene import ForceScene
+from sensing.camera.camera_device import Camera, Field, Window
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
+from sensing.camera.opencv_detector import DETECTORS, LineDetector
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
+from sensing.force.wrench import ForceSensor, WrenchFilter
+
+# What is known of a force scene before anything moves, by whoever follows the surface: nothing of the world.
+
+N_D = 20
+"""Desired positions handed to the ideal robot [cycles]."""
+POSITION_NOISE = 5e-6
+"""Standard deviation of the estimated tip position from cycle to cycle [m]; with more, stiff contacts lag."""
+DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
+"""Orientation of a tool that points down."""
+JERK = 40.0
+"""Of a travel [m/s³]."""
+START_HEIGHT = 0.01
+"""Of the tip above the reference when the approach begins [m]."""
+
+
+@dataclass(kw_only=True)
+class Known:
+    """What a follower of the surface is given.
+
+    Attributes:
+        scene: the file; of its tables those of the world are not looked at.
+        robot: as its data sheet has it, with the controller's cycles.
+        delay: cycles between the hand-over of a command and the begin of its interpolation.
+        model: of the arm.
+        reference: the reference path.
+        profile: travel along it.
+        camera: of a ``glue`` scene, as it is believed to be.
+    """
+
+    scene: ForceScene
+    robot: Robot
+    delay: int
+    model: Model
+    reference: ReferencePath
+    profile: SpeedProfile
+    camera: CameraModel
+
+    def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
+        """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
+        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
+        estimated = self.scene.assumed.elasticity_estimated
+        profile, acceleration = self.profile, self.scene.reference.acceleration
+        jerk = settings.jerk(acceleration, JERK)
+        if fusion is None and jerk < JERK:
+            with suppress(InputError):  # a path too short to reach its speed so gently begins as it can
+                gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
+                profile = SpeedProfile.plan(self.robot, self.reference, gentle)
+        return SurfaceFollower(self.robot, self.reference, profile, N_D, settings, fusion=fusion,
+                               lateral=fusion is not None, start_height=START_HEIGHT,
+                               force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
+
+    def contour_follower(self, elasticity: float) -> ContourFollower:
+        """A fresh follower of a contour: of the reference it knows the starting point alone."""
+        scene, frames = self.scene, self.reference.frames(np.zeros(1))
+        out, up = frames.up[0], np.array([0.0, 0.0, 1.0])
+        start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + START_HEIGHT * out)
+        side = 1 if float(np.cross(up, -out) @ frames.tangent[0]) > 0 else -1
+        q_start = InverseKinematics(self.robot).search(start, self.robot.home)
+        settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
+                                   length=float(scene.line.length or 0.5))
+        return ContourFollower(self.robot, start, -out, up, side, q_start, N_D, settings)
+
+    def q_start(self) -> Array:
+        """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""
+        return self.contour_follower(1e4).q_start if self.scene.task == "contour" else self.follower(1e4).q_start
+
+
+def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[ReferencePath, SpeedProfile]:
+    """Reference path of a scene, and the travel along it.
+
+    Args:
+        scene: speed and task.
+        robot: the arm with the controller's cycle.
+        points: of the reference ``(N, 3)`` [m].
+
+    Raises:
+        InputError: path out of reach, unreachable speed, a motion longer than the scene allows.
+    """
+    out = scene.surface.pose().rotation[:, 2]
+    if scene.task == "contour":
+        # Pressed sideways, the tool keeps its orientation: straight down.
+        reference = ReferencePath(points, up=out, rotation=DOWN)
+    else:
+        reference = ReferencePath(points, up=out, turning=1.0)
+    try:
+        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=JERK))
+    except OutOfReachError as error:
+        raise InputError(f"the path is out of reach: {error}", field="surface.origin",
+                         value=list(scene.surface.origin)) from error
+    scene.check_duration(profile.duration)
+    return reference, profile
+
+
+# The camera of a ``glue`` scene: fields of the drawn line on the curved surface, and what can go wrong with them.
+
+KNOWN = 1e-6
+"""Standard deviation of a relative error that is not estimated."""
+CONFIRM = 0
+"""No rival hypotheses: with two sensors one that agrees would always outvote the other."""
+
+
+def glue_fusion(cell: Known) -> DeviationFilter:
+    """One filter for both sensors: a map in two directions, and the camera's own errors."""
+    sight = SightSettings()
+    assumed = cell.scene.assumed
+    camera = (sight.yaw, sight.stamp, sight.scale if assumed.distance_estimated else KNOWN)
+    force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
+    ahead = (N_D + 6) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
+    model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
+                          rotation=0.05, shape=0.01, length=0.1)
+    return DeviationFilter(model, biases={"camera": camera, "force": force}, confirm=CONFIRM)
+
+
+class GlueCamera:
+    """The camera in the loop of a ``glue`` scene.
+
+    Args:
+        cell: what is known of the scene.
+        follower: whose map the fields go into.
+        rng: draws what garbage shows, where the scene has such trouble.
+    """
+
+    def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
+        scene: ForceScene = cell.scene
+        self._rng, self.follower, self._trouble = rng, follower, scene.trouble
+        self.camera = cell.camera
+        self.detection = DetectionSettings(line_width=1e-3 * scene.line.width_mm,
+                                           dark=scene.line.gray < scene.line.background)
+        reference = cell.reference
+        span = (scene.reference.run_up, reference.length - scene.reference.run_out)
+        sight = SightSettings(latency=scene.camera.latency, distance_ratio=scene.assumed.distance_ratio)
+        self.sight = LineOnSurface(follower, self.camera.T_tool_camera, sight, span)
+        self.detector: LineDetector = DETECTORS.get(scene.camera.detector)()
+        self.fields: list[tuple[float, int, str]] = []
+        self.first_used = float("nan")
+
+    def windows(self, exposure: float) -> Sequence[Window] | None:
+        """The windows to read out of the field exposed at ``exposure`` [s]; None while nothing arrives."""
+        if self._during(self._trouble.loss, exposure):
+            return None
+        ahead = self.sight.predict(exposure).seen_by(self.camera, exposure, self.follower.history.row_pose)
+        return search_windows(self.camera, ahead, self.detection)
+
+    def sense(self, t: float, arrived: Sequence[Field]) -> None:
+        """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
+        for item in arrived:
+            ahead = self.sight.predict(item.t_stamp).seen_by(self.camera, item.t_stamp, self.follower.history.row_pose)
+            seen = at_middle_row(self.detector.detect(item, self.camera, ahead, self.detection), self.camera,
+                                 self.follower.history.row_pose)
+            if self._during(self._trouble.garbage, item.t_stamp):
+                seen = self._garbage(seen)
+            fused = self.sight.update(seen)
+            dof = 0 if fused is None else fused.dof
+            if dof and not np.isfinite(self.first_used):
+                self.first_used = t
+            self.fields.append((item.t_stamp, dof, seen.reason if fused is None else fused.reason))
+
+    def _during(self, span: tuple[float, ...], t: float) -> bool:
+        """Whether ``t`` lies in a span that counts from the beginning of the travel."""
+        start = self.follower.t_travel
+        return len(span) == 2 and start + span[0] <= t < start + span[1]
+
+    def _garbage(self, seen: LineField) -> LineField:
+        """Another field than the camera took: points anywhere beside the line, each claiming to be good."""
+        size = 1e-3 * self._trouble.garbage_mm
+        beside = size * self._rng.uniform(-1, 1) + 0.2 * size * self._rng.standard_normal(len(seen.points_tcp))
+        points = seen.points_tcp.copy()
+        points[:, 1] += beside
+        return LineField(seen.t, points, seen.pixels, seen.lateral, seen.sigma, seen.quality, seen.used, seen.seen,
+                         seen.reason)
+
+
+# What is written down while a contact is followed.
+
+@dataclass
+class ForceLog(CycleLog):
+    """What is written down while a scene is played.
+
+    Attributes:
+        phase, s, planned: of the follower in each cycle: phase, arc length [m], planned deviation [m].
+        samples: of each cycle with samples: time of the newest [s], normal force [N], innovation squared per value.
+        wrenches: of all samples of the force sensor the time [s] and the wrench [N, N m].
+        fields: for ``glue``: time stamp [s], values used, why not all.
+    """
+
+    phase: list[str] = field(default_factory=list)
+    s: RowLog = field(default_factory=RowLog)
+    planned: RowLog = field(default_factory=RowLog)
+    samples: RowLog = field(default_factory=RowLog)
+    wrenches: RowLog = field(default_factory=RowLog)
+    fields: list[tuple[float, int, str]] = field(default_factory=list)
+
+    def add(self, t: float, follower: ForceFollower) -> None:
+        """One cycle that begins at ``t`` [s]."""
+        self.phase.append(follower.phase.value)
+        self.s.append(follower.s_at(t))
+        self.planned.append(follower.planned())
+
+
+WINDOW = 0.0
+"""Length of the moving average over wrenches [s]; the map averages better, and without delay."""
+
+
+class ForceTask:
+    """Pressing and moving with one method; a ``scenes.online.cycle.Task``.
+
+    Args:
+        cell: what is known of the scene.
+        method: how ``q_d`` becomes ``q_c``.
+        gains: K_p [m/N per cycle], K_d [m/N] of direct feedback.
+        tool: bias and weight, from calibration.
+        elasticity: of tip and surface, from calibration.
+        rng: draws what a camera in trouble shows.
+        friction: as the dry run has shown it; the model's if None.
+    """
+
+    n_d = N_D
+
+    def __init__(self, cell: Known, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
+                 elasticity: ContactElasticity, rng: np.random.Generator,
+                 friction: FrictionAtWork | None = None) -> None:
+        known = ForceErrors.of(cell.model.effects if method.knows_model else ())
+        tool = replace(tool, bias=tool.bias + known.wrench)
+        self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
+        self.assumed_stiffness = assumed = known.stiffness(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)
+        self.vision: GlueCamera | None = None
+        self._direct: DirectForceFeedback | None = None
+        self.follower: ForceFollower
+        if cell.scene.task == "contour":
+            self.follower = cell.contour_follower(assumed)
+        else:
+            glue = cell.scene.task == "glue"
+            self.follower = self._surface = cell.follower(assumed, glue_fusion(cell) if glue else None)
+            self.vision = GlueCamera(cell, self._surface, rng) if glue else None
+            if method.key == DIRECT and gains is not None:
+                self._direct = DirectForceFeedback(self._surface, *gains)
+        self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
+        self._filter, self._tare = WrenchFilter(WINDOW), Tare()
+        model = cell.model if method.knows_model else None
+        self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay, friction=friction))
+        # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
+        self._geometry = CorrectedArm(cell.robot, () if model is None else model.effects)
+        self._kinematics = InverseKinematics(cell.robot)
+        self._arm = None if model is None else FeltArm(ArmObserver(model, cell.robot.t_ipo), self.q_start,
+                                                       self._kinematics.torque)
+        self._state = self.feedforward.init(self.q_start)
+        self.log = ForceLog()
+        self._torque = np.zeros((N_D, cell.robot.n))
+        self._sensor: ForceSensor
+        self._camera: Camera | None = None
+
+    def connect(self, sensor: ForceSensor, camera: Camera | None) -> None:
+        """Connects the devices: the force sensor, and the camera of a scene that has one."""
+        self._sensor, self._camera = sensor, camera
+
+    def calibrated(self, tool: ToolLoad, elasticity: ContactElasticity) -> None:
+        """Takes what a calibration has found meanwhile.
+
+        Args:
+            tool: bias and weight.
+            elasticity: of tip and surface.
+        """
+        self.tool, self.elasticity = tool, elasticity
+        self.assumed_stiffness = self.cell.scene.assumed.elasticity_ratio * elasticity.stiffness
+        self.follower.press_as(self.assumed_stiffness)
+
+    @property
+    def q_start(self) -> Array:
+        """Where the arm rests at first ``(n,)`` [rad]."""
+        return self.follower.q_start
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at ``t``.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad]; not needed.
+        """
+        arm = q if self._arm is None else self._geometry.as_drawn(self._arm.step(t, q, self._torque[0]))
+        self.follower.observe(t, arm)
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """Desired joint positions over the horizon ``(n_d, n)``."""
+        self._sense(t)
+        if self.vision is not None and self._camera is not None:
+            self.vision.sense(t, self._camera.arrived(t))
+        self._check(t)
+        # Direct feedback goes its own way between touch-down and lift: no need to plan.
+        if self._direct is not None and self.follower.phase is not Phase.APPROACH:
+            self._surface.advance(t)
+            return q_d
+        q_d = self.follower.horizon(t)
+        self._stop.command(t, q_d)
+        return q_d
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint positions ``(n,)``."""
+        self._torque = self.follower.contact_torque(q_d)
+        if self._direct is not None:
+            return self._direct.command(t, q_d)
+        n_d = self.feedforward.n_d
+        q_c, self._state = self.feedforward.step(self._state, q_d[:n_d], self._torque[:n_d])
+        return q_c
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the camera for windows where the line should be."""
+        self.log.add(t0, self.follower)
+        if self.vision is not None and self._camera is not None:
+            self._camera.request(t0, t1, self.vision.windows)
+
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Lets a feedforward that adapts learn from the cycle.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
+        self._state = self.feedforward.observe(self._state, measured)
+
+    def speed(self, t: float) -> float:
+        """Path speed [m/s]; at least a tenth, so that a stop at rest takes some time, too."""
+        return max(self.follower.speed_at(t), 0.1)
+
+    def done(self, t: float) -> bool:
+        """Whether the tip has been lifted again."""
+        lifted = self._direct is not None and self._direct.lifted >= self._surface.settings.clearance
+        return self.follower.phase is Phase.DONE or lifted
+
+    def _sense(self, t: float) -> None:
+        arrived = self._sensor.arrived(t)
+        if not arrived:
+            return
+        samples = [self._filter.add(sample) for sample in arrived]
+        history = self.follower.history
+        contact = np.array([self.tool.contact(s.wrench, history.pose(max(s.t, history.first)).rotation)[:3]
+                            for s in samples])
+        t_felt = np.array([s.t for s in samples])
+        if self.follower.phase is Phase.APPROACH:
+            self._tare.add(t_felt, contact)
+        contact = contact - self._tare.force
+        if self._arm is not None:
+            force = np.array([history.pose(max(s.t, history.first)).rotation @ f
+                              for s, f in zip(samples, contact, strict=True)])
+            for at, q_a in self._arm.feel(t_felt, force):
+                history.revise(at, self._geometry.as_drawn(q_a))
+        fused = self.follower.update_force(t_felt, contact)
+        nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
+        self.log.samples.append((samples[-1].t, self.follower.force, nis))
+        if self._direct is not None:
+            self._direct.update(self.follower.force)
+        self._stop.force(t, float(np.median(np.linalg.norm(contact, axis=1))))
+
+    def _check(self, t: float) -> None:
+        follower = self.follower
+        if follower.phase is Phase.TRAVEL:
+            # Samples are late: contact is judged at the time of the newest one.
+            newest = self.log.samples[-1][0] if self.log.samples else t
+            self._stop.contact(newest, follower.last_touch)
+            if self.vision is not None:
+                self.vision.sight.check(t)
+        elif follower.phase is Phase.APPROACH:
+            self._stop.approach(t, follower.descended, follower.settings.reach)

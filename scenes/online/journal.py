@@ -1,0 +1,207 @@
+"""Every cycle of a run, written to a file as it happens: what is done is kept even if the program is killed."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import OutputError, make_folder, remove_empty, write_text
+from scenes.online.processes import called
+from scenes.online.result import FollowResult
+from scenes.result import Progress
+
+ROWS, META = "journal.rows", "journal.json"
+_QUANTITIES = ("q_d", "q_c", "q", "tau")
+
+
+class Journal:
+    """Rows of 64-bit numbers at the end of a file: the system has each as soon as it is written, whatever comes next.
+
+    Nothing of it is held in memory, however long the run.
+
+    Args:
+        folder: of the run; made if it is not there.
+        robot: the arm.
+        meta: what the recording's metadata shall hold.
+
+    Attributes:
+        unwritten: cycles that the disk did not take.
+    """
+
+    def __init__(self, folder: Path, robot: Robot, meta: dict[str, Any]) -> None:
+        self._made = make_folder(folder)
+        self._folder, self._robot = folder, robot
+        meta = {"robot": robot.name, "cycle_time": robot.t_ipo, "source": "follow",
+                "units": {"t": "s", "q_d": "rad", "q_c": "rad", "q": "rad", "tau": "N m", "current": "A"}, **meta}
+        self._meta = {**meta, "gain": robot.drive_gain.tolist()}
+        write_text(folder / META, json.dumps(self._meta) + "\n")
+        self._row = np.zeros(2 + len(_QUANTITIES) * robot.n)
+        self._each = self._row[2:].reshape(len(_QUANTITIES), robot.n)
+        self.unwritten = 0
+        self._rows = 0
+        try:
+            self._file = (folder / ROWS).open("w+b", buffering=0)
+        except OSError as error:
+            raise OutputError.of(folder / ROWS, error) from error
+
+    def add(self, t: float, state: RobotState, q_d: Array, q_c: Array) -> None:
+        """One cycle; what the disk does not take is missing.
+
+        Args:
+            t: time of the run at its end [s].
+            state: of the arm then; its time is the controller's.
+            q_d: desired position of the cycle ``(n,)`` [rad].
+            q_c: commanded position of the cycle ``(n,)`` [rad].
+        """
+        self._row[0], self._row[1] = t, state.t
+        for values, row in zip((q_d, q_c, state.q, state.tau), self._each, strict=True):
+            row[:] = values
+        try:
+            # At its place: of a row that a full disk took in part the next one takes the place.
+            whole = os.pwrite(self._file.fileno(), self._row.data, self._row.nbytes * self._rows) == self._row.nbytes
+        except OSError:
+            whole = False
+        self._rows += whole
+        self.unwritten += not whole
+
+    def recording(self) -> Recording:
+        """The rows so far, also where the folder is gone meanwhile."""
+        self._file.seek(0)
+        values = np.fromfile(self._file, dtype=np.float64, count=self._rows * len(self._row))
+        return _recording(values.reshape(-1, len(self._row)), dict(self._meta))
+
+    def close(self) -> None:
+        """No more rows; the file stays, unless there is none in it: a run to which no arm came leaves nothing."""
+        self._file.close()
+        if not self._rows:
+            remove(self._folder)
+            remove_empty(self._made)
+
+
+def lies_there(folder: Path) -> bool:
+    """Whether a journal is in a folder."""
+    return (folder / ROWS).is_file() and (folder / META).is_file()
+
+
+def remove(folder: Path) -> None:
+    """The recording of a run is written: its journal goes."""
+    (folder / ROWS).unlink(missing_ok=True)
+    (folder / META).unlink(missing_ok=True)
+
+
+def left_behind(folder: Path) -> Recording | None:
+    """What a run that was killed has left in its folder; None where there is nothing, or nothing that can be read."""
+    if not lies_there(folder):
+        return None
+    try:
+        found = _recording(*journal_rows(folder))
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        return None
+    return found if len(found.t) else None
+
+
+def journal_rows(folder: Path, first: int = 0, count: int = -1) -> tuple[Array, dict[str, Any]]:
+    """Rows of a journal ``(N, 2 + 4 n)`` and its metadata, also while it is being written.
+
+    A row holds the time of the run and that of the controller [s], then ``q_d``, ``q_c``, ``q`` and ``tau``.
+
+    Args:
+        folder: of the run.
+        first: row to begin with.
+        count: of rows; -1 for all that are there.
+
+    Raises:
+        OSError, ValueError, KeyError, TypeError: there is none, or it is no journal.
+    """
+    meta = json.loads((folder / META).read_text(encoding="utf-8"))
+    n = len(meta["gain"])
+    size = 2 + len(_QUANTITIES) * n
+    values = np.fromfile(folder / ROWS, dtype=np.float64, offset=8 * size * first,
+                         count=size * count if count >= 0 else -1)
+    # A row that is only half there is none.
+    return values[: len(values) // size * size].reshape(-1, size), meta
+
+
+def rescue(folder: Path) -> Path | None:
+    """Makes a recording of what was left behind and returns its place; only then the journal goes."""
+    found = left_behind(folder)
+    place = None if found is None else found.write(folder / "recording_killed.parquet")
+    remove(folder)
+    return place
+
+
+def _recording(rows: Array, meta: dict[str, Any]) -> Recording:
+    gain = np.array(meta.pop("gain"), dtype=float)
+    n = len(gain)
+    columns = {name: rows[:, 2 + i * n : 2 + (i + 1) * n] for i, name in enumerate(_QUANTITIES)}
+    tau = columns.pop("tau")
+    if np.isfinite(tau).all():
+        columns |= {"current": tau / gain, "tau": tau}
+    # The controller's time goes on through calibration and run; that of the run begins anew.
+    return Recording.from_arrays(rows[:, 1], meta=meta, source="follow", **columns)
+
+
+# Recording and page of a run, written by a process of its own.
+#
+# Tables and plots take more memory than all the rest: the process that leads an arm does not load them.
+
+def written(result: FollowResult, folder: Path) -> FollowResult:
+    """Writes recording, page and figures of a run into its folder; returns the result with their places.
+
+    Raises:
+        OutputError: they cannot be written; the journal of the run is kept.
+    """
+    found: FollowResult = _elsewhere("scenes.online.page:write_run", result, folder)
+    return found
+
+
+def rescued(folder: Path) -> Path | None:
+    """Makes a recording of what a run that was killed has left in its folder; None where there is nothing."""
+    if not lies_there(folder):
+        return None
+    found: Path | None = _elsewhere("scenes.online.journal:rescue", folder)
+    return found
+
+
+def _elsewhere(work: str, *given: Any) -> Any:
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        try:
+            return pool.submit(called, work, *given).result()
+        except BrokenProcessPool as error:
+            raise OutputError(f"{given[-1]}: the process that writes recording and page was ended; the next run makes "
+                              "a recording of the journal in this folder") from error
+
+
+# Progress that is shown when no answer waits for it: drawing a bar takes a lock and writes to a terminal.
+
+class Later:
+    """A ``scenes.result.Progress`` that keeps the newest until ``catch_up`` shows it.
+
+    Args:
+        progress: shows it.
+    """
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+        self._newest: tuple[float, str] | None = None
+
+    def __call__(self, done: float, text: str) -> None:
+        """Keeps a share of the whole and what is being done."""
+        self._newest = done, text
+
+    def catch_up(self) -> None:
+        """Shows what has not been shown yet."""
+        newest, self._newest = self._newest, None
+        if newest is not None:
+            self._progress(*newest)

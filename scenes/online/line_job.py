@@ -1,0 +1,221 @@
+"""Following a drawn line on devices: the planning of ``scenes.line`` with a camera that is elsewhere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from planning.line.line_follower import FollowerSettings
+from planning.path.reference import ReferencePath
+from scenes.methods import SceneMethod
+from scenes.online.camera_process import CalibratedCamera
+from scenes.online.cycle import Task
+from scenes.online.line_known import START, CalibrationView, Known, calibration_postures, line_follower, span_of
+from scenes.online.line_task import AT_ONCE, LineLog, LiveLineTask
+from scenes.online.live_arm import LiveArm, moves
+from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera, LiveForce, rehearse
+from scenes.scene_files.drawn_line import reference_points
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import SceneError
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import HandEye
+from sensing.camera.line_search import DetectionSettings, PredictedLine
+
+# The camera on the tool is calibrated by moving the real arm over a piece of the line ([L] 4.4).
+
+REST = 0.16
+"""Rest at each pose, in which vibrations die out [s]."""
+_PIECE, _STEP = 0.25, 0.001
+_PATIENCE = 60.0
+"""How long the computation may take; the arm is held meanwhile [s]."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """The piece of the line that is looked at.
+
+    Attributes:
+        reference: the reference path.
+        at: arc length of it around which the piece lies [m].
+        start: where the arm is, and is again afterwards ``(n,)`` [rad].
+        clear: how far the tip keeps away from the reference at least [m].
+    """
+
+    reference: ReferencePath
+    at: float
+    start: Array
+    clear: float = 0.0
+
+
+def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: LiveArm, camera: LiveCamera) -> HandEye:
+    """Moves from the start over the piece of the line and back; returns the camera that explains what was seen.
+
+    Args:
+        piece: of the line.
+        by_hand: the camera as mounted by hand.
+        model: of the arm, for the gears' deflection.
+        arm: at the start, and again when this returns.
+        camera: on the arm.
+
+    Raises:
+        SceneError: too few of the poses can be reached, or of the fields show the line.
+        FollowStoppedError: the arm has to stop, or is gone.
+    """
+    robot, reference, start, at = arm.robot, piece.reference, piece.start, piece.at
+    postures = calibration_postures(robot, reference, by_hand, at, piece.clear)
+    way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
+    commands = np.concatenate([way, over, back])
+    # On the way there and back another piece of the line is seen, or none: that fits no common curve.
+    begin, end = robot.t_ipo * len(way), robot.t_ipo * (len(way) + len(over))
+    sag = GearDeflection(model, robot.t_ipo).along(commands)
+    view = CalibrationView(robot, reference, by_hand, camera.detection, FoundBefore(), start)
+    arm.begin()
+    camera.predict = view.predicted
+    fields = 0
+    for k, q_c in enumerate(commands):
+        arm.check(arm.t)
+        arm.q_d = q_c
+        q = arm.cycle(q_c).q
+        view.history.add(arm.t, q - sag[k])
+        for field in camera.arrived(arm.t):
+            if begin <= field.t_stamp <= end:
+                fields += 1
+                view.look(field, view.predicted(field.t_stamp), 0.0)
+    if len(view.observations) < max(fields // 2, 3):
+        raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {fields} fields showed "
+                         "the line; check where the line is, how it looks (line.gray, line.width_mm), and the camera")
+    near = reference.position(np.arange(at - _PIECE, at + _PIECE, _STEP))
+    camera.calibrate(by_hand, view.observations, near, reference.frames(np.array([at])).up[0])
+    for _ in range(int(_PATIENCE / robot.t_ipo)):
+        if camera.hand_eye is not None:
+            break
+        arm.check(arm.t)
+        arm.cycle(start)
+    if not isinstance(camera.hand_eye, HandEye):
+        raise SceneError(f"the camera could not be calibrated: {camera.hand_eye or 'it took too long'}")
+    return camera.hand_eye
+
+
+_CONTRAST = 0.3
+"""Share of the line's contrast below which a cross-section does not count."""
+_UNDER_WAY = 2
+"""Cycles from a picture's arrival until a plan is made with its line points; one more where plans are made ahead."""
+
+
+class LineJob:
+    """A line; a ``scenes.online.devices.Job``.
+
+    Args:
+        scene: what is followed; of its tables those of the world are not looked at.
+        robot: with the controller's cycle.
+        model: of the arm.
+        method: how what is sensed becomes commands.
+        delay: cycles of the controller's own delay.
+        answers_within: time in which the arm's loop answers a command [s].
+        calibration: of the camera, and whether there is one already.
+    """
+
+    def __init__(self, scene: LineScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
+                 answers_within: float, calibration: CalibratedCamera) -> None:
+        self.scene, self.robot, self.model, self.method = scene, robot, model, method
+        self.answers_within, self.calibration = answers_within, calibration
+        self.braking = scene.reference.acceleration
+        self._delay = delay
+        self._known = self._new_known()
+        self.log = LineLog()
+        self._task = self._new_task(self._known, self.log, ImaginedCamera())
+        self.longest = self.expected = self._task.longest
+        contrast = abs(scene.line.background - scene.line.gray)
+        self.detection = DetectionSettings(
+            line_width=1e-3 * scene.line.width_mm, dark=scene.line.gray < scene.line.background,
+            min_contrast=min(DetectionSettings.min_contrast, _CONTRAST * contrast))
+
+    @property
+    def camera(self) -> CameraModel | None:
+        """See ``Job``."""
+        return self._known.camera
+
+    @property
+    def q_start(self) -> Array:
+        """See ``Job``."""
+        return self._known.follower.q_start
+
+    def needs(self) -> tuple[str, ...]:
+        """See ``Job``."""
+        return ("camera",)
+
+    def rehearse(self) -> None:
+        """See ``Job``."""
+        known, camera = self._new_known(), ImaginedCamera()
+        task = self._new_task(known, LineLog(), camera)
+        camera.predict = lambda t: _predicted(known, t)
+        rehearse(task, self.robot, math.ceil((START + 0.6) / self.robot.t_ipo))
+        # The first plan is a whole new one: longer than any answer may wait.
+        self._task.prepare(0.0)
+
+    def ready(self, arm: LiveArm, camera: LiveCamera | None, force: LiveForce | None) -> Task:
+        """See ``Job``.
+
+        Args:
+            arm: connected, at the start.
+            camera: on the arm.
+            force: on the arm.
+        """
+        if camera is None:
+            raise SceneError("following a line needs a camera")
+        camera.use(self.calibration.camera, self.calibration.time_offset)
+        self._task.camera = camera
+        self._task.lead(arm)
+        camera.predict = lambda t: _predicted(self._known, t)
+        return self._task
+
+    def calibrate(self, arm: LiveArm, camera: LiveCamera) -> CalibratedCamera:
+        """Calibrates the camera by moving from the start over a piece of the line and back, and keeps it in its file.
+
+        Raises:
+            SceneError, SensingError: too little of the line was seen.
+            FollowStoppedError: the arm had to stop, or is gone.
+        """
+        middle = 0.5 * sum(span_of(self.scene, self._known.reference))
+        piece = Piece(self._known.reference, middle, self.q_start)
+        return self.calibration.found(calibrated_by_moving(piece, self._known.camera, self.model, arm, camera))
+
+    def columns(self, t: Array) -> dict[str, Array]:
+        """See ``Job``: ``cam_t`` and the line points of each field, as in recordings of line scenes."""
+        return dict(self.log.field_columns(t, self.scene.points))
+
+    def figures(self) -> dict[str, Any]:
+        """See ``Job``."""
+        fusion = self._known.follower.fusion
+        return {"fields": {"seen": len(self.log.fields), "used": self.log.used},
+                "first_used_s": self.log.first_used, "calibration": self.calibration.json(),
+                "stamp_error_ms": 1e3 * float(fusion.bias("camera")[0][1])}
+
+    def planned(self) -> Array:
+        """See ``Job``."""
+        count = min(len(self.log.t), len(self.log.believed))
+        return np.column_stack([self.log.t[:count], self.log.believed[:count]])
+
+    def _new_known(self) -> Known:
+        scene, T = self.scene, self.robot.t_ipo
+        reference, follower = line_follower(scene, self.robot, reference_points(scene), self.calibration.camera,
+                                            self.calibration.surface,
+                                            latency=FollowerSettings.latency + (_UNDER_WAY + (T < AT_ONCE)) * T)
+        return Known(scene=scene, robot=self.robot, delay=self._delay, camera=self.calibration.camera,
+                     reference=reference, follower=follower, detector=FoundBefore())
+
+    def _new_task(self, known: Known, log: LineLog, camera: Any) -> LiveLineTask:
+        model = self.model if self.method.knows_model else None
+        return LiveLineTask(known, self.method, camera, model, None, log)
+
+
+def _predicted(known: Known, t: float) -> PredictedLine:
+    """Where the line should be in a picture taken at ``t`` [s], in the tool frame."""
+    return known.follower.predict(t).seen_by(known.camera, t, known.follower.history.row_pose)

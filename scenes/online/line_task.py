@@ -1,0 +1,375 @@
+"""What following a line does in each interpolation cycle: the two loops of [L] Fig. 1."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects.camera import CameraErrors
+from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.feedforward.corrected_arm import CorrectedArm
+from ideal_robot.feedforward.method import Setting
+from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.row_log import RowLog
+from planning.line.deviation_sensor import DeviationSensor, fuse_reading
+from planning.line.direct_feedback import DirectFeedback
+from scenes.methods import DIRECT, SceneMethod
+from scenes.online.cycle import CycleLog
+from scenes.online.line_known import START, Known
+from scenes.online.live_arm import LiveArm
+from sensing.camera.camera_device import Camera, Field, Window
+from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
+from sensing.camera.line_polynomial import fit_of_lowest_order
+
+# What is written down while a line is followed.
+
+@dataclass(frozen=True)
+class FieldShown:
+    """One camera field kept for the report: the whole image, and what was found in it."""
+
+    t: float
+    image: NDArray[np.uint8]
+    windows: tuple[Window, ...]
+    pixels: Array
+    used: NDArray[np.bool_]
+    polynomial_pixels: Array
+
+
+@dataclass
+class LineLog(CycleLog):
+    """What is written down while a line is followed.
+
+    Attributes:
+        fields: of each camera field that arrived its time stamp [s] and the line points used in the tool frame, three
+            values each, NaN where one was left out [m]; used: how many of the fields gave a measurement.
+        latest: the field that arrived last, whole.
+        shown: fields for the report, with their true time stamps [s].
+        with_field: whether a field was worked on in each cycle.
+        s: arc length of the reference at each cycle [m].
+        believed: desired deviation there [m].
+        first_used: when a field was used first [s]; NaN if never.
+        sensor_values, sensor_used: how many values each further sensor gave, and how many went into the fusion.
+    """
+
+    fields: RowLog = field(default_factory=RowLog)
+    used: int = 0
+    latest: LineField | None = None
+    shown: list[tuple[float, FieldShown]] = field(default_factory=list)
+    with_field: RowLog = field(default_factory=RowLog)
+    s: RowLog = field(default_factory=RowLog)
+    believed: RowLog = field(default_factory=RowLog)
+    first_used: float = np.nan
+    sensor_values: dict[str, int] = field(default_factory=dict)
+    sensor_used: dict[str, int] = field(default_factory=dict)
+
+    def add_field(self, seen: LineField, count: int) -> None:
+        """One camera field.
+
+        Args:
+            seen: what was seen in it.
+            count: line points to keep.
+        """
+        row, some = np.full(1 + 3 * count, np.nan), min(len(seen.points_tcp), count)
+        row[0], used = seen.t, seen.used[:some]
+        row[1:].reshape(count, 3)[:some][used] = seen.points_tcp[:some][used]
+        self.fields.append(row)
+        self.latest, self.used = seen, self.used + int(seen.seen)
+
+    def field_columns(self, t: Array, count: int) -> Iterator[tuple[str, Array]]:
+        """Columns of a recording one by one: values in the rows at the fields' time stamps, NaN elsewhere.
+
+        Args:
+            t: times of the rows ``(N,)`` [s].
+            count: line points of a field.
+        """
+        kept = np.asarray(self.fields).reshape(-1, 1 + 3 * count)
+        rows = np.minimum(np.searchsorted(t, kept[:, 0]), len(t) - 1)
+        for name, values in zip(field_columns(count), kept.T, strict=True):
+            column, known = np.full(len(t), np.nan), np.isfinite(values)
+            column[rows[known]] = values[known]
+            yield name, column
+
+
+def field_columns(count: int) -> list[str]:
+    """``cam_t`` [s] and ``line_x_i line_y_i line_z_i`` [m] of ``count`` line points."""
+    return ["cam_t", *(f"line_{axis}_{i + 1}" for i in range(count) for axis in "xyz")]
+
+
+REST = 0.2
+"""Time the recording goes on after the path has come to rest [s]."""
+SHOWN = 4
+"""Camera fields kept as pictures."""
+RECENT = 32
+"""Fields among which one that comes twice is recognised by its time stamp."""
+
+
+def assumed_latency(model: Model) -> float:
+    """By how much the model says that the camera's time stamps are wrong [s]; 0 where it says nothing."""
+    return CameraErrors.of(model.effects).late_by(0.0)
+
+
+class LineTask:
+    """Following a line with one method; a ``scenes.online.cycle.Task``.
+
+    Args:
+        cell: what is known of the scene.
+        method: how ``q_d`` becomes ``q_c``.
+        camera: what sees the line.
+        model: of the arm; None for a method that knows of none.
+        gains: K_p, K_d of direct sensor feedback [1 per cycle].
+        log: is written to.
+        sensors: besides the camera.
+        detection: how the line looks; the usual line if None.
+        moved: what the controller reported when the arm moved last, cycle by cycle: a feedforward that adapts learns
+            from it.
+    """
+
+    def __init__(self, cell: Known, method: SceneMethod, camera: Camera, model: Model | None,
+                 gains: tuple[float, float] | None, log: LineLog, sensors: Sequence[DeviationSensor] = (),
+                 detection: DetectionSettings | None = None, moved: Sequence[RobotState] = ()) -> None:
+        self.cell, self.method, self.camera, self.log, self.sensors = cell, method, camera, log, tuple(sensors)
+        self.follower = follower = cell.follower
+        self.n_d = follower.n_d
+        given = min(self.n_d, cell.scene.n_d or self.n_d)
+        self._T = cell.robot.t_ipo
+        self._count = int(np.ceil((START + follower.duration + REST) / self._T))
+        self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
+        self._new: list[Field] = []
+        self._stamps: deque[float] = deque(maxlen=RECENT)
+        self._detection = detection or DetectionSettings()
+        self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
+        self._deflection = GearDeflection(model, self._T) if model is not None else None
+        effects = () if model is None else model.effects
+        self._known, self._arm = CameraErrors.of(effects), CorrectedArm(cell.robot, effects)
+        self._direct = DirectFeedback(follower, *gains) if method.key == DIRECT and gains else None
+        self._state = self.feedforward.init(follower.q_start)
+        for measured in moved:
+            self._state = self.feedforward.observe(self._state, measured)
+        # Once for nothing, so that compiling does not fall into the first cycles.
+        self.feedforward.step(self._state, np.tile(follower.q_start, (self.feedforward.n_d, 1)))
+        follower.reference.project(follower.reference.position(np.array([0.1])), 0.1)
+        for sensor in self.sensors:
+            log.sensor_values[sensor.name] = log.sensor_used[sensor.name] = 0
+
+    @property
+    def q_start(self) -> Array:
+        """Where the arm rests at first ``(n,)`` [rad]."""
+        return self.follower.q_start
+
+    @property
+    def rest(self) -> float:
+        """Time the recording goes on after a stop [s]."""
+        return REST
+
+    @property
+    def longest(self) -> float:
+        """Length of the play [s]."""
+        return (self._count + 0.5) * self._T
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """Takes the motor angles at ``t``; the arm's are those less the gears' deflection, where a model knows it.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad], from which the gears' deflection follows.
+        """
+        self.take_fields(t)
+        self.take_angles(t, q, q_d)
+
+    def take_fields(self, t: float) -> None:
+        """Takes the fields that have arrived by ``t`` [s]; the next ``plan`` uses them."""
+        self._new = []
+        for one in self.camera.arrived(t):
+            # A field that a network delivers twice is one measurement.
+            if one.t_stamp not in self._stamps:
+                self._new.append(one)
+                self._stamps.append(one.t_stamp)
+
+    def take_angles(self, t: float, q: Array, q_d: Array) -> None:
+        """See ``observe``.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
+        self.follower.observe(t, self._arm.as_drawn(q if self._deflection is None else q - self._deflection.at(q_d)))
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """Desired joint positions over the horizon ``(n_d, n)``: of the sensed path, or of the reference."""
+        return self.sensed_plan(t)
+
+    def sensed_plan(self, t: float) -> Array:
+        """The horizon ``(n_d, n)`` [rad] from ``t`` [s] on, with the fields taken last; see ``plan``."""
+        for arrived in self._new:
+            seen = self._sense(arrived)
+            self.log.add_field(seen, self.cell.scene.points)
+            if seen.seen and not np.isfinite(self.log.first_used):
+                self.log.first_used = t
+        for sensor in self.sensors:
+            for reading in (one for one in sensor.arrived(t) if np.isfinite(one.value)):
+                self.log.sensor_values[sensor.name] += 1
+                self.log.sensor_used[sensor.name] += fuse_reading(self.follower, reading, sensor.name).dof
+        if self.method.senses:
+            return self.follower.horizon(t)
+        self.follower.fusion.travel(float(self.follower.profile.s(t - START)))
+        k = min(max(round((t - START) / self._T), 0), len(self.follower.q_reference) - self.n_d)
+        return self.follower.q_reference[k : k + self.n_d]
+
+    def _sense(self, arrived: Field) -> LineField:
+        """Line points of a field and what follows from them for the path."""
+        follower = self.follower
+        arrived = replace(arrived, t_stamp=arrived.t_stamp + self._known.late_by(arrived.t_stamp))
+        pose = follower.history.pose(arrived.t_stamp)
+        ahead = follower.predict(arrived.t_stamp).seen_by(self.cell.camera, arrived.t_stamp, follower.history.row_pose)
+        seen = self.cell.detector.detect(arrived, self.cell.camera, ahead, self._detection)
+        seen = replace(seen, points_tcp=self._known.points(seen.points_tcp, self.cell.camera.axis_on_surface))
+        seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
+        if self._direct is not None:
+            self._direct.update(seen, pose)
+        follower.update(seen, pose)
+        return seen
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """Commanded joint positions ``(n,)``."""
+        if self._direct is not None:
+            return self._direct.command(t)
+        q_c, self._state = self.feedforward.step(self._state, q_d[: self.feedforward.n_d])
+        return q_c
+
+    def request(self, t0: float, t1: float) -> None:
+        """Asks the camera for windows where the line should be."""
+        self.log.with_field.append(bool(self._new))
+        self.log.s.append(float(self.follower.profile.s(t0 - START)))
+        self.log.believed.append(self.follower.planned(t0)[0] if self.method.senses else 0.0)
+        self.camera.request(t0, t1, self._windows)
+
+    def _windows(self, exposure: float) -> Sequence[Window]:
+        exposure += self._known.late_by(exposure)
+        ahead = self.follower.predict(exposure).seen_by(self.cell.camera, exposure, self.follower.history.row_pose)
+        return search_windows(self.cell.camera, ahead, self._detection)
+
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Lets a feedforward that adapts learn from the cycle, and keeps a field now and then for the report.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
+        self._state = self.feedforward.observe(self._state, measured)
+        k, latest = round(t0 / self._T), self.log.latest
+        if k not in self._picture_at:
+            return
+        self._picture_at.discard(k)
+        if self._new and latest is not None and latest.seen:
+            self.log.shown.append((latest.t, self._picture(latest, self._new[-1])))
+        else:
+            self._picture_at.add(k + 1)
+
+    def speed(self, t: float) -> float:
+        """Path speed [m/s]."""
+        return float(self.follower.profile.speed(t - START))
+
+    def done(self, t: float) -> bool:
+        """Whether the path is done and the arm at rest."""
+        return round(t / self._T) + 1 >= self._count
+
+    def _picture(self, seen: LineField, raw: Field) -> FieldShown:
+        """The points found in a field and the polynomial through them ([L] 5); the image itself is rendered later."""
+        follower, reference = self.follower, self.cell.reference
+        pose = follower.history.pose(seen.t)
+        points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
+        s, deviation, _ = reference.project(points, float(follower.profile.s(seen.t - START)) + 0.06)
+        polynomial = fit_of_lowest_order(s, deviation, seen.sigma[seen.used])
+        at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
+        frames = reference.frames(at)
+        curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal
+        return FieldShown(seen.t, np.empty((0, 0), dtype=np.uint8), raw.windows, seen.pixels, seen.used,
+                          self.cell.camera.project_tool((curve - pose.translation) @ pose.rotation))
+
+
+# What following a line on devices does in each cycle: where the cycle is short, planned in the one before.
+
+AT_ONCE = 0.008
+"""Cycle from which on there is time to plan with a field between packet and answer [s]."""
+
+
+class LiveLineTask(LineTask):
+    """``LineTask`` with an arm that may have to be stopped.
+
+    Behind short cycles an answer waits for no field: as soon as the command of a cycle has gone, the plan of the next
+    one is made with the fields that are there by then. What is left between packet and answer is one step of the
+    feedforward along that plan. A field takes effect a cycle later for it; the map it goes into is one over places
+    ([L] 4.3), to which its age makes no difference.
+    """
+
+    arm: LiveArm | None = None
+    ahead = False
+    """Whether each cycle is planned in the one before."""
+    _prepared: tuple[int, Array | IdealRobotError] | None = None
+
+    def lead(self, arm: LiveArm) -> None:
+        """From now on with this arm, which is at rest at the start."""
+        self.arm, self.ahead = arm, self._T < AT_ONCE
+        if self.ahead:
+            arm.between.append(lambda: self.prepare(arm.t + self._T))
+
+    def prepare(self, t: float) -> None:
+        """Plans the cycle that begins at ``t`` [s], with what has come by now; nobody waits for it yet."""
+        self.take_fields(t)
+        try:
+            found: Array | IdealRobotError = self.sensed_plan(t)
+        except IdealRobotError as error:
+            found = error
+        self._new = []
+        self._prepared = round(t / self._T), found
+
+    def observe(self, t: float, q: Array, q_d: Array) -> None:
+        """See ``scenes.online.cycle.Task``.
+
+        Args:
+            t: begin of the cycle [s].
+            q: motor angles ``(n,)`` [rad].
+            q_d: horizon of the last cycle ``(n_d, n)`` [rad].
+        """
+        if not self.ahead:
+            self.take_fields(t)
+        self.take_angles(t, q, q_d)
+
+    def plan(self, t: float, q_d: Array) -> Array:
+        """See ``scenes.online.cycle.Task``."""
+        if self.arm is not None:
+            self.arm.check(t)
+        number, prepared = self._prepared or (-1, None)
+        self._prepared = None
+        if self._new or prepared is None or number != round(t / self._T):
+            # There is time for a field, or this is one of several lost cycles that are made good at once.
+            return self.sensed_plan(t)
+        if isinstance(prepared, IdealRobotError):
+            raise prepared
+        return prepared
+
+    def command(self, t: float, q_d: Array) -> Array:
+        """See ``scenes.online.cycle.Task``."""
+        if self.arm is not None:
+            self.arm.q_d = q_d[0]
+        return super().command(t, q_d)
+
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """Lets a feedforward that adapts learn; the pictures are in another process, none is kept.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
+        self._state = self.feedforward.observe(self._state, measured)

@@ -1,0 +1,279 @@
+"""An arm that is led in real time, whatever maker's interface it is behind: its clock, its stops, its recording."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any, Protocol
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from planning.planning_error import PlanningError
+from scenes.online.journal import Journal
+from scenes.scene_files.scene import SceneError
+from sensing.clock_relation import ClockRelation
+
+START_TOLERANCE = np.radians(5.0)
+"""How far from the start of the path the arm may stand [rad]: a calibration of the surface moves the start."""
+_APPROACH = 0.3
+"""Rest at the start [s]."""
+_REMEMBERED = 256
+"""Cycles whose times are remembered."""
+_RECENT, _FOR_LOST = 20, 0.3
+"""Answers whose usual time tells how many lost cycles are made good in one, and the share of it that may take."""
+_SLOWEST, _SHARE = 0.35, 0.25
+"""Shares of the limits of speed and acceleration that moves between postures take."""
+
+
+class FollowStoppedError(PlanningError):
+    """Following has to end: the arm is brought to rest on its path."""
+
+
+class Link(Protocol):
+    """What both makers' interfaces have."""
+
+    robot: Robot
+    t_ipo: float
+    commanded: Array
+    fault: str | None
+    counts: Any
+    answer_times: Any
+    gone_on: int
+
+    @property
+    def arrived(self) -> float:
+        """When the last packet was read, by ``time.perf_counter`` [s]."""
+        ...
+
+    def send(self, q_c: Array) -> None:
+        """Hands over a command ``(n,)`` [rad]."""
+        ...
+
+    def receive(self) -> RobotState:
+        """Waits for the next packet."""
+        ...
+
+    def skip(self, q_c: Array) -> None:
+        """A command ``(n,)`` [rad] of a cycle in which the controller went on by itself."""
+        ...
+
+
+class LiveArm:
+    """A ``RobotInterface`` to a connected arm.
+
+    Its time, which planning and sensors share, counts the cycles since ``begin``. Where a cycle was lost on the wire
+    and the controller held the arm meanwhile, the path waits, and so does its time. Where the controller went on as
+    before (increments that are held on), so does the path: what was lost is planned, but not commanded, and the arm is
+    led from where it has come to, which is near the path, instead of waiting beside it. Only so many cycles are made
+    good in one as leave time for the answer; for the rest the path waits. ``play_time`` says which of the path's time
+    belongs to a time of this computer.
+
+    Args:
+        link: the arm, connected.
+        journal: where every cycle is written down.
+
+    Attributes:
+        t_ipo: cycle [s].
+        clock: how the controller's clock relates to this computer's.
+        between: called in every cycle after the command has gone and before the next packet is waited for.
+        q_d: desired position of the coming cycle, for the journal ``(n,)`` [rad].
+        stop_reason: why following has to end; None while it has not.
+    """
+
+    def __init__(self, link: Link, journal: Journal) -> None:
+        self.link, self.robot, self.t_ipo, self._journal = link, link.robot, link.t_ipo, journal
+        self.clock = ClockRelation()
+        self.between: list[Callable[[], None]] = []
+        self.q_d = link.commanded.copy()
+        self.stop_reason: str | None = None
+        self.cycles = 0
+        self._k = 0
+        self._last: RobotState | None = None
+        self._told: deque[float] = deque(maxlen=_REMEMBERED)
+        self._played: deque[float] = deque(maxlen=_REMEMBERED)
+        self._passed: deque[RobotState] = deque()
+
+    def stop(self, reason: str) -> None:
+        """The arm is to come to rest on its path; to be called from anywhere."""
+        self.stop_reason = self.stop_reason or reason
+
+    def check(self, t: float) -> None:
+        """Raises ``FollowStoppedError`` where following has to end at ``t`` [s]."""
+        if self.link.fault is not None:
+            self.stop(self.link.fault)
+        if self.stop_reason is not None:
+            raise FollowStoppedError(f"stopped on the path at {t:.3f} s: {self.stop_reason}")
+
+    def begin(self) -> None:
+        """Time begins anew: the next cycle is the first."""
+        self._k = 0
+        self._passed.clear()
+        self._told.clear()
+        self._played.clear()
+
+    @property
+    def t(self) -> float:
+        """Time since ``begin`` [s]."""
+        return self._k * self.t_ipo
+
+    @property
+    def controller_time(self) -> float:
+        """Of the last cycle, by the controller [s]; NaN before the first."""
+        return float("nan") if self._last is None else self._last.t
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """One cycle; the state's time is that since ``begin``.
+
+        Raises:
+            InputError, LimitError: a command that cannot be.
+            FollowStoppedError: the arm is gone.
+        """
+        if self._passed:
+            # The answer that waits is the one to the last packet: this cycle is over already.
+            self.link.skip(q_c)
+            return self._counted(self._passed.popleft())
+        try:
+            self.link.send(q_c)
+            sent = self.link.commanded
+            for work in self.between:
+                work()
+            state = self.link.receive()
+        except IdealRobotError as error:
+            if isinstance(error, PlanningError):
+                raise
+            raise FollowStoppedError(f"stopped at {self.t:.3f} s: {error}") from error
+        self.cycles += 1
+        self.clock.add(state.t, self.link.arrived)
+        self._journal.add(self.t + self.t_ipo, state, self.q_d, sent)
+        return self._counted(self._made_good(state))
+
+    def _counted(self, state: RobotState) -> RobotState:
+        """One cycle further."""
+        self._k += 1
+        self._told.append(state.t)
+        self._played.append(self.t)
+        self._last = state
+        return RobotState(self.t, state.q, state.tau)
+
+    def _made_good(self, state: RobotState) -> RobotState:
+        """The state to go on with: the first of those unheard of, which lie between the last two."""
+        if not self.link.gone_on or self._last is None:
+            return state
+        times = self.link.answer_times[-_RECENT:]
+        usual = sum(times) / max(len(times), 1)
+        count = min(self.link.gone_on, max(int(_FOR_LOST * self.t_ipo / max(usual, 1e-6)), 1))
+        first, steps = self._last, self.link.gone_on + 1
+        for i in range(self.link.gone_on + 1 - count, steps):
+            share = i / steps
+            self._passed.append(RobotState(first.t + share * (state.t - first.t), first.q + share * (state.q - first.q),
+                                           state.tau))
+        self._passed.append(state)
+        return self._passed.popleft()
+
+    def play_time(self, host: float) -> float:
+        """Time since ``begin`` that belongs to this computer's time ``host`` [s]; NaN before the first cycle."""
+        told, played = self._told, self._played
+        if not told:
+            return float("nan")
+        at = self.clock.stamp(host)
+        i = bisect_right(told, at)
+        if i == 0:
+            return played[0] + at - told[0]
+        if i == len(told):
+            return played[-1] + at - told[-1]
+        share = (at - told[i - 1]) / (told[i] - told[i - 1])
+        return played[i - 1] + share * (played[i] - played[i - 1])
+
+    def approach(self, start: Array) -> None:
+        """Brings the arm from where it is held to the start ``(n,)`` [rad], which has to be near.
+
+        Raises:
+            SceneError: it is not near.
+        """
+        offset = start - self.link.commanded
+        joint = int(np.argmax(np.abs(offset)))
+        if abs(offset[joint]) > START_TOLERANCE:
+            raise SceneError(f"joint {joint + 1} stands at {np.degrees(self.link.commanded[joint]):.2f}° and the path "
+                             f"starts at {np.degrees(start[joint]):.2f}°; move the arm to the start of the path, or "
+                             "check axis_sign and axis_zero in the robot's data")
+        self.lead(moves(self.robot, [self.link.commanded.copy(), start], _APPROACH))
+
+    def lead(self, commands: Array) -> None:
+        """Goes through commands ``(N, n)`` [rad] from rest to rest; raises ``FollowStoppedError`` where it has to end.
+
+        A stop on the way ends it at once: such moves are slow.
+        """
+        for q_c in commands:
+            self.check(self.t)
+            self.q_d = q_c
+            self.cycle(q_c)
+
+
+def smooth_way(start: Array, end: Array, count: int) -> Array:
+    """Positions ``(count, n)`` from rest to rest: 10 u³ - 15 u⁴ + 6 u⁵.
+
+    Args:
+        start: ``(n,)`` [rad].
+        end: ``(n,)`` [rad].
+        count: cycles.
+    """
+    u = np.arange(1, count + 1)[:, None] / count
+    return np.asarray(start + u**3 * (10 - 15 * u + 6 * u**2) * (end - start))
+
+
+def moves(robot: Robot, postures: list[Array], rest: float) -> Array:
+    """Commands ``(N, n)`` from posture to posture with a rest at each.
+
+    The polynomial has 1.875 times the mean velocity and 5.774 times way/duration² at its peaks.
+
+    Args:
+        robot: cycle and limits.
+        postures: joint angles ``(n,)`` each [rad]; the arm is at the first one.
+        rest: at each [s].
+    """
+    T = robot.t_ipo
+    v = _SLOWEST * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
+    a = _SHARE * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
+    rows = [postures[0][None]]
+    for start, end in pairwise(postures):
+        way = np.abs(end - start)
+        duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))), T)
+        rows += [smooth_way(start, end, int(np.ceil(duration / T))), np.tile(end, (max(round(rest / T), 1), 1))]
+    return np.concatenate(rows)
+
+
+# An arm behind another interpolation cycle, and how soon its loop answers.
+
+_ANSWER_MAX = 0.4
+"""Time after which a loop has answered a command [s]."""
+
+
+def at_cycle(arm: Robot, cycle: float) -> Robot:
+    """The arm behind another interpolation cycle [s]; the inner cycles are shortened until they fit into it.
+
+    Raises:
+        InputError: no cycle that a controller has.
+    """
+    if not (1e-3 <= cycle <= 0.1 and math.isclose(1e3 * cycle, round(1e3 * cycle))):
+        raise InputError("expected whole milliseconds from 0.001 to 0.1 s", field="--cycle", value=cycle)
+    grid = 1e-6
+    position = math.gcd(round(cycle / grid), round(arm.t_position / grid))
+    velocity = math.gcd(position, round(arm.t_velocity / grid))
+    return replace(arm, t_ipo=cycle, t_position=grid * position, t_velocity=grid * velocity)
+
+
+def answers_within(loop: LoopModel, arm: Robot) -> float:
+    """Time in which the identified loop answers a command to 97 %, and half of it more [s]."""
+    response = LinearLoop.of(loop, arm.home, length=math.ceil(_ANSWER_MAX / arm.t_ipo))
+    open_until = (np.abs(np.cumsum(response.g, axis=0) - 1.0) > 0.03).any(axis=1)
+    return float(1.5 * arm.t_ipo * (2 + np.flatnonzero(open_until)[-1]))

@@ -1,0 +1,303 @@
+"""The camera in the loop of a live arm: pictures come when they come, and are evaluated elsewhere."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.execution.command_governor import CommandGovernor
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.row_log import RowLog
+from scenes.online.camera_process import CameraProcess, Evaluated, Header
+from scenes.online.cycle import Task
+from scenes.online.live_arm import LiveArm
+from sensing.camera.camera_device import Field, WindowsAt
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import HandEye, Observation
+from sensing.camera.line_detection import LineField
+from sensing.camera.line_search import DetectionSettings, PredictedLine
+from sensing.force.sensors import WrenchSource
+from sensing.force.wrench import WrenchSample
+from sensing.sensing_error import SensingError
+
+OLDEST = 0.4
+"""Age from which on a picture is of no use: the arm's poses of that time are forgotten [s]."""
+AHEAD = 0.04
+"""How far ahead of the arm's last state a picture may be stamped [s]."""
+
+Predict = Callable[[float], PredictedLine]
+"""Where the line should be in a picture taken at a time of the run [s], in the tool frame."""
+
+
+@dataclass(frozen=True)
+class EvaluatedField(Field):
+    """A field whose line points have been found already."""
+
+    seen: LineField = None  # type: ignore[assignment]
+
+
+class FoundBefore:
+    """The detector of fields that were evaluated elsewhere; a ``LineDetector``."""
+
+    name: ClassVar[str] = "found_before"
+
+    def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
+               settings: DetectionSettings) -> LineField:
+        """As ``LineDetector.detect``.
+
+        Args:
+            field: an ``EvaluatedField``.
+            camera: not needed.
+            prediction: not needed.
+            settings: not needed.
+        """
+        if not isinstance(field, EvaluatedField):
+            raise SensingError("only fields that were evaluated before")
+        return dataclasses.replace(field.seen, t=field.t_stamp)
+
+
+class LiveCamera:
+    """A ``sensing.camera.camera_device.Camera`` that exposes as it likes.
+
+    Args:
+        process: reads and evaluates.
+        arm: whose time the fields are given.
+        detection: how the line looks.
+
+    Attributes:
+        predict: see ``Predict``; nothing is evaluated before it is given.
+        late, early: pictures that were not evaluated because of their stamps.
+        ages: from mid-exposure until the field was used [s].
+        hand_eye: a calibration that was asked for, once it has come, or why there is none.
+    """
+
+    def __init__(self, process: CameraProcess, arm: LiveArm, detection: DetectionSettings) -> None:
+        self._process, self._arm, self.detection = process, arm, detection
+        self.predict: Predict | None = None
+        self.late = self.early = 0
+        self.time_offset = 0.0
+        self.ages: list[float] = []
+        self.hand_eye: HandEye | Exception | None = None
+        self._evaluated: list[Field] = []
+        self._headers: list[Header] = []
+        arm.between.append(self.serve)
+
+    def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
+        """See ``Camera.request``; whole pictures come anyway."""
+
+    def arrived(self, t: float) -> list[Field]:
+        """See ``Camera.arrived``."""
+        self._take()
+        found, self._evaluated = self._evaluated, []
+        self.ages += [t - field.t_stamp for field in found]
+        return found
+
+    def calibrate(self, camera: CameraModel, observations: Sequence[Observation], near: Array, normal: Array) -> None:
+        """Asks for a calibration; ``hand_eye`` is what comes of it.
+
+        Args:
+            camera: as mounted by hand.
+            observations: see ``sensing.camera.hand_eye.calibrate``.
+            near: see there.
+            normal: see there.
+        """
+        self.predict = None
+        self._process.calibrate(camera, observations, near, normal)
+
+    def use(self, camera: CameraModel, time_offset: float) -> None:
+        """The camera as it is calibrated, and what has to be added to its stamps [s]."""
+        self._process.use(camera)
+        self.time_offset = time_offset
+
+    def serve(self) -> None:
+        """Sends the predictions for pictures that have come; called while the controller is busy."""
+        self._take()
+        headers, self._headers = self._headers, []
+        for header in headers:
+            self._ask(header)
+
+    def _take(self) -> None:
+        for message in self._process.poll():
+            if isinstance(message, Header):
+                self._headers.append(message)
+            elif isinstance(message, Evaluated):
+                seen = message.seen
+                self._evaluated.append(EvaluatedField(seen.t, self._arm.t, message.windows, message.patches, seen))
+            else:
+                self.hand_eye = message
+        if self._process.ended is not None:
+            self._arm.stop(self._process.ended)
+
+    def _ask(self, header: Header) -> None:
+        t = self._arm.play_time(header.taken + self.time_offset)
+        if self.predict is None or not np.isfinite(t):
+            return
+        if t < max(self._arm.t - OLDEST, 0.0):
+            self.late += 1
+        elif t > self._arm.t + AHEAD:
+            self.early += 1
+        else:
+            self._process.ask(header.number, t, self.predict(t), self.detection)
+
+
+# The force sensor in the loop of a live arm: a thread reads it, the cycle takes what is there.
+
+STUCK = 25
+"""Readings in a row without the least change after which the sensor counts as stuck: a sound one has noise."""
+IMPOSSIBLE = 1e5
+"""A reading beyond is none [N, N m]."""
+_OLDEST = 0.4
+_WAITING = 4000
+
+
+class LiveForce:
+    """A ``sensing.force.wrench.ForceSensor`` over a source.
+
+    Args:
+        source: the sensor.
+        arm: whose time the samples are given.
+
+    Attributes:
+        samples: of all that were handed on the time [s] and the wrench [N, N m].
+        stuck, impossible, untimely: readings that count as missing.
+    """
+
+    def __init__(self, source: WrenchSource, arm: LiveArm) -> None:
+        self.source, self._arm = source, arm
+        self.samples = RowLog(7)
+        self.stuck = self.impossible = self.untimely = 0
+        self._alike, self._last = 0, np.full(6, np.nan)
+        self._sound = 0.0
+        self._readings: deque[tuple[float, Array]] = deque(maxlen=_WAITING)
+        self._closed = False
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def arrived(self, t: float) -> list[WrenchSample]:
+        """See ``ForceSensor.arrived``; readings that cannot be count as missing."""
+        found = []
+        while self._readings:
+            stamp, wrench = self._readings.popleft()
+            at = self._arm.play_time(self.source.clock.host(stamp))
+            if not np.isfinite(at) or not max(t - _OLDEST, 0.0) <= at <= t + 0.04:
+                self.untimely += 1
+            elif not (np.abs(wrench) < IMPOSSIBLE).all():
+                self.impossible += 1
+            else:
+                self._alike = self._alike + 1 if np.array_equal(wrench, self._last) else 0
+                self._last = wrench
+                if self._alike >= STUCK:
+                    self.stuck += 1
+                else:
+                    found.append(WrenchSample(at, t, wrench))
+        if found:
+            self._sound = max(self._sound, max(sample.t for sample in found))
+            for sample in found:
+                self.samples.append((sample.t, *sample.wrench))
+        return found
+
+    def silent(self, t: float) -> float:
+        """How long there has been no sound reading by ``t`` [s]."""
+        return t - self._sound
+
+    def begin(self) -> None:
+        """The run's time begins anew."""
+        self._readings.clear()
+        self._sound = 0.0
+        self.samples = RowLog(7)
+
+    def why_silent(self) -> str:
+        """What came instead of readings."""
+        counts = self.source.counts
+        said = [f"{number} {what}" for number, what in (
+            (self.stuck, "stuck"), (self.impossible, "impossible"), (self.untimely, "with an impossible time"),
+            (counts.invalid, f"wrong by its own word ({counts.last_invalid})"), (counts.refused, "refused")) if number]
+        return ", ".join(said) or "nothing came"
+
+    def close(self) -> None:
+        """Ends the thread and gives the sensor back."""
+        self._closed = True
+        self._thread.join(1.0)
+        self.source.close()
+
+    def _read(self) -> None:
+        while not self._closed:
+            for reading in self.source.read(0.1):
+                self._readings.append((reading.stamp, reading.wrench))
+
+
+# A run without devices before the run with them: whatever is compiled or loaded late is loaded now.
+
+class ImaginedCamera:
+    """A camera that sees the line where it is predicted; a ``sensing.camera.camera_device.Camera``.
+
+    Attributes:
+        predict: see ``scenes.online.live_sensors.Predict``.
+    """
+
+    def __init__(self) -> None:
+        self.predict: Predict | None = None
+        self._asked: list[float] = []
+
+    def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
+        """See ``Camera.request``."""
+        self._asked.append(t0)
+
+    def arrived(self, t: float) -> list[Field]:
+        """See ``Camera.arrived``."""
+        asked, self._asked = self._asked, []
+        return [self._field(at) for at in asked[-1:]] if self.predict is not None else []
+
+    def _field(self, t: float) -> EvaluatedField:
+        if self.predict is None:
+            raise ValueError("nothing to predict with")
+        points = self.predict(t).points
+        m = len(points)
+        seen = LineField(t, points, np.zeros((m, 2)), np.zeros(m), np.full(m, 1e-4), np.ones(m), np.ones(m, dtype=bool),
+                         True, "")
+        return EvaluatedField(t, t, (), (), seen)
+
+
+class ImaginedForce:
+    """A sensor that feels what it is told; a ``sensing.force.wrench.ForceSensor``.
+
+    Attributes:
+        wrench: what it feels ``(6,)`` [N, N m].
+    """
+
+    def __init__(self) -> None:
+        self.wrench = np.zeros(6)
+
+    def arrived(self, t: float) -> list[WrenchSample]:
+        """See ``ForceSensor.arrived``."""
+        return [WrenchSample(at, t, self.wrench) for at in (t - 0.008, t - 0.004, t) if at >= 0.0]
+
+
+def rehearse(task: Task, robot: Robot, cycles: int, first: int = 0) -> None:
+    """Plays cycles with an arm that does at once what is desired.
+
+    Args:
+        task: to be thrown away afterwards.
+        robot: with the controller's cycle.
+        cycles: how many.
+        first: number of the first one.
+    """
+    T, q = robot.t_ipo, task.q_start
+    q_d = np.tile(q, (task.n_d, 1))
+    governor = CommandGovernor(robot, q, t_ipo=T)
+    for k in range(first, first + cycles):
+        t = k * T
+        task.observe(t, q, q_d)
+        q_d = task.plan(t, q_d)
+        governor.allowed(task.command(t, q_d))
+        task.request(t, t + T)
+        task.collect(t, t + T, RobotState(t + T, q_d[0], np.zeros_like(q)))
+        q = q_d[0]

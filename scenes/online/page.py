@@ -1,0 +1,76 @@
+"""The page of a run on devices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from scenes.online.result import FollowResult
+from scenes.outputs import whole_folder
+from scenes.report.page import Report, write_json
+
+
+def write_run(result: FollowResult, out: Path) -> FollowResult:
+    """Writes recording, page and figures of a run into a folder; returns the result with their places."""
+    result = replace(result, recording_path=out / "recording.parquet", report=out / "report.html")
+    with whole_folder(out) as new:
+        result.recording.write(new / "recording.parquet")
+        _page(result).write(new / "report.html")
+        write_json(new / "report.json", result.json())
+    return result
+
+
+def _page(result: FollowResult) -> Report:
+    page = Report(result.scene.title, f"{result.method} on devices: {len(result.recording.t)} cycles"
+                  + (", the whole path." if result.failure is None else ", ended early."))
+    if result.failure is not None:
+        page.warning(result.failure)
+    if count := result.devices.get("arm", {}).get("cycles_not_recorded", 0):
+        page.warning(f"The disk did not take {count} cycles: they are missing in the recording.")
+    if result.left_behind is not None:
+        page.warning(f"A run before this one was killed; what it did until then is in {result.left_behind}.")
+    page.figures(result.summary())
+    page.text(result.scene.description)
+    page.heading("What was planned and commanded")
+    page.figure(_motion(result), "Top: planned deviation from the reference path. Middle: commanded joint speeds. "
+                "Bottom: desired arm position minus motor angle, which is all a controller tells: gears stay between.")
+    page.heading("Devices")
+    for name, device in result.devices.items():
+        page.table(["figure", name], [[key, value] for key, value in _flat(device)])
+    page.heading("Timing")
+    page.table(["figure", "value"], [[key, value] for key, value in _flat(result.timing)])
+    return page
+
+
+def _motion(result: FollowResult) -> Figure:
+    figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+    top, middle, bottom = figure.subplots(3, 1)
+    if len(result.planned):
+        top.plot(result.planned[:, 0], 1e3 * result.planned[:, 1], color="#2f6690")
+    top.set_ylabel("deviation [mm]")
+    recording = result.recording
+    t, q_c = recording.t, recording.joints("q_c")
+    if len(t) > 2:
+        speeds, off = np.gradient(q_c, t, axis=0), 1e3 * (recording.joints("q_d") - recording.joints("q"))
+        for j in range(q_c.shape[1]):
+            middle.plot(t, speeds[:, j], lw=0.8, label=f"joint {j + 1}")
+            bottom.plot(t, off[:, j], lw=0.8)
+        middle.legend(ncols=6, fontsize=7, frameon=False)
+    middle.set_ylabel("speed [rad/s]")
+    bottom.set(ylabel="off [mrad]", xlabel="controller's time [s]")
+    return figure
+
+
+def _flat(values: dict[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    rows: list[tuple[str, Any]] = []
+    for key, value in values.items():
+        if isinstance(value, dict):
+            rows += _flat(value, f"{before}{key} ")
+        else:
+            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+            rows.append((before + key.replace("_", " "), shown))
+    return rows

@@ -1,0 +1,193 @@
+"""Processes and the computer's attention: memory, interrupts, priority, and functions called in another process."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+# Functions by name, for processes that need what the one that starts them shall not load.
+
+def called(name: str, *given: Any) -> Any:
+    """Calls a function of another process's own; its module is loaded there alone.
+
+    Args:
+        name: ``module:function``.
+        given: what it is called with.
+    """
+    module, _, function = name.partition(":")
+    return getattr(importlib.import_module(module), function)(*given)
+
+
+# What processes of this computer take: memory and processor time, as the system tells; NaN where it does not.
+
+def peak_memory(pid: int) -> float:
+    """Largest resident memory of a process [MB] since it began, or since ``give_back``; what it shares counts whole."""
+    return _field(Path(f"/proc/{pid}/status"), "VmHWM")
+
+
+def memory_together(pids: Sequence[int]) -> float:
+    """Memory of processes now [MB]; what they share, libraries above all, counts once."""
+    own, shared = 0.0, 0.0
+    for pid in pids:
+        file = Path(f"/proc/{pid}/smaps_rollup")
+        own += _field(file, "Private_Clean") + _field(file, "Private_Dirty")
+        shared = max(shared, _field(file, "Shared_Clean") + _field(file, "Shared_Dirty"))
+    return own + shared
+
+
+def processor_seconds(pid: int) -> float:
+    """Processor time that all threads of a process have taken [s]."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return float("nan")
+
+
+def _field(file: Path, name: str) -> float:
+    try:
+        line = next(line for line in file.read_text(encoding="ascii").splitlines() if line.startswith(f"{name}:"))
+        return int(line.split()[1]) * 1024 / 1e6
+    except (OSError, ValueError, StopIteration):
+        return float("nan")
+
+
+# Memory that only loading took, given back before the arm is led.
+#
+# Loading compiled functions runs through much of the compiler's code, which no cycle needs again. The rehearsal that
+# follows touches what is needed, so that nothing is fetched while a controller waits.
+
+_DONTNEED = 4
+"""``MADV_DONTNEED`` of Linux: pages of a file are read from it again when they are touched again."""
+
+
+def give_back() -> float:
+    """Drops pages of libraries' code and free memory of the heap; does nothing where the system is no Linux.
+
+    Returns the largest memory of this process until now [MB]; from now on it is counted anew.
+    """
+    most = peak_memory(os.getpid())
+    if not sys.platform.startswith("linux"):
+        return most
+    gc.collect()
+    library = ctypes.CDLL(None)
+    with suppress(OSError, ValueError, AttributeError):
+        for line in Path("/proc/self/maps").read_text(encoding="utf-8").splitlines():
+            fields = line.split(maxsplit=5)
+            # Code alone: nothing was ever written there, so that the file holds all of it.
+            if len(fields) == 6 and fields[1] == "r-xp" and fields[5].startswith("/"):
+                begin, end = (int(place, 16) for place in fields[0].split("-"))
+                library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), _DONTNEED)
+        library.malloc_trim(0)
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+    return most
+
+
+# What a computer can do so that no answer waits: garbage collection out of the cycle, priority, a core of its own.
+
+PRIORITY = 50
+"""Real-time priority of a process that leads an arm, of 1 to 99."""
+_SWITCH = 1e-4
+"""Time another thread (the progress bar) may hold up an answer [s]."""
+
+
+@contextmanager
+def undisturbed(core: int | None = None, priority: int = PRIORITY) -> Iterator[list[str]]:
+    """Yields what was granted, as a person reads it; at the end all is as before.
+
+    A full collection looks at every object of numpy, numba and pinocchio, which takes a hundred milliseconds. What is
+    there now is put aside, and nothing is collected within the block: a cycle makes no circles among objects.
+
+    Args:
+        core: processor core to keep to; None for any.
+        priority: real-time priority that is asked for, of 1 to 99.
+    """
+    granted = ["garbage collection out of the cycle"]
+    interval, enabled = sys.getswitchinterval(), gc.isenabled()
+    cores, before = _cores(), {}
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    sys.setswitchinterval(_SWITCH)
+    try:
+        if core is not None:
+            granted.append(_kept_to(core))
+        if hasattr(os, "sched_setscheduler"):
+            before = _schedulers(priority)
+            granted.append(f"real-time priority {priority}" if before else "no real-time priority (not permitted)")
+        yield granted
+    finally:
+        for thread, (policy, had) in before.items():
+            with suppress(ProcessLookupError):
+                os.sched_setscheduler(thread, policy, had)
+        if core is not None and cores:
+            os.sched_setaffinity(0, cores)
+        sys.setswitchinterval(interval)
+        gc.unfreeze()
+        if enabled:
+            gc.enable()
+
+
+def _schedulers(priority: int) -> dict[int, tuple[int, os.sched_param]]:
+    """Gives every thread of this process real-time priority; returns what they had, nothing if it is not permitted.
+
+    Every one: a thread that draws the progress bar holds Python's lock for a moment, and without priority it could be
+    kept from running in that moment by any other program, and us with it.
+    """
+    threads = [int(name) for name in os.listdir("/proc/self/task")] if os.path.isdir("/proc/self/task") else [0]
+    had = {}
+    for thread in threads:
+        try:
+            before = os.sched_getscheduler(thread), os.sched_getparam(thread)
+            os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority))
+            had[thread] = before
+        except ProcessLookupError:
+            continue
+        except OSError:
+            break
+    return had
+
+
+def _cores() -> set[int]:
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+
+
+def _kept_to(core: int) -> str:
+    try:
+        os.sched_setaffinity(0, {core})
+    except (AttributeError, OSError, ValueError):
+        return f"core {core} not available"
+    return f"core {core}"
+
+
+# Ctrl-C and SIGTERM bring the arm to rest on its path; before anything moves they end the program.
+
+@contextmanager
+def stopping_on_signals(stop: Callable[[str], None], begun: Callable[[], bool] = lambda: True) -> Iterator[None]:
+    """Within the block either signal stops the arm; the handlers before are restored.
+
+    Args:
+        stop: brings the arm to rest; is told why.
+        begun: whether there is an arm to be brought to rest; without one the program ends.
+    """
+
+    def interrupt(number: int, _: object) -> None:
+        if not begun():
+            raise KeyboardInterrupt
+        stop("stopped by the user" if number == signal.SIGINT else "stopped by the system (SIGTERM)")
+
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

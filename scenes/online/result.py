@@ -1,0 +1,77 @@
+"""What came of following on devices: nothing of it is the truth, which devices do not tell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.signals.recording import Recording
+from scenes.result import ShownRun
+from scenes.scene_files.scene import Scene
+
+
+@dataclass(frozen=True, repr=False)
+class FollowResult(ShownRun):
+    """One run.
+
+    Attributes:
+        scene: what was followed.
+        method: how what is sensed became commands.
+        failure: why it ended early, or None.
+        recording: the controller's side of it: ``t``, ``q_d_i``, ``q_c_i``, ``q_i``, torques, line points, wrenches.
+        figures: of the kind of scene.
+        devices: what each device did, and how its clock relates to this computer's.
+        timing: answers to the controller [ms], computing, what the system granted.
+        planned: time [s] and planned deviation from the reference [m] of each cycle ``(N, 2)``.
+        left_behind: recording of a run before that was killed, where one was found.
+        recording_path, report: files written, if any.
+    """
+
+    scene: Scene
+    method: str
+    failure: str | None
+    recording: Recording = field(repr=False)
+    figures: dict[str, Any] = field(repr=False)
+    devices: dict[str, Any] = field(repr=False)
+    timing: dict[str, Any] = field(repr=False)
+    planned: Any = field(repr=False, default_factory=lambda: np.empty((0, 2)))
+    left_behind: Path | None = None
+    recording_path: Path | None = None
+    report: Path | None = None
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        return {"scene": self.scene.name, "method": self.method, "model": self.scene.model, "failure": self.failure,
+                **self.figures, "cycles": len(self.recording.t), "devices": self.devices, "timing": self.timing,
+                "recording": self.recording_path, "recording_hash": self.recording.hash, "report": self.report,
+                "left_behind": self.left_behind}
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The few figures a person wants first."""
+        rows = [("method", self.method), ("cycles", str(len(self.recording.t)))]
+        link = self.devices.get("arm", {}).get("link", {})
+        rows += [(f"packets {key}", str(link[key])) for key in ("lost", "late", "refused") if key in link]
+        if count := self.devices.get("arm", {}).get("cycles_not_recorded", 0):
+            rows.append(("cycles missing in the recording", f"{count}: the disk did not take them"))
+        rows.append(("answer after, median and worst",
+                     f"{self.timing['answer_ms']['median']:.2f}, {self.timing['answer_ms']['max']:.1f} ms"))
+        if (share := self.devices.get("arm", {}).get("holding_share", 0.0)) > 1.0:
+            rows.append(("a missing answer (--absolute)", f"up to {share:.1f} times the acceleration limit"))
+        if "fields" in self.figures:
+            rows.append(("fields used", f"{self.figures['fields']['used']} of {self.figures['fields']['seen']}"))
+        if "force_N" in self.figures:
+            rows.append(("felt force, RMS error", f"{self.figures['force_N']['rms_error']:.2f} N"))
+        shares, peaks = self.timing["processor_share"], self.timing["peak_memory_MB"]
+        rows += [(f"{name}'s process", f"{1e2 * share:.0f} % of a core, {peaks[name]:.0f} MB at most")
+                 for name, share in shares.items()]
+        if len(peaks) > 1:
+            rows.append(("both together", f"{self.timing['memory_together_MB']:.0f} MB"))
+        for name, device in self.devices.items():
+            clock = device.get("clock", {})
+            if clock.get("drift_ppm") is not None:
+                rows.append((f"clock of the {name}",
+                             f"{clock['drift_ppm']:+.0f} ± {clock['drift_std_ppm']:.0f} ppm against this computer's"))
+        return rows

@@ -1,0 +1,259 @@
+"""Follows on devices: opens them, calibrates, follows, stops on the path where it has to, writes down what was done."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.robots.robot import Robot
+from scenes.methods import following_methods, method_of
+from scenes.model_files import model_at
+from scenes.online.camera_process import CameraProcess, calibrated_camera
+from scenes.online.cycle import CycleSettings, holding_share, play_cycles
+from scenes.online.devices import Devices, Job, opened_arm
+from scenes.online.force_job import ForceJob
+from scenes.online.journal import Journal, Later, remove, rescued, written
+from scenes.online.line_job import LineJob
+from scenes.online.live_arm import LiveArm, answers_within, at_cycle
+from scenes.online.live_sensors import LiveCamera, LiveForce
+from scenes.online.processes import (
+    give_back,
+    memory_together,
+    peak_memory,
+    processor_seconds,
+    stopping_on_signals,
+    undisturbed,
+)
+from scenes.online.result import FollowResult
+from scenes.result import Progress, silent
+from scenes.scene_file import scene_values
+from scenes.scene_files.drawn_line import believed_camera
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import OWN, Scene, scene_of
+from sensing.force.sensors import open_force
+
+REST = 0.3
+"""Rest behind a stop [s]."""
+
+
+def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibration: Path | None = None,
+           out: Path | None = None, progress: Progress = silent) -> FollowResult:
+    """Follows once.
+
+    Args:
+        scene: from ``load_cell``; of its tables those of the world are not looked at.
+        devices: which ones.
+        method: how what is sensed becomes commands; the scene's own if None.
+        calibration: file of the camera's calibration; where it is not there yet the camera is calibrated by moving.
+            None: the camera is taken as the scene has it.
+        out: folder of recording, page and figures; ``out/follow/NAME`` if None.
+        progress: called with the fraction done.
+
+    Raises:
+        InputError: anything of this cannot be used. Nothing has moved then.
+        IdealRobotError: the arm did not come, or does not stand at the start.
+    """
+    folder = out or Path("out") / "follow" / scene.name
+    name = method or str(getattr(scene, "method", "ideal"))
+    job = _job(scene, devices, method, calibration)
+    _check_devices(job, devices)
+    before = rescued(folder)
+    at_start = give_back()
+    if job.calibration.wanted:
+        moved = _played(scene, job, devices, folder, "calibration", progress, _calibrate)
+        if moved.failure is not None:
+            return _kept(replace(moved, left_behind=before), folder)
+        remove(folder)
+        # Planned on the surface that was found; the controller has to begin RSI anew.
+        job = _job(scene, devices, method, calibration)
+    progress(0.0, "rehearsing")
+    job.rehearse()
+    at_start = max(at_start, give_back())
+    # What a cycle needs is there again before the first packet.
+    job.rehearse()
+    result = _played(scene, job, devices, folder, name, progress, _follow)
+    timing = {**result.timing, "memory_at_start_MB": at_start}
+    return _kept(replace(result, left_behind=before, timing=timing), folder)
+
+
+def _kept(result: FollowResult, folder: Path) -> FollowResult:
+    """Recording and page written; only then the journal goes."""
+    result = written(result, folder)
+    remove(folder)
+    return result
+
+
+def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path | None) -> Job:
+    """What is followed, set up as far as it goes without devices."""
+    robot = scene.arm if isinstance(scene, LineScene) else Robot.load(scene.robot)
+    if devices.cycle is not None:
+        robot = at_cycle(robot, devices.cycle)
+    model = model_at(scene.model, robot, scene.source)
+    loop = loop_model(model, robot, delay=int(devices.delay))
+    within = answers_within(loop, robot)
+    if not isinstance(scene, LineScene | ForceScene):
+        raise InputError("only lines and surfaces are followed", field="kind", value=scene.kind)
+    chosen = method_of(method or scene.method, following_methods())
+    feedforward("ideal", model, robot, delay=int(devices.delay))
+    camera = calibrated_camera(believed_camera(scene.camera, scene.calibration), calibration)
+    kind = LineJob if isinstance(scene, LineScene) else ForceJob
+    return kind(scene, robot, model, chosen, int(devices.delay), within, camera)  # type: ignore[arg-type]
+
+
+def _check_devices(job: Job, devices: Devices) -> None:
+    for name in job.needs():
+        if getattr(devices, name) is None:
+            raise InputError(f"this scene needs a {'force sensor' if name == 'force' else name}: give its address",
+                             field=f"--{name}")
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """Devices of a run."""
+
+    arm: LiveArm
+    journal: Journal
+    process: CameraProcess | None
+    camera: LiveCamera | None
+    force: LiveForce | None
+
+
+@contextmanager
+def _opened(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress
+            ) -> Iterator[tuple[_Opened, list[str]]]:
+    """The devices that the job needs, and what the system granted for even timing; signals stop the arm."""
+    with ExitStack() as stack:
+        process = None
+        if "camera" in job.needs() and job.camera is not None and devices.camera is not None:
+            progress(0.0, "opening the camera")
+            process = CameraProcess(devices.camera, devices.camera_delay, job.camera, scene.camera.detector,  # type: ignore[attr-defined]
+                                    devices.patience)
+            stack.callback(process.close)
+        source = None
+        if "force" in job.needs() and devices.force is not None:
+            source = open_force(devices.force, devices.force_delay)
+        journal = Journal(folder, job.robot, {"scene": scene.name, "method": method, "model": scene.model})
+        stack.callback(journal.close)
+        progress(0.0, "waiting for the arm")
+        granted = stack.enter_context(undisturbed(devices.core))
+        link = stack.enter_context(opened_arm(devices, job.robot, job.answers_within))
+        arm = LiveArm(link, journal)
+        force = None if source is None else LiveForce(source, arm)
+        if force is not None:
+            stack.callback(force.close)
+        camera = None if process is None else LiveCamera(process, arm, job.detection)
+        stack.enter_context(stopping_on_signals(arm.stop))
+        yield _Opened(arm, journal, process, camera, force), granted
+
+
+Work = Callable[[_Opened, Job, CycleSettings, Progress], None]
+"""What is done with the devices; what comes of it is in the job."""
+
+
+def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
+    if opened.camera is None:
+        raise InputError("calibrating by moving needs a camera", field="--camera")
+    opened.arm.approach(job.q_start)
+    job.calibrate(opened.arm, opened.camera)
+
+
+def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
+    opened.arm.approach(job.q_start)
+    task = job.ready(opened.arm, opened.camera, opened.force)
+    shown = Later(progress)
+    opened.arm.between.append(shown.catch_up)
+    opened.arm.begin()
+    play_cycles(opened.arm, job.robot, task, job.log, settings, shown)
+
+
+def _played(scene: Scene, job: Job, devices: Devices, folder: Path, method: str, progress: Progress, work: Work
+            ) -> FollowResult:
+    """Opens the devices, does the work and tells what came of it, however it ended."""
+    with _opened(scene, job, devices, folder, method, progress) as (opened, granted):
+        arm = opened.arm
+        pids = [os.getpid()] + ([opened.process.pid] if opened.process is not None and opened.process.pid else [])
+        begun, used = time.perf_counter(), [processor_seconds(pid) for pid in pids]
+        try:
+            work(opened, job, CycleSettings(job.braking, REST, job.longest, job.expected, method), progress)
+            failure = job.log.failure
+        except IdealRobotError as error:
+            if not arm.cycles:
+                raise
+            failure = str(error)
+        wall = max(time.perf_counter() - begun, 1e-9)
+        shares = [(processor_seconds(pid) - before) / wall for pid, before in zip(pids, used, strict=True)]
+        timing = {"answer_ms": _spread(np.array(arm.link.answer_times)),
+                  "computing_ms": _spread(np.array(job.log.cycles)),
+                  "processor_share": dict(zip(("follower", "camera"), shares, strict=False)),
+                  "peak_memory_MB": dict(zip(("follower", "camera"), map(peak_memory, pids), strict=False)),
+                  "memory_together_MB": memory_together(pids), "seconds": wall, "granted": granted}
+        recording = opened.journal.recording()
+        if job.log.t and len(recording.t):
+            # The run's own time begins behind approach and calibration.
+            begin = arm.controller_time - arm.t
+            recording = replace(recording, columns={**recording.columns, **job.columns(recording.t - begin)},
+                                meta={**recording.meta, "run_begins_at": float(begin)})
+        recording = replace(recording, meta={**recording.meta, "stopped_because": failure})
+        return FollowResult(scene, method, failure, recording, job.figures(), _told(opened, devices), timing,
+                            job.planned())
+
+
+def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
+    """What each device did."""
+    arm, process, camera, force = opened.arm, opened.process, opened.camera, opened.force
+    stamps = getattr(arm.link, "stamps", None)
+    told: dict[str, Any] = {"arm": {"address": devices.arm, "link": asdict(arm.link.counts),
+                                    "time_stamps": None if stamps is None else stamps.described(),
+                                    "cycles_not_recorded": opened.journal.unwritten,
+                                    "clock": arm.clock.report().to_dict()}}
+    if not getattr(arm.link, "relative", True):
+        told["arm"]["holding_share"] = holding_share(opened.journal.recording().joints("q_c"), arm.robot)
+    if process is not None and camera is not None:
+        ages = np.array(camera.ages or [np.nan])
+        told["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
+                          "age_when_used_ms": _spread(ages), "left_out": process.left_out, "too_old": camera.late,
+                          "from_the_future": camera.early, "ended": process.ended}
+    if force is not None:
+        told["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
+                         "clock": force.source.clock.report().to_dict(), "stuck": force.stuck,
+                         "impossible": force.impossible, "untimely": force.untimely}
+    return told
+
+
+def _spread(seconds: np.ndarray) -> dict[str, float]:
+    values = 1e3 * seconds if len(seconds) else np.array([np.nan])
+    return {"median": float(np.median(values)), "p99": float(np.percentile(values, 99)), "max": float(np.max(values))}
+
+
+# Scene files as a follower reads them: without the world, which a real cell's file need not hold.
+
+FOLLOWED: dict[str, type[Scene]] = {"line": LineScene, "force": ForceScene}
+
+
+def load_cell(name_or_path: str | Path) -> Scene:
+    """Loads and checks a scene that can be followed on devices.
+
+    Raises:
+        InputError: no such scene, another kind, an unknown key, a value out of range, the model of a simulated arm.
+    """
+    path, values = scene_values(name_or_path)
+    kind = values.get("kind")
+    if not isinstance(kind, str) or kind not in FOLLOWED:
+        raise InputError(f"only scenes of kind {', '.join(FOLLOWED)} are followed on devices", file=path, field="kind",
+                         value=kind)
+    scene = scene_of(FOLLOWED[kind], values, path).beside(path.absolute().parent)
+    if scene.model == OWN:
+        raise InputError("the model of a simulated arm; identify the real one and give the path of its model",
+                         file=path, field="model", value=OWN)
+    return scene

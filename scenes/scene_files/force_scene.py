@@ -1,0 +1,120 @@
+"""The force scenes as a file: surface that nobody knows, tip, force sensor, what is wanted and what is assumed."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pydantic
+
+from planning.force.contact import StopLimits
+from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Line, Reference, Surface
+from scenes.scene_files.scene import ARM, Scene, Table
+from scenes.scene_files.shape import Shape
+
+
+class WaveTable(Table):
+    """One sine of the surface."""
+
+    amplitude_mm: float
+    wavelength_mm: float = pydantic.Field(gt=5)
+    heading_deg: float = 0.0
+    phase_deg: float = 0.0
+
+
+class UnknownSurface(Surface):
+    """Nominal plane, and how the real surface differs from it."""
+
+    offset_mm: float = 0.0
+    slope: tuple[float, float] = (0.0, 0.0)
+    """Of the surface against its nominal plane, along and across."""
+    curvature: float = 0.0
+    """Of a cylinder about the plane's y axis, positive for a hill [1/m]."""
+    crest_mm: float = 0.0
+    wave: tuple[WaveTable, ...] = ()
+
+
+class TipTable(Table):
+    """The tool's elastic tip."""
+
+    stiffness: float = pydantic.Field(default=4000.0, gt=0)
+    damping: float = pydantic.Field(default=8.0, ge=0)
+    friction: float = pydantic.Field(default=0.15, ge=0, le=2)
+
+
+class SensorTable(Table):
+    """The force sensor and the tool that hangs on it."""
+
+    rate: float = pydantic.Field(default=250.0, ge=0.1, le=10_000)
+    latency: float = pydantic.Field(default=0.02, ge=0, le=1)
+    jitter: float = pydantic.Field(default=0.0005, ge=0, le=0.5)
+    noise: tuple[float, float] = (0.3, 0.02)
+    bias: tuple[float, float] = (3.0, 0.1)
+    mass: float = pydantic.Field(default=0.8, ge=0, le=20)
+    com: tuple[float, float, float] = (0.0, 0.01, -0.08)
+    drift: tuple[float, ...] = ()
+    """What the bias has changed by since calibration, six components [N, N m]."""
+    lie: tuple[float, ...] = ()
+
+
+class Assumed(Table):
+    """What the planning side believes, as a ratio to what calibration found; 1 is right."""
+
+    elasticity_ratio: float = pydantic.Field(default=1.0, gt=0)
+    distance_ratio: float = pydantic.Field(default=1.0, gt=0)
+    elasticity_estimated: bool = True
+    distance_estimated: bool = True
+    """Whether they are corrected on the way, from how the sensor values go with the arm's motion."""
+
+
+class Emergency(Table):
+    """When to stop on the path."""
+
+    force: float = pydantic.Field(default=80.0, gt=0)
+    lost: float = pydantic.Field(default=0.1, gt=0)
+    share: float = pydantic.Field(default=1.0, gt=0, le=2)
+
+    def limits(self) -> StopLimits:
+        """The limits as the stop conditions take them."""
+        return StopLimits(**self.model_dump())
+
+
+class CameraTrouble(Table):
+    """What happens to the camera on the way; times count from the beginning of the travel [s]."""
+
+    loss: tuple[float, ...] = ()
+    """From and to: nothing arrives."""
+    garbage: tuple[float, ...] = ()
+    """From and to: fields arrive that show something else."""
+    garbage_mm: float = 8.0
+    """How far beside the line that is."""
+
+
+class ForceScene(Scene):
+    """An arm presses its tip on a surface and moves along it."""
+
+    workshop: ClassVar[dict[str, dict[str, Any]]] = {"world": ARM}
+    kind: Literal["force"]
+    task: Literal["surface", "contour", "glue"] = "surface"
+    speed: float = pydantic.Field(default=0.2, gt=0, le=2)
+    method: str = "ideal"
+    force: float = pydantic.Field(default=20.0, gt=0)
+    """Wanted normal force [N]."""
+    surface: UnknownSurface
+    line: Line = Line(formula="0*x", length=0.8)
+    """The path on the surface; for ``glue`` also what is drawn on it."""
+    reference: Reference = Reference(run_up=0.03, run_out=0.03, acceleration=2.0)
+    tip: TipTable = TipTable()
+    sensor: SensorTable = SensorTable()
+    emergency: Emergency = Emergency()
+    assumed: Assumed = Assumed()
+    gains: tuple[float, float] | None = None
+    """K_p [m/N] and K_d [m/N] of direct feedback, found by search beforehand; None: searched now."""
+    displacement: Displacement = Displacement(lateral_mm=0.0, along_mm=0.0, turn_deg=0.0)
+    camera: CameraTable = CameraTable()
+    calibration: Calibration = Calibration()
+    trouble: CameraTrouble = CameraTrouble()
+
+    def path(self) -> np.ndarray:
+        """The path in plane coordinates ``(N, 2)`` [m]."""
+        return Shape(**{key: getattr(self.line, key) for key in Shape.model_fields}).curve(self.folder)

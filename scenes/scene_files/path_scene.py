@@ -1,0 +1,136 @@
+"""Scene of kind ``path``: a tool path known beforehand, played with every way of correcting commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+import pydantic
+
+from ideal_robot.arrays import Array, held
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
+from planning.planning_error import OutOfReachError
+from scenes.scene_files.scene import Scene
+from scenes.scene_files.tool_path import ToolPath, shape_of, tool_path
+
+REST_BEFORE, REST_AFTER = 0.9, 0.6
+"""How long the arm rests at the start and at the end of the path [s]; it does not count for the errors."""
+
+
+class Figure(pydantic.BaseModel):
+    """The figure and where it lies."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    shape: Literal["iso9283", "triangle", "circle", "edge"]
+    size_mm: float = pydantic.Field(gt=1.0, le=3000.0)
+    """Edge, edge, diameter or side length."""
+    centre: tuple[float, float, float]
+    """In the base frame [m]."""
+    tilt_deg: float = 0.0
+    """Inclination of its plane: 0 lies flat, 90 stands upright facing the robot."""
+    heading_deg: float = 0.0
+    """Turns the inclined plane about the vertical."""
+    tool_tilt_deg: float = 0.0
+    """How far the tool is turned up from its direction in the home posture."""
+    turn_deg: float = pydantic.Field(default=0.0, ge=-360.0, le=360.0)
+    """Change of orientation along the way, about the vertical."""
+    acceleration: float = pydantic.Field(default=3.0, gt=0.0)
+    """Largest along the path [m/s²]; assumed, the papers give none."""
+
+
+class Paper(pydantic.BaseModel):
+    """What the paper reports for this path, for the table."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    E_car_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)
+    E_max_reduction_percent: dict[str, float] = pydantic.Field(default_factory=dict)
+    source: str = "[G]"
+
+
+class PathScene(Scene):
+    """A tool path on one robot in one world."""
+
+    speed: float = pydantic.Field(gt=0.0)
+    path: Figure
+    method: str = "ideal"
+    learn_from: Literal["arm", "motor", "tcp", "two_dof"] = "tcp"
+    """What learning measures: arm angles, motor angles, TCP poses (an external device), or two of their six degrees of
+    freedom."""
+    paper: Paper = Paper()
+
+
+@dataclass(frozen=True)
+class JointPath:
+    """The path as the ideal robot gets it.
+
+    Attributes:
+        q_d: desired joint positions at the cycles ``(N, n)`` [rad], rest before and behind included.
+        x_d: desired TCP positions ``(N, 3)`` [m].
+        t: ``(N,)`` [s].
+        counts: where errors count ``(N,)``: while the path is under way.
+        tool: the timed tool path.
+    """
+
+    q_d: Array
+    x_d: Array
+    t: Array
+    counts: np.ndarray
+    tool: ToolPath
+
+
+def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
+    """Plans the scene's path in joint space.
+
+    Args:
+        scene: figure, speed and posture.
+        robot: kinematics and limits.
+        t_ipo: cycle [s].
+
+    Raises:
+        InputError: out of reach, or faster than a joint can.
+    """
+    kinematics = InverseKinematics(robot)
+    home = kinematics.fk(robot.home)
+    figure = scene.path
+    tilt = _about([0.0, 1.0, 0.0], -figure.tilt_deg)
+    # Seen from the robot: x of the figure to the right, y up (or ahead where it lies flat).
+    plane = pin.SE3(_about([0.0, 0.0, 1.0], figure.heading_deg) @ tilt @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]),
+                    np.array(figure.centre))
+    rotation = _about([0.0, 1.0, 0.0], -figure.tool_tilt_deg) @ home.rotation
+    turn = ((0.0, 0.0, 1.0), float(np.radians(figure.turn_deg))) if figure.turn_deg else None
+    tool = tool_path(shape_of(figure.shape, 1e-3 * figure.size_mm), plane, scene.speed, figure.acceleration, t_ipo,
+                     rotation=rotation, turn=turn, max_duration=scene.max_duration)
+    try:
+        q = robot.home
+        # From home in small steps: the arm keeps the posture (elbow, wrist) it has there.
+        for share in np.linspace(0.05, 1.0, 20):
+            q = kinematics.solve(pin.SE3.Interpolate(home, tool.poses[0], float(share)), q)
+        moved = kinematics.path(tool.poses, q)
+    except OutOfReachError as error:
+        raise InputError(f"the path is out of reach: {error}", file=scene.source, field="path.centre",
+                         value=list(figure.centre)) from error
+    _check_speed(moved, robot, t_ipo)
+    before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)
+    q_d = held(moved, before=before, after=after)
+    x = tool.positions
+    x_d = held(x, before=before, after=after)
+    counts = np.zeros(len(q_d), dtype=bool)
+    counts[before : before + len(moved)] = True
+    return JointPath(q_d, x_d, np.asarray(t_ipo * np.arange(float(len(q_d)))), counts, tool)
+
+
+def _check_speed(q: Array, robot: Robot, t_ipo: float) -> None:
+    speed = np.max(np.abs(np.diff(q, axis=0)), axis=0) / t_ipo
+    for i in np.flatnonzero(speed > robot.v_max):
+        error = LimitError(int(i) + 1, "velocity [rad/s]", float(speed[i]), float(robot.v_max[i]), "move slower")
+        raise InputError(str(error), field="speed")
+
+
+def _about(axis: list[float], degrees: float) -> Array:
+    return np.asarray(pin.exp3(np.radians(degrees) * np.array(axis)))

@@ -1,0 +1,266 @@
+"""What scenes of every kind have: a person writes which robot does what in which world."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, ClassVar, Self, TypeVar
+
+import pydantic
+
+from ideal_robot.bounded_values import checked
+from ideal_robot.errors import IdealRobotError, InputError
+
+# Where a scene plays: in a ``workshop`` with all that a real cell has against one, or on the kind ``bench``.
+#
+# A workshop is a set of values that hold where a scene file does not say otherwise; each can be given in the file.
+
+WORKSHOP = "workshop"
+BENCH = "bench"
+WORLDS = (WORKSHOP, BENCH)
+
+ARM: dict[str, Any] = {"kinematic_error": 3.0e-4, "zero_error": 3.5e-4, "twist_error": 3.5e-4}
+"""An arm that nobody calibrated: joints elsewhere by 0.3 mm, zeros and axes off by 0.02°."""
+
+
+def in_its_world(values: dict[str, Any], workshop: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of a scene with those of its world filled in, and the table ``world`` with the key ``base``.
+
+    Args:
+        values: as given; ``world`` is a name or a table.
+        workshop: what the workshop of that kind of scene has, by table; empty where the kind has none.
+    """
+    world = values.get("world", {})
+    if isinstance(world, str):
+        world = {"base": world}
+    if not isinstance(world, dict):
+        return values
+    usual = WORKSHOP if workshop and world.get("ideal") is not True else BENCH
+    values = {**values, "world": {"base": usual, **world}}
+    if values["world"]["base"] != WORKSHOP:
+        return values
+    for table, keys in workshop.items():
+        given = values.get(table, {})
+        if isinstance(given, dict):
+            values[table] = {**keys, **given}
+    return values
+
+
+S = TypeVar("S", bound="Scene")
+
+NAME = re.compile(r"[^\W_](?:[\w .+()-]{0,78}[\w+()-])?")
+"""What a scene may be called."""
+
+
+SHIPPED = "shipped"
+OWN = "own"
+"""What a scene's ``model`` may be besides a path."""
+
+
+class Table(pydantic.BaseModel):
+    """A table of a scene file: no unknown keys, no changes."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class Scene(pydantic.BaseModel):
+    """What every kind of scene has; the kinds add their own keys."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    name: str
+    kind: str
+    title: str
+    description: str = ""
+    robot: str = "kr6"
+    seed: int = pydantic.Field(default=1, ge=0)
+    model: str = SHIPPED
+    """Where the ideal robot's model comes from: ``shipped`` (identified beforehand on recordings of the robot's
+    default world, ``make models``), ``own`` (identified on recordings of the very arm of the scene, ``ideal-robot
+    prepare``) or the path of a model file."""
+    max_duration: float = pydantic.Field(default=120.0, gt=0.0, le=7200.0)
+    """Longest motion along the path [s]; a scene that asks for more, by too low a speed for instance, is refused before
+    anything moves."""
+    world: dict[str, Any] = pydantic.Field(default_factory=dict)
+    workshop: ClassVar[dict[str, dict[str, Any]]] = {}
+    """What the world ``workshop`` of this kind of scene has, by table; a kind without one plays on the bench."""
+    _folder: Path | None = pydantic.PrivateAttr(default=None)
+    _source: Path | None = pydantic.PrivateAttr(default=None)
+    _given: dict[str, Any] | None = pydantic.PrivateAttr(default=None)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _in_its_world(cls, values: Any) -> Any:
+        return in_its_world(values, cls.workshop) if isinstance(values, dict) else values
+
+    @pydantic.field_validator("world")
+    @classmethod
+    def _is_a_world(cls, world: dict[str, Any]) -> dict[str, Any]:
+        allowed = WORLDS if cls.workshop else (BENCH,)
+        if world.get("base") not in allowed:
+            raise ValueError(f"expected {' or '.join(map(repr, allowed))}, or a table with one of them as base")
+        return world
+
+    def __eq__(self, other: object) -> bool:
+        """The same kind of scene with the same values, whichever of them were given."""
+        return type(other) is type(self) and isinstance(other, Scene) and self.folder == other.folder \
+            and self.model_dump() == other.model_dump()
+
+    @property
+    def arm_world(self) -> dict[str, Any]:
+        """The table ``world`` as ``World.from_table`` takes it: what the arm is like."""
+        return {key: value for key, value in self.world.items() if key != "base"}
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the scene file lies, for files beside it; None for a scene made in memory."""
+        return self._folder
+
+    @property
+    def source(self) -> str:
+        """What messages about its keys name: the scene file, or the scene where it was made in memory."""
+        return f"scene {self.name}" if self._source is None else str(self._source)
+
+    def beside(self, folder: Path | None) -> Self:
+        """The same scene as if its file lay in ``folder``."""
+        copy = self.model_copy()
+        copy._folder = folder
+        return copy
+
+    @pydantic.field_validator("name")
+    @classmethod
+    def _names_a_folder(cls, name: str) -> str:
+        """Output goes to a folder of this name, so it must not lead anywhere else."""
+        if not NAME.fullmatch(name):
+            raise ValueError("expected a name of up to 80 letters, digits and _ - + . ( ) or spaces that begins with a "
+                             "letter or digit: output goes to a folder of that name")
+        return name
+
+    @pydantic.field_validator("title", "robot", "model")
+    @classmethod
+    def _one_line(cls, text: str) -> str:
+        if len(text) > 500 or not text.isprintable():
+            raise ValueError("expected one line of up to 500 printable characters")
+        return text
+
+    def check_duration(self, lasts: float) -> None:
+        """Refuses a motion along the path that takes longer than the scene allows.
+
+        Args:
+            lasts: of the planned motion [s].
+
+        Raises:
+            InputError: longer than ``max_duration``.
+        """
+        if not lasts <= self.max_duration:
+            raise InputError(f"the motion would last {lasts:.3g} s, the scene allows {self.max_duration:g} s: move "
+                             "faster, or give the scene a larger max_duration", file=self.source,
+                             field="max_duration", value=self.max_duration)
+
+    def played(self) -> dict[str, Any]:
+        """What every ``--json`` says of what was played: the scene, its seed, world and arm, and whose model it was."""
+        return {"scene": self.name, "seed": self.seed, "world": self.world.get("base", BENCH),
+                "individual": self.world.get("individual", 1), "model": self.model}
+
+    def changed(self, **changes: Any) -> Self:
+        """A checked copy with some keys changed; nested tables are given as dictionaries and merged.
+
+        What was not given follows the world: ``changed(world="bench")`` takes all of the workshop away.
+        """
+        values = self.model_dump() if self._given is None else deepcopy(self._given)
+        for key, value in changes.items():
+            if key == "world":
+                before = values.get("world", {})
+                values[key] = {"base": before} if isinstance(before, str) else before
+                value = {"base": value} if isinstance(value, str) else value
+            both = isinstance(value, dict) and isinstance(values.get(key), dict)
+            values[key] = {**values[key], **value} if both else value
+        return scene_of(type(self), values, Path(self.source)).beside(self.folder)
+
+
+def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
+    """The scene that these values describe.
+
+    Args:
+        model: the kind's scene.
+        values: keys as they stand in a file.
+        path: of the file, for messages.
+
+    Raises:
+        InputError: an unknown key, a missing one, a value out of range.
+    """
+    checked(values, path)
+    try:
+        scene = model(**values)
+        scene._given = deepcopy(values)
+        scene._source = path
+        return scene
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        if first["type"] == "extra_forbidden":
+            allowed = ", ".join(_keys_at(model, first["loc"][:-1]))
+            raise InputError(f"unknown key; allowed here are {allowed}", file=path, field=key) from error
+        shown = first.get("input")
+        raise InputError(first["msg"], file=path, field=key,
+                         value=shown if isinstance(shown, (str, int, float)) else None) from error
+
+
+def _keys_at(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list[str]:
+    fields = model.model_fields
+    for part in location:
+        annotation = fields[part].annotation if part in fields else None
+        if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
+            fields = annotation.model_fields
+    return sorted(fields)
+
+
+# Failures while a scene is played.
+
+class SceneError(IdealRobotError):
+    """Root of the failures of this package; bad input is ``ideal_robot.errors.InputError``."""
+
+
+# Speed, seed, arm, horizon and world given from outside in place of a scene's own.
+
+def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
+           n_d: int | None = None, world: str | None = None) -> Scene:
+    """The scene with options in place of its own values.
+
+    Args:
+        scene: to change.
+        speed: along the path [m/s]; the scene's own if None.
+        seed: of all that is drawn; the scene's own if None.
+        individual: which arm of the type plays, with the model its own identification motions give unless the scene
+            names a model file; the scene's own arm and model if None.
+        n_d: desired positions that the feedforward is given ([L] 2.2); the scene's own if None.
+        world: where the scene plays, ``workshop`` or ``bench``; where its file says if None.
+
+    Raises:
+        InputError: a speed that is not positive, or a kind of scene that has none; the same of a horizon.
+    """
+    changes: dict[str, Any] = {}
+    if speed is not None:
+        if "speed" not in type(scene).model_fields:
+            raise InputError(f"scenes of kind {scene.kind!r} have no speed", field="--speed", value=speed)
+        if not (math.isfinite(speed) and speed > 0):
+            raise InputError("expected a positive number [m/s]", field="--speed", value=speed)
+        changes["speed"] = speed
+    if seed is not None:
+        changes["seed"] = seed
+    if world is not None:
+        changes["world"] = {"base": world}
+    if individual is not None:
+        changes["world"] = {**changes.get("world", {}), "individual": individual}
+        if scene.model == SHIPPED:
+            changes["model"] = OWN
+    if n_d is not None:
+        if "n_d" not in type(scene).model_fields:
+            raise InputError(f"scenes of kind {scene.kind!r} have no horizon to choose", field="--n-d", value=n_d)
+        if n_d < 1:
+            raise InputError("expected a whole number from 1 up", field="--n-d", value=n_d)
+        changes["n_d"] = n_d
+    return scene.changed(**changes) if changes else scene

@@ -1,0 +1,371 @@
+"""The shape of a line in its own plane, as a person writes it: a formula, a list of points, or an SVG path."""
+
+from __future__ import annotations
+
+import ast
+import io
+import operator
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xml.parsers.expat import ExpatError
+
+import numpy as np
+import pydantic
+from scipy.interpolate import CubicSpline
+
+from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import read_text
+from ideal_robot.errors import InputError
+
+# A curve's height as a formula of ``x``, read by a small grammar of its own: nothing of it is ever run as a program.
+#
+# The text is parsed to Python's syntax tree and each node is looked up in the tables below; what is not in them is
+# refused. Numbers are floats from the start, so that powers overflow at once instead of growing.
+
+MAX_LENGTH = 500
+"""Longest formula [characters]."""
+MAX_DEPTH = 40
+"""Deepest nesting of operations and parentheses."""
+MAX_NODES = 400
+"""Most nodes of the syntax tree."""
+MAX_NUMBER = 1e9
+"""Largest magnitude of a number written in a formula."""
+MAX_EXPONENT = 32.0
+"""Largest magnitude of an exponent."""
+
+NAMES = {"pi": np.pi, "e": np.e}
+"""Names a formula may hold besides ``x``."""
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    **{name: (1, getattr(np, name)) for name in (
+        "sin", "cos", "tan", "arcsin", "arccos", "arctan", "sinh", "cosh", "tanh", "arcsinh", "arccosh", "arctanh",
+        "sqrt", "exp", "expm1", "log", "log10", "log1p", "abs", "floor", "ceil", "sign")},
+    "arctan2": (2, np.arctan2), "minimum": (2, np.minimum), "maximum": (2, np.maximum), "where": (3, np.where),
+}
+"""Functions a formula may call: how many arguments, and what computes them."""
+
+_BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Mod: np.fmod,
+}
+_UNARY: dict[type[ast.unaryop], Callable[[Any], Any]] = {ast.UAdd: operator.pos, ast.USub: operator.neg}
+_COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: np.less, ast.LtE: np.less_equal, ast.Gt: np.greater, ast.GtE: np.greater_equal,
+}
+
+
+class _RefusedError(ValueError):
+    """What in a formula is not allowed."""
+
+
+def evaluated(formula: str, x: Array, field: str = "line.formula") -> Array:
+    """The formula at every ``x``.
+
+    Args:
+        formula: an expression of ``x``, ``pi``, ``e``, numbers, ``+ - * / % **``, comparisons and ``FUNCTIONS``.
+        x: where ``(N,)``.
+        field: the key it was given under, for the message.
+
+    Returns:
+        ``(N,)``, finite.
+
+    Raises:
+        InputError: anything else in it, too long, too deep, or not finite somewhere.
+
+    >>> evaluated("0.04*sin(2*pi*x/0.8)", np.array([0.0, 0.2]))
+    array([0.  , 0.04])
+    """
+    shown = formula if len(formula) <= 60 else formula[:57] + "..."
+    try:
+        tree = _parsed(formula)
+        with np.errstate(all="ignore"):
+            y = np.broadcast_to(np.asarray(_value(tree, x), dtype=float), x.shape)
+    except _RefusedError as refused:
+        raise InputError(f"cannot be evaluated: {refused}; expected y [m] of x [m], e.g. 0.04*sin(2*pi*x/0.8)",
+                         field=field, value=shown) from refused
+    if not np.all(np.isfinite(y)):
+        raise InputError("is not finite over the whole length", field=field, value=shown)
+    return y
+
+
+def _parsed(formula: str) -> ast.expr:
+    if len(formula) > MAX_LENGTH:
+        raise _RefusedError(f"longer than {MAX_LENGTH} characters")
+    # Python folds look-alike letters into plain ones; only what can be told apart by eye is read.
+    if not formula.isascii() or not formula.isprintable():
+        raise _RefusedError("holds characters other than plain ones")
+    depth = 0
+    for character in formula:
+        depth += (character in "([{") - (character in ")]}")
+        if depth > MAX_DEPTH:
+            raise _RefusedError(f"nested deeper than {MAX_DEPTH}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tree = ast.parse(formula.strip(), mode="eval").body
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise _RefusedError(f"not a formula ({getattr(error, 'msg', type(error).__name__)})") from error
+    level, count, deep = [tree], 0, 0
+    while level:
+        count, deep = count + len(level), deep + 1
+        if count > MAX_NODES or deep > MAX_DEPTH:
+            raise _RefusedError(f"more than {MAX_NODES} parts or nested deeper than {MAX_DEPTH}")
+        level = [child for node in level for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
+    return tree
+
+
+def _value(node: ast.expr, x: Array) -> Any:
+    if isinstance(node, ast.Constant):
+        return _number(node.value)
+    if isinstance(node, ast.Name):
+        if node.id == "x":
+            return x
+        if node.id in NAMES:
+            return np.float64(NAMES[node.id])
+        raise _RefusedError(f"unknown name {node.id}; known are x, {', '.join(NAMES)}")
+    if isinstance(node, ast.UnaryOp) and type(node.op) in _UNARY:
+        return _UNARY[type(node.op)](_value(node.operand, x))
+    if isinstance(node, ast.BinOp):
+        return _binary(node, x)
+    if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in _COMPARE:
+        # As 0.0 and 1.0, so that steps can be added up.
+        return 1.0 * _COMPARE[type(node.ops[0])](_value(node.left, x), _value(node.comparators[0], x))
+    if isinstance(node, ast.Call):
+        return _called(node, x)
+    raise _RefusedError(f"{type(node).__name__} is not allowed")
+
+
+def _number(value: object) -> Any:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise _RefusedError("only numbers may be written out")
+    if not abs(value) <= MAX_NUMBER:
+        raise _RefusedError(f"a number is larger than {MAX_NUMBER:g}")
+    return np.float64(value)
+
+
+def _binary(node: ast.BinOp, x: Array) -> Any:
+    left, right = _value(node.left, x), _value(node.right, x)
+    if isinstance(node.op, ast.Pow):
+        if not np.all(np.abs(right) <= MAX_EXPONENT):
+            raise _RefusedError(f"an exponent is larger than {MAX_EXPONENT:g}")
+        return np.power(left, right)
+    if isinstance(node.op, ast.Div):
+        # By a number written out: times its reciprocal, as the lines of the shipped scenes have always been computed.
+        return left * (1.0 / right) if isinstance(node.right, ast.Constant) else left / right
+    if type(node.op) in _BINARY:
+        return _BINARY[type(node.op)](left, right)
+    raise _RefusedError(f"{type(node.op).__name__} is not allowed")
+
+
+def _called(node: ast.Call, x: Array) -> Any:
+    name = node.func.id if isinstance(node.func, ast.Name) else None
+    if name not in FUNCTIONS:
+        raise _RefusedError(f"unknown function; known are {', '.join(FUNCTIONS)}")
+    count, function = FUNCTIONS[name]
+    if node.keywords or len(node.args) != count:
+        raise _RefusedError(f"{name} takes {count} value{'s' if count > 1 else ''}")
+    return function(*(_value(argument, x) for argument in node.args))
+
+
+# The first path of an .svg file beside a scene; nothing else of the file is used and nothing it names is fetched.
+
+MAX_BYTES = 5_000_000
+"""Largest SVG file [bytes]."""
+MAX_PATH = 200_000
+"""Longest ``d`` of a path [characters]."""
+MAX_SEGMENTS = 5_000
+"""Most segments of a path."""
+MAX_XML_DEPTH = 100
+"""Deepest nesting of groups."""
+
+
+def first_path(name: str, folder: Path) -> Any:
+    """The first path of an .svg file.
+
+    Args:
+        name: of the file, relative to ``folder`` and not outside it.
+        folder: of the scene.
+
+    Raises:
+        InputError: outside the folder, missing, too large, with entities, or without a path.
+    """
+    file = folder / name
+    try:
+        inside = file.resolve().is_relative_to(folder.resolve())
+        there = file.is_file()
+    except (OSError, ValueError, RuntimeError) as error:
+        raise InputError("not a usable file name", field="line.svg", value=name[:60]) from error
+    if not inside:
+        raise InputError("the SVG file must lie beside the scene or below; copy it there", field="line.svg",
+                         value=name[:60])
+    if not there:
+        raise InputError("no such SVG file", field="line.svg", value=name[:60])
+    text = read_text(file, "an SVG file", limit=MAX_BYTES)
+    if "<!ENTITY" in text:
+        raise InputError("declares entities, which are not read; save it without them", file=file)
+    try:
+        d = _first_d(text, file)
+        if d is not None:
+            return parsed_path(d)
+        # No path element: svgpathtools makes paths of lines, polygons and ellipses.
+        import svgpathtools
+
+        paths, _ = svgpathtools.svg2paths(io.StringIO(text))
+    except (ET.ParseError, ExpatError, ValueError, KeyError, IndexError, RecursionError) as error:
+        raise InputError(f"not a readable SVG file ({type(error).__name__}: {error})", file=file) from error
+    if not paths:
+        raise InputError("the SVG has no path", file=file)
+    return paths[0]
+
+
+def _first_d(text: str, file: Path) -> str | None:
+    """``d`` of the first path element; read in pieces, so that deep nesting is refused before a tree is made of it."""
+    reader: Any = ET.XMLPullParser(events=("start", "end"))
+    depth = 0
+    for start in range(0, len(text), 20_000):
+        reader.feed(text[start : start + 20_000])
+        for event, element in reader.read_events():
+            depth += 1 if event == "start" else -1
+            if depth > MAX_XML_DEPTH:
+                raise InputError(f"groups nested deeper than {MAX_XML_DEPTH}", file=file)
+            if event == "start" and element.tag.rpartition("}")[2] == "path":
+                return str(element.get("d", ""))
+    reader.close()
+    return None
+
+
+def parsed_path(d: str) -> Any:
+    """The path of a ``d`` attribute, as svgpathtools has it.
+
+    Raises:
+        InputError: broken, or longer than ``MAX_PATH`` and ``MAX_SEGMENTS``.
+    """
+    if len(d) > MAX_PATH:
+        raise InputError(f"SVG path longer than {MAX_PATH} characters", field="line.svg", value=d[:30])
+    import svgpathtools
+
+    try:
+        path = svgpathtools.parse_path(d)
+    except Exception as error:  # svgpathtools raises whatever its tokens lead to
+        raise InputError(f"broken SVG path ({type(error).__name__}: {error})", field="line.svg",
+                         value=d[:60]) from error
+    if len(path) > MAX_SEGMENTS:
+        raise InputError(f"SVG path of more than {MAX_SEGMENTS} pieces", field="line.svg", value=d[:30])
+    return path
+
+
+STEP = 0.0005
+"""Spacing of the points that stand for the curve [m]; far below what a camera resolves."""
+
+LONGEST = 100.0
+"""Longest curve [m]: no arm follows more, and a slip of units must not fill the memory."""
+
+
+class Shape(pydantic.BaseModel):
+    """One of ``formula`` (y [m] as a function of x [m], with ``length``), ``points`` or ``svg``."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    formula: str | None = None
+    """y [m] of x [m], e.g. ``0.04*sin(2*pi*x/0.8)``, for x from 0 to ``length``."""
+    length: float | None = pydantic.Field(default=None, gt=0, le=10)
+    points: list[tuple[float, float]] | None = None
+    """Corner points [m], joined by straight pieces with corners rounded by ``corner_radius``."""
+    corner_radius: float = pydantic.Field(default=0.0, ge=0)
+    svg: str | None = None
+    """The ``d`` of an SVG path, or the path of an .svg file, whose first path is taken; y points down as in SVG."""
+    svg_length: float | None = pydantic.Field(default=None, gt=0, le=10)
+    """Length the SVG path is scaled to [m]; without it one SVG unit is one millimetre."""
+
+    @pydantic.model_validator(mode="after")
+    def _one_of(self) -> Shape:
+        given = [key for key in ("formula", "points", "svg") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise ValueError(f"expected exactly one of formula, points and svg, got {', '.join(given) or 'none'}")
+        if self.formula is not None and self.length is None:
+            raise ValueError("a formula needs length [m], the range of x")
+        return self
+
+    def curve(self, folder: Path | None = None) -> Array:
+        """Points of the curve every half millimetre of arc length, shape ``(N, 2)`` [m], starting at the origin.
+
+        Raises:
+            InputError: the formula cannot be evaluated, the SVG is broken, or the curve has no length.
+        """
+        if self.formula is not None:
+            raw = _formula(self.formula, float(self.length or 0.0))
+        elif self.points is not None:
+            raw = _rounded(np.array(self.points, dtype=float), self.corner_radius)
+        else:
+            raw = _svg(str(self.svg), self.svg_length, folder)
+        return _even(raw - raw[0])
+
+
+def _formula(formula: str, length: float) -> Array:
+    x = np.linspace(0.0, length, max(int(length / STEP), 200) + 1)
+    y = evaluated(formula, x)
+    return np.column_stack([x, y])
+
+
+def _rounded(corners: Array, radius: float) -> Array:
+    """Straight pieces joined by circular arcs of ``radius`` (0: sharp corners)."""
+    if len(corners) < 2 or np.any(np.linalg.norm(np.diff(corners, axis=0), axis=1) < 1e-6):
+        raise InputError("expected at least two different points, none repeated", field="line.points")
+    if radius <= 0:
+        return corners
+    pieces = [corners[:1]]
+    for before, corner, after in zip(corners[:-2], corners[1:-1], corners[2:], strict=True):
+        u = (before - corner) / np.linalg.norm(before - corner)
+        v = (after - corner) / np.linalg.norm(after - corner)
+        half = 0.5 * np.arccos(np.clip(u @ v, -1.0, 1.0))
+        if half > np.pi / 2 - 1e-6:
+            continue
+        tangent = radius / np.tan(half)
+        if tangent > 0.5 * min(np.linalg.norm(before - corner), np.linalg.norm(after - corner)) + 1e-12:
+            raise InputError("the corners are too close for this radius", field="line.corner_radius", value=radius)
+        centre = corner + (u + v) / np.linalg.norm(u + v) * radius / np.sin(half)
+        start, end = corner + tangent * u - centre, corner + tangent * v - centre
+        sweep = np.arctan2(start[0] * end[1] - start[1] * end[0], start @ end)
+        angles = np.linspace(0.0, sweep, 60)
+        pieces.append(centre + np.column_stack([np.cos(angles) * start[0] - np.sin(angles) * start[1],
+                                                np.sin(angles) * start[0] + np.cos(angles) * start[1]]))
+    pieces.append(corners[-1:])
+    return np.vstack(pieces)
+
+
+def _svg(svg: str, length: float | None, folder: Path | None) -> Array:
+    import svgpathtools
+
+    path: Any = first_path(svg, folder or Path.cwd()) if svg.endswith(".svg") else parsed_path(svg)
+    if len(path) == 0:
+        raise InputError("broken SVG path: it draws nothing", field="line.svg", value=svg[:60])
+    if not path.iscontinuous():
+        raise InputError("the SVG path has several parts; give one that is drawn without lifting the pen",
+                         field="line.svg", value=svg[:60])
+    fine = np.concatenate([segment.points(np.linspace(0.0, 1.0, 400)) if hasattr(segment, "points") and
+                           not isinstance(segment, svgpathtools.Arc)
+                           else np.array([segment.point(u) for u in np.linspace(0.0, 1.0, 400)]) for segment in path])
+    xy = np.column_stack([fine.real, -fine.imag])
+    total = float(np.sum(np.linalg.norm(np.diff(xy, axis=0), axis=1)))
+    if not np.isfinite(total) or total <= 0:
+        raise InputError("broken SVG path: it has no length", field="line.svg", value=svg[:60])
+    return xy * (length / total if length else 1e-3)
+
+
+def _even(raw: Array) -> Array:
+    """The curve at even steps of arc length."""
+    step = np.linalg.norm(np.diff(raw, axis=0), axis=1)
+    keep = np.concatenate([[True], step > 1e-9])
+    raw = raw[keep]
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(raw, axis=0), axis=1))])
+    if len(raw) < 2 or s[-1] < 20 * STEP:
+        raise InputError("the line is shorter than 10 mm", field="line", value=float(s[-1]) if len(s) else 0.0)
+    if not s[-1] <= LONGEST:
+        raise InputError(f"the line is longer than {LONGEST:g} m; is the unit right?", field="line", value=float(s[-1]))
+    even = np.linspace(0.0, s[-1], round(s[-1] / STEP) + 1)
+    # Straight pieces have few points: linear between them; curves come finely sampled and get a spline.
+    if len(raw) > 300:
+        return np.asarray(CubicSpline(s, raw)(even), dtype=float)
+    return np.column_stack([np.interp(even, s, raw[:, 0]), np.interp(even, s, raw[:, 1])])

@@ -1,1 +1,0 @@
-"""How the clocks of devices relate to this computer's."""

@@ -1,1 +1,0 @@
-"""The simulated arm with its sensors, each behind its device's seam."""

@@ -1,0 +1,176 @@
+"""A simulated arm with the sensors that it carries, each behind its device's seam."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, TypeVar
+
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.row_log import RowLog
+from sensing.camera.camera_device import Field, Window, WindowsAt
+from sensing.force.wrench import WrenchSample
+from sim.arm.arm import SimulatedArm
+from sim.camera.camera import RenderedCamera
+from sim.camera.lamp import ArmShape
+from sim.contact.contact import ForceSensor, TipContact
+
+# What is under way from a device to the controller.
+
+class Late(Protocol):
+    """Something that is available some time after it was measured."""
+
+    @property
+    def t_arrival(self) -> float:
+        """Controller time at which it is available [s]."""
+        ...
+
+
+T = TypeVar("T", bound=Late)
+
+
+class Arrivals(Generic[T]):
+    """Holds what was sent until it arrives."""
+
+    def __init__(self) -> None:
+        self._under_way: list[T] = []
+
+    def send(self, items: Iterable[T]) -> None:
+        """Puts items on their way."""
+        self._under_way.extend(items)
+
+    def arrived(self, t: float) -> list[T]:
+        """What has arrived by ``t`` [s], in order of arrival, each once."""
+        here = sorted((item for item in self._under_way if item.t_arrival <= t), key=lambda item: item.t_arrival)
+        self._under_way = [item for item in self._under_way if item.t_arrival > t]
+        return here
+
+
+AGAIN = 0.006
+"""After which a field that comes twice comes again [s]."""
+
+
+def shadow_of(shape: ArmShape | None, arm: SimulatedArm, t: float) -> tuple[Array, ...]:
+    """What of the arm may stand in a lamp's way at a time: ends and radii of its capsules, as the camera takes them.
+
+    Args:
+        shape: of the arm; None where no lamp is.
+        arm: the arm.
+        t: within its history [s].
+    """
+    return () if shape is None else (shape.at(arm.q_at(t)), shape.radii)
+
+
+class Carried(Protocol):
+    """A simulated sensor on the arm: it measures while the arm moves."""
+
+    def carry(self, t0: float, t1: float) -> None:
+        """The arm has moved from ``t0`` to ``t1`` [s]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Knock:
+    """Somebody knocks the camera.
+
+    Attributes:
+        t: when [s].
+        yaw: by how much it is turned about the tool's approach axis through its own centre [rad].
+    """
+
+    t: float
+    yaw: float
+
+
+class CarriedCamera:
+    """The simulated camera on the arm, as a ``sensing.camera.camera_device.Camera``.
+
+    Args:
+        camera: renders what it sees.
+        arm: that carries it.
+        knock: what happens to its mounting on the way; None for nothing.
+    """
+
+    def __init__(self, camera: RenderedCamera, arm: SimulatedArm, knock: Knock | None = None) -> None:
+        self._camera, self._arm, self._knock = camera, arm, knock
+        self._wanted: list[tuple[float, Sequence[Window]]] = []
+        self._late: Arrivals[Field] = Arrivals()
+        self._shape = ArmShape(arm.robot) if camera.lamp is not None else None
+        camera.restart()
+
+    def request(self, t0: float, t1: float, windows: WindowsAt) -> None:
+        """See ``Camera.request``."""
+        # Nobody knows the true instant of an exposure; the camera's own clock says when it will be.
+        asked = ((t, windows(self._camera.stamp(t))) for t in self._camera.due(t0, t1))
+        self._wanted += [(t, wanted) for t, wanted in asked if wanted is not None]
+
+    def arrived(self, t: float) -> list[Field]:
+        """See ``Camera.arrived``."""
+        return self._late.arrived(t)
+
+    def carry(self, t0: float, t1: float) -> None:
+        """Exposes what was asked for."""
+        for t, windows in self._wanted:
+            seen = self._camera.windows(t, self._tool_at, windows, shadow_of(self._shape, self._arm, t),
+                                        self._arm.q_at(t) if self._camera.shows_arm else None)
+            again = replace(seen, t_arrival=seen.t_arrival + AGAIN)
+            self._late.send([seen, again] if self._camera.comes_twice(t) else [seen])
+        self._wanted = []
+
+    def _tool_at(self, t: float) -> pin.SE3:
+        """Where the tool would be that carries the camera where it is, had the camera not been knocked."""
+        tool = self._arm.tcp_at(t)
+        if self._knock is None or t < self._knock.t:
+            return tool
+        model = self._camera.model
+        return tool * model.perturbed(yaw=self._knock.yaw).T_tool_camera * model.T_tool_camera.inverse()
+
+
+class CarriedForceSensor:
+    """The simulated force sensor on the arm, as a ``sensing.force.wrench.ForceSensor``.
+
+    Args:
+        sensor: the truth of the sensor.
+        arm: that carries it.
+        contact: of the tool's tip.
+
+    Attributes:
+        samples: of all that was measured the time [s] and the wrench [N, N m].
+    """
+
+    def __init__(self, sensor: ForceSensor, arm: SimulatedArm, contact: TipContact) -> None:
+        self._sensor, self._arm, self._contact = sensor, arm, contact
+        self._late: Arrivals[WrenchSample] = Arrivals()
+        self.samples = RowLog(7)
+
+    def arrived(self, t: float) -> list[WrenchSample]:
+        """See ``ForceSensor.arrived``."""
+        return self._late.arrived(t)
+
+    def carry(self, t0: float, t1: float) -> None:
+        """Measures between ``t0`` and ``t1`` [s]."""
+        measured = self._sensor.due(t0, t1, self._arm.tcp_at, self._contact.force_at)
+        for one in measured:
+            self.samples.append((one.t, *one.wrench))
+        self._late.send(measured)
+
+
+class EquippedArm:
+    """A ``RobotInterface`` that moves the arm and lets its sensors measure on the way."""
+
+    def __init__(self, arm: SimulatedArm, carried: Sequence[Carried]) -> None:
+        self._arm, self._carried = arm, tuple(carried)
+        self.t_ipo = arm.t_ipo
+        self._cycles = 0
+
+    def cycle(self, q_c: Array) -> RobotState:
+        """See ``RobotInterface.cycle``."""
+        state = self._arm.cycle(q_c)
+        t0 = self._cycles * self.t_ipo
+        for one in self._carried:
+            one.carry(t0, t0 + self.t_ipo)
+        self._cycles += 1
+        return state

@@ -1,0 +1,349 @@
+"""Friction of the load that the motor drives: its number is found, and it is none of its neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression, with_reversal_width
+from ideal_robot.diagnosis.channels.regression import apart_from_reversals
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Only, Search
+from ideal_robot.diagnosis.search.learned_curves import OneSidedPull
+from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.dynamics.regressor import regressor
+from ideal_robot.effects import MOTOR_TORQUE, Signals, library
+from ideal_robot.effects.registry import find
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.diagnosis.test_known_model import harmonics, point_mass
+from tests.ideal_robot.diagnosis.test_what_is_claimed import moved
+
+JOINT = 2
+NEIGHBOURS = ("load_direction_friction", "load_dependent_friction", "drive_gain", "payload", "coulomb",
+              "gravity_spring", "asymmetric_friction")
+
+
+def added(name: str, qd: Array, load: Array, body: Array) -> Array:
+    """Torques of one cause by a formula of its own, with a number of 0.15.
+
+    Args:
+        name: of the cause.
+        qd: velocities ``(N, n)`` [rad/s].
+        load: torques at the gears ``(N, n)`` [N m].
+        body: torques of a kilogram at the flange ``(N, n)`` [N m].
+    """
+    j, result = JOINT - 1, np.zeros_like(load)
+    power = load[:, j] * qd[:, j]
+    if name == "load_direction_friction":
+        result[:, j] = np.where(power > 0.0, 0.15 * load[:, j], 0.0)
+    elif name == "load_dependent_friction":
+        result[:, j] = 0.15 * np.sign(power) * load[:, j]
+    elif name == "drive_gain":
+        result[:, j] = 0.15 * load[:, j]
+    else:
+        result = 2.0 * body
+    return result
+
+
+def problem_of(*names: str) -> Problem:
+    """An arm whose parameters are known, with the causes of these names."""
+    robot, rng, t = Robot.load("kr6"), np.random.default_rng(4), np.arange(0.0, 24.0, 0.004)
+    q, qd, qdd = harmonics(rng, t, robot.home, 0.3, (0.5, 3.0), 3)
+    model = Model.nominal(robot)
+    load = model.inverse_dynamics(q, qd, qdd) - robot.rotor_inertia * qdd
+    at = robot.tool_place
+    body = regressor(robot.pinocchio, q, qd, qdd)[:, :, -10:] @ point_mass(1.0, at)
+    tau = model.inverse_dynamics(q, qd, qdd) + sum(added(name, qd, load, body) for name in names)
+    tau = tau + 0.005 * np.std(tau, axis=0) * rng.normal(size=q.shape)
+    made = torque_regression(Recording.from_arrays(t, q=q, tau=tau), robot, model, payload=True)
+    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    return problem.with_prior(1e6 * np.eye(made.W.shape[2]))
+
+
+def found(problem: Problem, absorbed: bool = True) -> dict[tuple[str, int], float]:
+    """Names and joints that a search takes among the neighbours, with their first coefficients."""
+    only = tuple((name, joint) for name in NEIGHBOURS for joint in range(7))
+    choices = Search(problem, library(), Options(), np.random.default_rng(0), absorbed=absorbed, only=only).run()
+    fit = problem.fit([choice.candidate for choice in choices])
+    return {(c.candidate.effect.name, c.candidate.joint): float(own[0])
+            for c, own in zip(choices, fit.coefficients, strict=True)}
+
+
+@pytest.mark.parametrize("name", ["load_direction_friction", "load_dependent_friction", "drive_gain"])
+def test_what_loses_with_the_load_is_told_by_when_it_does(name: str) -> None:
+    said = found(problem_of(name))
+    assert list(said) == [(name, JOINT)]
+    assert said[name, JOINT] == pytest.approx(0.15, rel=0.03)
+
+
+def test_a_payload_is_no_friction_of_its_load() -> None:
+    assert list(found(problem_of("payload"))) == [("payload", 0)]
+
+
+def test_masses_that_other_joints_show_tell_the_load_that_is_driven_without_a_model() -> None:
+    said = found(problem_of("load_direction_friction").with_prior(None), absorbed=False)
+    assert list(said) == [("load_direction_friction", JOINT)]
+    assert said["load_direction_friction", JOINT] == pytest.approx(0.15, rel=0.1)
+
+
+def test_a_gear_that_loses_both_ways_but_more_driving_has_both() -> None:
+    said = found(problem_of("load_direction_friction", "load_dependent_friction"))
+    assert set(said) == {("load_direction_friction", JOINT), ("load_dependent_friction", JOINT)}
+    for value in said.values():
+        assert value == pytest.approx(0.15, rel=0.1)
+
+
+# Samples near standstill: what creeps, or has not yet travelled as far as bristles yield, does not count.
+
+def test_what_has_travelled_no_further_than_bristles_yield_does_not_count() -> None:
+    dt, slow, fast = 0.004, 0.004, 1.0
+    t = np.arange(0.0, 10.0, dt)
+    # Forwards fast, then backwards: slowly in one joint, fast in the other.
+    back = t > 5.0
+    qd = np.where(back[:, None], [[-slow, -fast]], [[fast, fast]])
+    q = np.cumsum(qd, axis=0) * dt
+    apart = apart_from_reversals(q, qd, np.ones(q.shape, dtype=bool), 0.12, dt)
+    first = [float(t[np.flatnonzero(apart[:, j] & back)[0]]) - 5.0 for j in range(2)]
+    # 3 mrad at 4 mrad/s take 0.75 s; at 1 rad/s the filters' memory is longer.
+    np.testing.assert_allclose(first, [0.75, 0.12], atol=0.02)
+    # A joint that moves over a few milliradians only does not lose all of its samples.
+    q = 0.004 * np.sin(1.5 * t)[:, None]
+    small = apart_from_reversals(q, np.gradient(q, dt, axis=0), np.ones(q.shape, dtype=bool), 0.12, dt)
+    assert small.mean() > 0.7
+
+
+def creeping() -> Recording:
+    """Strokes with rests between in which the axis still creeps; its friction changes sign within 5 mrad/s."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, 40.0, 0.004)
+    part = t % 4.0
+    stroke = np.where(part < 2.0, np.sin(0.5 * np.pi * part) ** 2, 0.0) * np.where((t // 4.0) % 2 == 0, 1.0, -1.0)
+    creep = np.where(part >= 2.0, 0.006 * np.sin(np.pi * (part - 2.0) / 2.0), 0.0) * np.sin(0.37 * (t // 4.0) + 1.0)
+    qd = 0.55 * stroke + creep + 0.02 * np.sin(1.3 * t) * (part < 2.0)
+    q = np.cumsum(qd) * 0.004
+    qdd = np.gradient(qd, t)
+    # Soft contacts give way in proportion and then slide all at once, no matter which curve a model has there.
+    friction = 2.0 * np.clip(qd / 0.008, -1.0, 1.0)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + friction + 1.5 * qd + 0.01 * rng.normal(size=len(t))
+    return Recording.from_arrays(t, q=q[:, None], tau=tau[:, None])
+
+
+def test_an_axis_that_creeps_has_no_friction_over_speed_of_its_own(tmp_path) -> None:
+    one, recording = arm(tmp_path), creeping()
+    made = torque_regression(recording, one, Model.nominal(one))
+    width = np.array([0.004])
+    used = with_reversal_width(made, Model.nominal(one), width).use[:, 0]
+    speed = np.abs(made.decimated_signals().qd[:, 0])
+    assert used.any()
+    assert not used[speed < 3.0 * width[0]].any()
+    found = diagnose(recording, one)
+    assert not {e.fitted.name for e in found.effects} & {"stribeck", "degressive", "thermal_drift"}
+
+
+def test_a_spike_before_a_hole_is_one_sample(tmp_path) -> None:
+    """Brought to an even grid first, it was a triangle as long as the hole, which no median takes out."""
+    one, rng = arm(tmp_path), np.random.default_rng(3)
+    t = np.arange(0.0, 20.0, 0.001)
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    tau = -14.7 * np.cos(q) + 0.03 * rng.normal(size=q.shape)
+    spiked = tau.copy()
+    spiked[8000] += 60.0
+    keep = np.ones(len(t), dtype=bool)
+    keep[8001:8008] = False
+    made = [torque_regression(Recording.from_arrays(t[keep], q=q[keep], tau=values[keep]), one, Model.nominal(one))
+            for values in (tau, spiked)]
+    assert np.abs(made[1].measured - made[0].measured).max() < 0.02
+
+
+# Friction over speed where an arm vibrates: its share is asked for in the lower half of the band as well.
+
+def vibrating(surplus: float) -> Recording:
+    """One joint with a surplus of friction [N m] that falls with speed, and what another cause shakes it by at 9 Hz."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 40.0, 0.004)
+    q = sum(a * np.sin(w * t + p) for a, w, p in zip((0.6, 0.3, 0.15), (0.7, 1.9, 3.1), rng.uniform(0, 6, 3),
+                                                      strict=True))
+    qd, qdd = np.gradient(q, t), np.gradient(np.gradient(q, t), t)
+    band = signal.butter(2, (8.0, 10.0), "bandpass", fs=250.0, output="sos")
+    shaken = signal.sosfiltfilt(band, rng.normal(size=len(t)))
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + (2.0 + surplus * np.exp(-np.abs(qd) / 0.2)) * np.tanh(qd / 2e-3) + 1.5 * qd
+    tau = tau + 0.6 * shaken / np.std(shaken) + 0.01 * rng.normal(size=len(t))
+    return Recording.from_arrays(t, q=q[:, None], tau=tau[:, None])
+
+
+@pytest.mark.parametrize(("surplus", "named"), [(1.0, ["stribeck"]), (0.0, [])])
+def test_friction_over_speed_is_found_where_vibrations_are_most_of_what_is_left(surplus, named, tmp_path):
+    found = diagnose(vibrating(surplus), arm(tmp_path))
+    assert [e.fitted.name for e in found.effects] == named
+    if named:
+        (effect,) = found.effects
+        # Of the whole band's squares it takes away less than is asked there; what is asked is said in those.
+        assert effect.fitted.evidence["share"] < 0.15
+        assert effect.fitted.evidence["share_asked"] < effect.fitted.evidence["share"]
+        assert effect.fitted.coefficients[0] == pytest.approx(surplus, rel=0.3)
+
+
+# Torques over one joint's angle: ripples of few and of many periods, an odd shape, and friction of a load.
+
+Torque = Callable[[Array, Array, Array], Array]
+"""Torque of a cause from angle, velocity and load ``(N,)``."""
+
+
+def diagnosed(folder: Path, torque: Torque, middle: float = 0.0, turn: float = 1.0,
+              only: Only | None = None) -> Diagnosis:
+    """One joint that carries 5 kg at 0.3 m, with friction and one cause.
+
+    Args:
+        folder: for the arm's file.
+        torque: of the cause.
+        middle: of the range [rad].
+        turn: half of the range, about [rad].
+        only: names and joints that may be looked for.
+    """
+    t, rng = np.arange(0.0, 40.0, 0.004), np.random.default_rng(3)
+    a, b = rng.uniform(0.5, 0.9, 3) / [1.0, 2.0, 3.0], rng.uniform(0.0, 6.0, 3)
+    w = 2.0 * np.pi / 10.0
+    q = middle + turn * sum(a[k] * np.sin((k + 1) * w * t + b[k]) for k in range(3))
+    qd = np.gradient(q, t)
+    load = 0.55 * np.gradient(qd, t) - 5.0 * 9.81 * 0.3 * np.cos(q)
+    tau = load + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + torque(q, qd, load) + 0.03 * rng.normal(size=len(t))
+    return diagnose(Recording.from_arrays(t, q=q[:, None], tau=tau[:, None]), arm(folder), only=only)
+
+
+@pytest.mark.parametrize("order", [pytest.param(11.0, id="hardly three periods in the range"),
+                                   pytest.param(40.0, id="ten"),
+                                   pytest.param(170.0, id="seen in the slower part of the motion alone")])
+def test_a_ripple_is_found_with_its_order(order: float, tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, lambda q, qd, load: 0.6 * np.cos(order * q) + 0.08 * np.cos(2.0 * order * q))
+    # Its double is a ripple of its own where it shows.
+    assert {effect.fitted.name for effect in found.effects} == {"torque_ripple"}
+    assert not found.unknown
+    size, _, said = found.effects[0].fitted.parameters
+    assert said.value == pytest.approx(order, rel=0.01)
+    assert size.value == pytest.approx(0.6, rel=0.1)
+
+
+def test_what_a_curve_leaves_of_a_narrow_bump_is_no_ripple(tmp_path: Path) -> None:
+    def bump(q: Array, qd: Array, load: Array) -> Array:
+        x = (q - 0.1) / 0.12
+        return np.asarray(1.5 * np.exp(-(x**2)) * (1.0 + 1.5 * np.tanh(x)))
+
+    found = diagnosed(tmp_path, bump)
+    assert found.verdict == "unknown"
+    assert not found.effects
+    assert {curve.depends_on for curve in found.unknown} == {("q_1",)}
+
+
+def test_friction_of_a_load_is_found_where_weight_and_a_constant_torque_are_hardly_told_apart(tmp_path: Path) -> None:
+    # The load changes sign within half a radian, in which a constant torque looks like weight. The law of load that is
+    # driven is the same one of a single joint.
+    found = diagnosed(tmp_path, lambda q, qd, load: 0.3 * np.abs(load) * np.sign(qd), middle=1.5, turn=0.25,
+                      only=(("load_dependent_friction", 1),))
+    assert [effect.fitted.name for effect in found.effects] == ["load_dependent_friction"]
+    assert found.effects[0].fitted.coefficients[0] == pytest.approx(0.3, rel=0.1)
+
+
+# A cable's spring, a balancer's and a curve without a cause: which of them a joint with gravity has.
+
+BALANCER = Candidate(find("gravity_spring", "tau"), 1, (0.8, 0.4))
+CABLE = Candidate(find("cable_spring", "tau"), 1)
+
+
+def balancer(q: np.ndarray, force: float, phi: float, rho: float) -> np.ndarray:
+    """Torque of the preload of a spring between two points, and of a stiffness that is like gravity."""
+    angle = q - phi
+    return np.asarray(force * (np.sin(angle) / np.sqrt(1.0 + rho**2 + 2.0 * rho * np.cos(angle)) - np.sin(angle)))
+
+
+def problem_with(tmp_path: Path, torque) -> Problem:
+    columns = moved()[0].columns
+    pulled = Recording({**columns, "tau_1": columns["tau_1"] + torque(columns["q_1"])})
+    made = torque_regression(pulled, robot := arm(tmp_path), Model.nominal(robot))
+    return Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+
+
+def searched(problem: Problem, *start: Candidate) -> list[Choice]:
+    effects = [effect for effect in library() if effect.domain == MOTOR_TORQUE]
+    search = Search(problem, effects, Options(), np.random.default_rng(0), absorbed=False)
+    return search.run([Choice(one, 1e-9, share=0.5) for one in start])
+
+
+@pytest.mark.parametrize("start", [(), (BALANCER,), (CABLE,)], ids=["nothing", "balancer", "cable"])
+def test_a_cable_stays_a_cable_where_the_search_begins_with_a_balancer(tmp_path, start):
+    names = [c.candidate.effect.name for c in searched(problem_with(tmp_path, lambda q: 1.5 * q), *start)]
+    assert names == ["cable_spring"]
+
+
+@pytest.mark.parametrize("start", [(), (BALANCER,), (CABLE,)], ids=["nothing", "balancer", "cable"])
+@pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
+def test_a_balancer_is_found_from_a_cable_and_no_curve_stands_for_it(tmp_path, start, phi):
+    problem = problem_with(tmp_path, lambda q: balancer(q, 20.0, phi, 0.4))
+    assert [c.candidate.effect.name for c in searched(problem, *start)] == ["gravity_spring"]
+
+
+@pytest.mark.parametrize("phi", [2.3, 2.5])
+def test_a_spring_that_gravity_takes_nearly_all_of_is_not_lost_in_some_folds(tmp_path, phi):
+    # Of its squares gravity's parameters leave a hundred-thousandth, more in one fold, less in another.
+    problem = problem_with(tmp_path, lambda q: balancer(q, 1000.0, phi, 0.1))
+    candidate = Candidate(BALANCER.effect, 1, (phi, 0.1))
+    fit = Fit(problem.design([candidate]), ["W"], np.ones(1))
+    test = fit.held_out_test(candidate.key)
+    assert test.coefficients[1] == pytest.approx(1000.0, rel=0.02)
+    assert test.total > 0.95 * fit.held_out_squares[problem.blocks.selecting].sum()
+
+
+def test_a_curve_that_no_spring_has_stays_a_curve(tmp_path):
+    problem = problem_with(tmp_path, lambda q: 4.0 * np.maximum(q - 0.3, 0.0))
+    found = searched(problem)
+    assert [c.candidate.effect.learned for c in found] == [True]
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("start", [(), (BALANCER,)], ids=["nothing", "balancer"])
+def test_a_hose_that_is_slack_up_to_an_angle_is_no_balancer(tmp_path, side, start):
+    def hose(q):
+        x = np.maximum(side * (q - 0.2), 0.0)
+        return 3.0 * side * (x + 2.0 * x**2)
+
+    problem = problem_with(tmp_path, hose)
+    found = searched(problem, *start)
+    assert [c.candidate.effect.learned for c in found] == [True]
+    assert found[0].candidate.effect.depends_on == ("q_1",)
+
+
+@pytest.mark.parametrize("phi", [0.3, 2.4, -1.7])
+def test_a_weak_balancer_is_not_taken_for_a_pull(tmp_path, phi):
+    problem = problem_with(tmp_path, lambda q: balancer(q, 5.0, phi, 0.4))
+    assert [c.candidate.effect.name for c in searched(problem)] == ["gravity_spring"]
+
+
+def test_a_pull_is_slack_up_to_its_angle_and_pulls_back_beyond_it():
+    q = np.linspace(-1.0, 1.0, 201)[:, None]
+    signals = Signals(np.arange(201.0), q, 0.0 * q, 0.0 * q, 0.0 * q, 0.0 * q, 0.0 * q)
+    for side in (1.0, -1.0):
+        pull = OneSidedPull(side)
+        torque = pull.columns(signals, 1, (0.2 * side,))[:, 0] @ np.array([2.0, 1.0, 0.5])
+        slack = side * q[:, 0] <= 0.2
+        assert not torque[slack].any()
+        assert (side * torque[~slack] > 0.0).all()
+        assert pull.plausible(np.array([2.0, 1.0, 0.5]), (0.2 * side,), signals, 1)
+        assert not pull.plausible(np.array([-2.0, -1.0, -0.5]), (0.2 * side,), signals, 1)
+
+
+def test_over_little_of_a_turn_a_balancer_is_gravity_and_a_cable():
+    # The range and the angle of seed 737252 in strangers' physics: no recording of that range tells them.
+    q = np.linspace(-0.38, 0.474, 400)
+    made = balancer(q, 1.0, 2.281 + np.pi, 0.4)
+    others = np.column_stack([np.ones_like(q), np.sin(q), np.cos(q), q])
+    left = made - others @ np.linalg.lstsq(others, made, rcond=None)[0]
+    assert np.sum(left**2) < 1e-6 * np.sum(made**2)

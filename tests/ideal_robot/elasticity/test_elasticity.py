@@ -1,0 +1,179 @@
+"""Filtering and synchronising of clamped recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ideal_robot.elasticity.clamped_signals import clamped_signals, lowpass, synchronise
+from ideal_robot.elasticity.observer import ArmObserver, GearDeflection
+from ideal_robot.elasticity.observer_adaptation import adapt_observer
+from ideal_robot.elasticity.stiffness import least_squares
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.models import shipped_model
+from sim.arm.arm import SimulatedArm
+from sim.arm.world import World
+
+
+def test_lowpass_keeps_levels_and_removes_ripple() -> None:
+    t = np.arange(0.0, 10.0, 0.002)
+    level = 3.0 + 2.0 * (t > 5.0)
+    smooth = lowpass(level + np.sin(2 * np.pi * 40 * t), 500.0)
+    away = (t > 1) & (t < 4) | (t > 6) & (t < 9)
+    np.testing.assert_allclose(smooth[away], level[away], atol=2e-3)
+
+
+@pytest.mark.parametrize("offset", [-3.21, 0.0, 1.37, 8.4])
+def test_clock_of_the_sensor_is_found(offset: float) -> None:
+    rng = np.random.default_rng(1)
+    drift = 2e-4
+    t = np.arange(0.0, 60.0, 0.1)
+    steps = np.repeat(rng.uniform(-1, 1, 30), 20)
+    q_m = np.outer(np.convolve(steps, np.ones(5) / 5, mode="same"), [1e-3, -4e-4])
+    true_time = np.arange(10.0, 50.0, 0.012)
+    force = -2e6 * np.interp(true_time, t, q_m[:, 0]) + 3 * rng.standard_normal(len(true_time))
+    clock = synchronise(t, q_m, (true_time - offset) / (1 + drift), force[:, None])
+    at = clock.offset + (1 + clock.drift) * (true_time - offset) / (1 + drift)
+    assert np.max(np.abs(at - true_time)) < 0.01
+
+
+def test_what_cannot_be_used_is_said() -> None:
+    robot = Robot.load("kr500")
+    t = np.arange(0.0, 8.0, 0.002)
+    q = np.zeros((len(t), 6))
+    with pytest.raises(InputError, match="neither current_i"):
+        clamped_signals(Recording.from_arrays(t, q=q), robot)
+    with pytest.raises(InputError, match="5 joints"):
+        clamped_signals(Recording.from_arrays(t, q=q[:, :5], tau=q[:, :5]), robot)
+    with pytest.raises(InputError, match="at least 5 s"):
+        clamped_signals(Recording.from_arrays(t[:500], q=q[:500], tau=q[:500]), robot)
+    with pytest.raises(InputError, match="at least 5 s"):
+        clamped_signals(Recording.from_arrays(t[:0], q=q[:0], tau=q[:0]), robot)
+
+
+# Least squares with spreads.
+
+def test_standard_deviations_are_those_of_repeated_experiments() -> None:
+    """[J] (15)–(17) on angles that vary by a milliradian about 1.6 rad, as in the paper."""
+    rng = np.random.default_rng(0)
+    W = np.column_stack([1.62 + 2e-3 * rng.random(200), np.ones(200)])
+    true = np.array([6.9e6, -1.1e7])
+    fits = [least_squares(W, W @ true + 100 * rng.standard_normal(200)) for _ in range(300)]
+    spread = np.std([fit.chi for fit in fits], axis=0)
+    np.testing.assert_allclose(np.mean([fit.chi for fit in fits], axis=0), true, rtol=3e-3)
+    for covariance in (fits[0].covariance, fits[0].robust):
+        np.testing.assert_allclose(np.sqrt(np.diag(covariance)), spread, rtol=0.25)
+    np.testing.assert_allclose(fits[0].std_percent, 100 * spread / np.abs(true), rtol=0.25)
+
+
+def test_correlated_residuals_widen_the_robust_spread() -> None:
+    rng = np.random.default_rng(0)
+    x = np.linspace(-1, 1, 1000)
+    slopes, robust, white = [], [], []
+    for _ in range(200):
+        noise = np.repeat(rng.standard_normal(25), 40)
+        fit = least_squares(np.column_stack([x, np.ones(1000)]), 2 * x + noise, lag=40)
+        slopes.append(fit.chi[0])
+        robust.append(fit.robust[0, 0])
+        white.append(fit.covariance[0, 0])
+    assert np.sqrt(np.mean(robust)) == pytest.approx(np.std(slopes), rel=0.3)
+    assert np.sqrt(np.mean(white)) < 0.3 * np.std(slopes)
+
+
+def test_what_cannot_be_determined_is_said() -> None:
+    with pytest.raises(InputError, match="2 samples"):
+        least_squares(np.ones((2, 2)), np.ones(2))
+    with pytest.raises(InputError, match="does not excite"):
+        least_squares(np.ones((9, 2)), np.ones(9))
+
+
+# Gear deflection on a path: all rows at once are what each row alone gives.
+
+def test_a_whole_path_is_its_rows_one_by_one() -> None:
+    model = Model.load(shipped_model("kr6"))
+    deflection = GearDeflection(model, 0.012)
+    q_d = np.array([0.0, -1.2, 1.8, 0.0, 0.9, 0.0]) + 0.3 * np.sin(np.outer(0.012 * np.arange(40), np.arange(1, 7)))
+    one_by_one = [deflection.at(q_d[max(k - 1, 0) : k + 2]) for k in range(len(q_d))]
+    np.testing.assert_array_equal(deflection.along(q_d), one_by_one)
+    assert np.abs(one_by_one).max() > 1e-5
+
+
+# The arm angles behind elastic gears, against the simulated arm that the observer does not know.
+
+@pytest.fixture(scope="module")
+def moved() -> tuple[np.ndarray, np.ndarray]:
+    """Motor angles (as the controller tells) and true arm angles of a lively motion."""
+    robot, world = Robot.load("kr6"), World.default("kr6")
+    frequency = 2 * np.pi * np.array([0.8, 1.1, 1.3, 1.5, 0.9, 1.1])
+    motors, arms = [robot.home], []
+    with SimulatedArm(robot, world, np.random.default_rng(0)) as arm:
+        arms.append(arm.truth.q_a)
+        for k in range(250):
+            t = 0.012 * k
+            swing = np.array([0.1, 0.05, 0.05, 0.1, 0.1, 0.1]) * np.sin(frequency * t) * (1 - np.exp(-((t / 0.3) ** 2)))
+            motors.append(arm.cycle(robot.home + swing + 2e-4 * np.sin(2 * np.pi * 7 * t)).q)
+            arms.append(arm.truth.q_a)
+    return np.array(motors), np.array(arms)
+
+
+def test_observer_removes_most_of_the_deflection(moved: tuple[np.ndarray, np.ndarray]) -> None:
+    """Base joints, which carry the tip's error: below 40 % of the deflection is left, sag included below 10 %."""
+    q, q_a = moved
+    observed = ArmObserver(Model.load(shipped_model("kr6")), 0.012).angles(q)
+    before, after = (q - q_a)[40:, :3], (observed - q_a)[40:, :3]
+    assert np.all(np.std(after, axis=0) < 0.4 * np.std(before, axis=0))
+    assert np.sqrt(np.mean(after**2)) < 0.1 * np.sqrt(np.mean(before**2))
+
+
+def test_at_rest_it_is_the_spring_under_weight_and_contact() -> None:
+    """[J] (1): k (q − q_a) = G(q_a) − τ_ext, and a long rest does not change it."""
+    model = Model.load(shipped_model("kr6"))
+    robot = Robot.load("kr6")
+    observer = ArmObserver(model, 0.012)
+    tau_ext = np.array([10.0, 20.0, -5.0, 1.0, 2.0, 0.5])
+    assert model.stiffness is not None
+    free, pressed = observer.init(robot.home), observer.init(robot.home, tau_ext)
+    np.testing.assert_allclose(pressed.q_a - free.q_a, tau_ext / model.stiffness, rtol=0.02, atol=1e-6)
+    state = pressed
+    for _ in range(100):
+        state = observer.step(state, robot.home, tau_ext)
+    np.testing.assert_allclose(state.q_a, pressed.q_a, atol=2e-7)
+
+
+def test_without_stiffness_the_motors_are_the_arm() -> None:
+    robot = Robot.load("kr6")
+    observer = ArmObserver(Model.nominal(robot), 0.012)
+    q = np.tile(robot.home, (5, 1)) + 0.01 * np.arange(5)[:, None]
+    np.testing.assert_array_equal(observer.angles(q)[1:], q[1:])
+
+
+def test_two_measured_directions_adapt_the_observer() -> None:
+    """[L] 3.3, [7]: a wrong stiffness is found from two of six degrees of freedom, off line."""
+    robot, world = Robot.load("kr6"), World.default("kr6")
+    frequency = 2 * np.pi * np.array([0.9, 1.1, 1.3, 1.5, 1.7, 1.9])
+    with SimulatedArm(robot, world, np.random.default_rng(0)) as arm:
+        for k in range(250):
+            swing = np.array([0.12, 0.08, 0.08, 0.1, 0.1, 0.1]) * np.sin(frequency * 0.012 * k)
+            arm.cycle(robot.home + swing * (1 - np.exp(-((0.012 * k / 0.3) ** 2))))
+        recording = arm.recording(external=True)
+    true = np.column_stack([recording.columns[f"qa_{i + 1}"] for i in range(6)])[::6]
+    partial = Recording({name: np.array(values) for name, values in recording.columns.items() if name not in "xq"
+                         and not name.startswith("qa")}, recording.meta)
+    model = Model.load(shipped_model("kr6"))
+    assert model.stiffness is not None
+    wrong = replace(model, stiffness=np.array(model.stiffness) * np.array([0.75, 1.3, 0.75, 1.0, 1.0, 1.0]))
+    assert "x" not in partial.columns
+    adapted = adapt_observer(partial, robot, wrong)
+    assert adapted.residual_after < 0.6 * adapted.residual_before
+    first = ArmObserver(wrong, 0.012).angles(partial.joints("q")[::6])
+    for before, after in ((first[40:], adapted.q_a[40:]),):
+        assert np.std((after - true[40:])[:, :3]) < 0.6 * np.std((before - true[40:])[:, :3])
+    truth = world.per_joint("stiffness", 6)
+    assert abs(adapted.model.stiffness[1] / truth[1] - 1) < 0.15  # type: ignore[index]
+    with pytest.raises(InputError, match="at least one of x, y, z"):
+        adapt_observer(Recording({"t": partial.t}), robot, wrong)

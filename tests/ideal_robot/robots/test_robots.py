@@ -1,0 +1,154 @@
+"""Robots of others: a URDF or a drive data file that cannot be is refused with its field, and opens no other file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.arrays import held
+from ideal_robot.errors import InputError
+from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.urdf import without_meshes
+
+URDF = """<robot name="one">
+<link name="base"/>
+<link name="arm"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="10" velocity="2"/></joint>
+</robot>
+"""
+
+
+def test_the_untouched_robot_is_read(tmp_path: Path) -> None:
+    (tmp_path / "one.urdf").write_text(URDF)
+    (tmp_path / "one.toml").write_text("[joints]\ngear_ratio = 100\nrotor_inertia = [1e-4]\n[own]\nx = 1\n")
+    robot = Robot.load(tmp_path / "one.urdf")
+    assert robot.rotor_inertia == pytest.approx([1.0])
+    assert robot.data["own"] == {"x": 1}
+    assert np.isinf(robot.a_max).all()
+
+
+@pytest.mark.parametrize(("old", "new"), [
+    ('value="1"', 'value="x"'), ('value="1"', 'value="nan"'), ('value="1"', 'value="1e300"'), ('ixx="1"', 'ixx="inf"'),
+    ('parent link="base"', 'parent link="arm"'), ('parent link="base"', 'parent link="gone"'),
+    ("revolute", "continuous"),
+    ('xyz="0 0 1"', 'xyz="0 0 0"'), ('xyz="0 0 1"', 'xyz="0 1e-200 0"'), ('value="1"', 'value="-1"'),
+    ('ixx="1"', 'ixx="-1"'), ('velocity="2"', 'velocity="1e-9"'),
+    ("</joint>", '<mimic joint="j"/></joint>'), ("</robot>", '<a xmlns="http://www.ros.org/wiki/xacro"/></robot>'),
+    ("revolute", "floating"), ("revolute", "fixed"), ('lower="-1"', 'lower="2"'), ('lower="-1"', 'lower="nan"'),
+    ("<robot", "<!DOCTYPE r [<!ENTITY a 'b'>]><robot"), ("<robot", "<arm"), ("</robot>", ""), (URDF, ""),
+    (URDF, "<a>" * 50_000), ("</robot>", "<link/>" * 30_000 + "</robot>"), ('name="one"', 'name="\0"'),
+])
+def test_a_urdf_that_cannot_be_is_refused_in_one_line(old: str, new: str, tmp_path: Path,
+                                                      capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "one.urdf").write_text(URDF.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        Robot.load(tmp_path / "one.urdf")
+    assert "\n" not in str(refused.value)
+    assert refused.value.file == tmp_path / "one.urdf"
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(("text", "field"), [
+    ("joints = 3", "joints"), ("[joints]\ngear_ratio = 'x'", "joints.gear_ratio"),
+    ("[joints]\ngear_ratio = 0", "joints.gear_ratio"), ("[joints]\ngear_ratio = [1, 2]", "joints.gear_ratio"),
+    ("[joints]\na_max = -1.0", "joints.a_max"), ("[joints]\nhome = nan", "joints.home"),
+    ("[joints]\nhome = [[0.0]]", "joints.home"), ("[joints]\ntorque_constant = true", "joints.torque_constant"),
+    ("[controller]\nt_ipo = 0", "controller.t_ipo"), ("[controller]\nt_ipo = 'fast'", "controller.t_ipo"),
+    ("name = 3", "name"), ("name = ''", "name"), ("tool_frame = 'gone'", "tool_frame"),
+    ("tool_frame = []", "tool_frame"),
+    ("x = " + "[" * 9000, None), ("\0", None),
+])
+def test_drive_data_that_cannot_be_is_refused_with_its_field(text: str, field: str | None, tmp_path: Path) -> None:
+    (tmp_path / "one.urdf").write_text(URDF)
+    (tmp_path / "one.toml").write_text(text)
+    with pytest.raises(InputError) as refused:
+        Robot.load(tmp_path / "one.urdf")
+    assert refused.value.file == tmp_path / "one.toml"
+    if field is not None:
+        assert str(refused.value.field).startswith(field)
+
+
+def test_meshes_and_textures_are_left_out_of_what_viewers_get() -> None:
+    mesh = '<visual><geometry><mesh filename="/etc/passwd"/></geometry></visual>'
+    box = '<visual><geometry><box size="1 1 1"/></geometry><material><texture filename="/x"/></material></visual>'
+    text = without_meshes(URDF.replace('<link name="base"/>', f'<link name="base">{mesh}{box}</link>'))
+    assert "passwd" not in text
+    assert "filename" not in text
+    assert "box" in text
+
+
+# Sliding joints are known from turning ones, in whatever order they stand.
+
+CHAIN = """<robot name="slider"><link name="a"/>
+<joint name="j1" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+  <limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="b"/>
+<joint name="j2" type="fixed"><parent link="b"/><child link="c"/></joint><link name="c"/>
+<joint name="j3" type="prismatic"><parent link="c"/><child link="d"/><axis xyz="0.6 0.8 0"/>
+  <limit lower="-1" upper="1" velocity="1" effort="1"/></joint><link name="d"/></robot>"""
+
+
+def test_which_joints_slide(tmp_path: Path) -> None:
+    (tmp_path / "slider.urdf").write_text(CHAIN)
+    assert Robot.load(tmp_path / "slider.urdf").prismatic.tolist() == [False, True]
+    assert not Robot.load("kr6").prismatic.any()
+
+
+def test_rows_are_held_at_both_ends() -> None:
+    rows = np.array([[1.0, 2.0], [3.0, 4.0]])
+    assert held(rows, before=1, after=2).tolist() == [[1, 2], [1, 2], [3, 4], [3, 4], [3, 4]]
+    assert held(rows).tolist() == rows.tolist()
+
+
+# The KR 500's URDF against [J] table 1, through a chain written down independently of it.
+
+# α_j, d_j, offset of θ_j, r_j of [J] table 1.
+TABLE_1 = (
+    (np.pi, 0.0, 0.0, -1.045),
+    (np.pi / 2, 0.500, 0.0, 0.0),
+    (0.0, 1.300, np.pi / 2, 0.0),
+    (-np.pi / 2, -0.055, 0.0, -1.025),
+    (np.pi / 2, 0.0, 0.0, 0.0),
+    (-np.pi / 2, 0.0, -np.pi / 2, -0.290),
+)
+CONFIGURATIONS = ((1.62, -0.89, 1.84, 1.62, -np.pi / 2, 0.46), (1.48, -0.87, 1.37, np.pi, -1.05, 0.0))
+
+
+def khalil_kleinfinger(q: np.ndarray) -> list[np.ndarray]:
+    """Frames 1 … 6 in the base: each Rx(α) Tx(d) Rz(θ) Tz(r), written out as in Khalil & Kleinfinger (1986)."""
+    frames = []
+    total = np.eye(4)
+    for (alpha, d, offset, r), angle in zip(TABLE_1, q, strict=True):
+        c, s, ca, sa = np.cos(angle + offset), np.sin(angle + offset), np.cos(alpha), np.sin(alpha)
+        total = total @ np.array([[c, -s, 0.0, d], [ca * s, ca * c, -sa, -r * sa], [sa * s, sa * c, ca, r * ca],
+                                  [0.0, 0.0, 0.0, 1.0]])
+        frames.append(total)
+    return frames
+
+
+def test_every_link_frame_is_that_of_the_table() -> None:
+    robot = Robot.load("kr500")
+    data = robot.pinocchio.createData()
+    rng = np.random.default_rng(0)
+    for q in (*CONFIGURATIONS, *rng.uniform(robot.q_min, robot.q_max, (50, 6))):
+        pin.framesForwardKinematics(robot.pinocchio, data, np.array(q))
+        expected = khalil_kleinfinger(np.array(q))
+        for joint in range(6):
+            # A joint frame of the URDF is the table's frame, moved by r_j along z_j already: the same frame.
+            np.testing.assert_allclose(data.oMi[joint + 1].homogeneous, expected[joint], atol=1e-9)
+        np.testing.assert_allclose(data.oMf[robot.tool_id].homogeneous, expected[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize(("configuration", "loaded"), [(0, {1}), (1, {2, 3})])
+def test_pressing_along_z6_loads_the_joints_that_the_paper_says(configuration: int, loaded: set[int]) -> None:
+    """[J] 4.2: configuration 1 is for joint 1, configuration 2 for joint 2, with f_z alone."""
+    robot = Robot.load("kr500")
+    q = np.array(CONFIGURATIONS[configuration])
+    jacobian = pin.computeFrameJacobian(robot.pinocchio, robot.pinocchio.createData(), q, robot.tool_id, pin.LOCAL)
+    lever = np.abs(jacobian[2])
+    assert {int(j) + 1 for j in np.flatnonzero(lever > 0.2)} == loaded
+    assert np.max(lever) > 1.5
+    assert np.max(np.delete(lever, [j - 1 for j in loaded])) < 0.06

@@ -1,0 +1,196 @@
+"""Behind short cycles the answer goes first: what a field costs is paid when nobody waits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from planning.planning_error import PlanningError
+from scenes.model_files import shipped_model
+from scenes.online.cycle import CycleSettings, play_cycles
+from scenes.online.devices import Devices
+from scenes.online.journal import Journal, Later
+from scenes.online.line_job import LineJob, Piece, calibrated_by_moving
+from scenes.online.line_known import START, line_follower, span_of
+from scenes.online.line_task import LineLog
+from scenes.online.live_arm import LiveArm
+from scenes.online.live_sensors import EvaluatedField, ImaginedCamera
+from scenes.online.run import _job, load_cell
+from scenes.result import silent
+from scenes.scene_files.drawn_line import believed_camera, reference_points
+from sensing.camera.camera_device import Field
+from sensing.camera.camera_model import CalibrationError, CameraModel
+from sensing.camera.hand_eye import HandEye, calibrate
+from sensing.camera.line_detection import LineField
+from sensing.camera.line_search import DetectionSettings, PredictedLine
+from tests.scenes.follow.pair import Tame
+from tests.sensing.camera.test_camera_model import measuring_error
+
+_CYCLES = round(START / 0.004) + 40
+_EVERY = 5
+
+
+class Wire(Tame):
+    """Writes down what goes over it."""
+
+    said: list[str]
+
+    def send(self, q_c: Array) -> None:
+        super().send(q_c)
+        self.said.append("answer")
+
+    def receive(self) -> RobotState:
+        state = super().receive()
+        self.said.append("packet")
+        return state
+
+
+class Seen(ImaginedCamera):
+    """A field every few cycles, of a picture taken ``_EVERY`` cycles before it arrives; lies 0.2 mm beside the line."""
+
+    def __init__(self, T: float, later: int) -> None:
+        super().__init__()
+        self._T, self._later = T, later
+
+    def arrived(self, t: float) -> list[Field]:
+        k = round(t / self._T) - self._later
+        if k < 2 * _EVERY or k % _EVERY:
+            return []
+        field = self._field((k - _EVERY) * self._T)
+        field.seen.points_tcp[:, 1] += 2e-4
+        return [field]
+
+
+def _played(tmp_path: Path, *, ahead: bool, later: int = 0, failing: int = -1) -> tuple[Wire, LineLog]:
+    """Forty cycles on the way; ``later``: cycles by which fields are late, ``failing``: one that cannot be planned."""
+    job = _job(load_cell("line"), Devices("rsi:", cycle=0.004), None, None)
+    assert isinstance(job, LineJob)
+    link = Wire(robot=job.robot)
+    link.said, link.commanded = [], job.q_start
+    arm, task, known = LiveArm(link, Journal(tmp_path, link.robot, {})), job._task, job._known
+    camera = Seen(job.robot.t_ipo, later)
+    camera.predict = lambda t: known.follower.predict(t).seen_from(known.follower.history.pose(t))
+    task.prepare(0.0)
+    task.camera = camera  # type: ignore[assignment]
+    update, plan = known.follower.update, task.sensed_plan
+
+    def fused(*given: Any) -> Any:
+        link.said.append("field")
+        return update(*given)
+
+    def planned(t: float) -> Array:
+        link.said.append("plan")
+        if round(t / job.robot.t_ipo) == failing:
+            raise PlanningError("nothing to be planned")
+        return plan(t)
+
+    known.follower.update = fused  # type: ignore[method-assign]
+    task.sensed_plan = planned  # type: ignore[method-assign]
+    task.arm = arm
+    if ahead:
+        task.lead(arm)
+    arm.begin()
+    end = _CYCLES * job.robot.t_ipo
+    play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
+    return link, job.log
+
+
+def test_between_packet_and_answer_there_is_no_field(tmp_path: Path) -> None:
+    link, log = _played(tmp_path, ahead=True)
+    fields = [i for i, said in enumerate(link.said) if said == "field"]
+    assert len(fields) >= _CYCLES // _EVERY - 2
+    assert {link.said[i - 2 : i] == ["answer", "plan"] for i in fields} == {True}
+    # Nor is a plan made there, not even the first.
+    assert not [i for i, said in enumerate(link.said) if said == "plan" and link.said[i - 1] != "answer"]
+    assert log.failure is not None
+    assert "not done" in log.failure
+
+
+def test_with_the_same_fields_the_plan_made_ahead_is_the_plan_made_at_once(tmp_path: Path) -> None:
+    ahead, _ = _played(tmp_path / "ahead", ahead=True)
+    at_once, _ = _played(tmp_path / "at_once", ahead=False)
+    np.testing.assert_array_equal(ahead.taken[:_CYCLES], at_once.taken[:_CYCLES])
+    unseen, _ = _played(tmp_path / "unseen", ahead=True, later=_CYCLES)
+    assert np.max(np.abs(np.subtract(ahead.taken[:_CYCLES], unseen.taken[:_CYCLES]))) > 1e-5
+
+
+def test_a_plan_that_cannot_be_made_ahead_stops_the_arm_in_its_own_cycle(tmp_path: Path) -> None:
+    failing = _CYCLES - 20
+    _, log = _played(tmp_path, ahead=True, failing=failing)
+    assert log.failure == "nothing to be planned"
+    assert len(log.t) > failing
+    np.testing.assert_array_equal(log.q_d[-1], log.q_d[-2])
+
+
+def test_progress_is_shown_when_nobody_waits() -> None:
+    shown: list[float] = []
+    later = Later(lambda done, text: shown.append(done))
+    later(0.1, "")
+    later(0.2, "")
+    assert not shown
+    later.catch_up()
+    later.catch_up()
+    assert shown == [0.2]
+
+
+# Calibration over wires: the camera is found from the piece of the line, whatever is seen on the way there.
+
+LATE, EVERY = 0.04, 2
+ERROR = CalibrationError(roll=0.0035, pitch=0.0035, yaw=0.0035, height=0.001, lateral=0.0005, focal=0.003,
+                         principal_point=1.0, distortion=0.01)
+
+
+class SeeingCamera:
+    """Sees the line exactly where it is; where ``astray`` says so, something 5 mm beside it, now left, now right."""
+
+    def __init__(self, true: CameraModel, arm: LiveArm, astray: Callable[[float], bool]) -> None:
+        self.true, self.arm, self.astray, self.detection = true, arm, astray, DetectionSettings()
+        self.predict: Callable[[float], PredictedLine] | None = None
+        self.hand_eye: HandEye | None = None
+        self.looked = 0
+
+    def arrived(self, t: float) -> list[EvaluatedField]:
+        self.looked += 1
+        if self.predict is None or t < LATE or self.looked % EVERY:
+            return []
+        points = self.predict(t - LATE).points.copy()
+        if self.astray(t - LATE):
+            points[:, 1] += 0.005 * np.sign(np.sin(20.0 * t))
+        pixels = self.true.project_tool(points)
+        count = len(points)
+        seen = LineField(t - LATE, points, pixels, np.zeros(count), np.full(count, 2e-5), np.ones(count),
+                         np.ones(count, dtype=bool), True, "")
+        return [EvaluatedField(t - LATE, t, (), (), seen)]
+
+    def calibrate(self, camera, observations, near, normal) -> None:
+        self.hand_eye = calibrate(camera, observations, near, normal)
+
+
+@pytest.mark.parametrize("misled", [False, True])
+def test_what_is_seen_on_the_way_to_the_piece_does_not_spoil_the_calibration(misled: bool, tmp_path: Path) -> None:
+    scene, robot = load_cell("line"), Robot.load("kr6")
+    by_hand = believed_camera(scene.camera)
+    true = by_hand.perturbed(**ERROR.signed(np.random.default_rng(1)))
+    reference, follower = line_follower(scene, robot, reference_points(scene), by_hand)
+    arm = LiveArm(Tame(robot), Journal(tmp_path, robot, {"scene": "line"}))
+    middle = 0.5 * sum(span_of(scene, reference))
+    centre = reference.position(np.array([middle]))[0]
+    pose = robot.fk()
+
+    def away(_: float) -> bool:
+        return misled and bool(np.linalg.norm(pose(arm.link.commanded).translation - centre) > 0.25)
+
+    camera = SeeingCamera(true, arm, away)
+    found = calibrated_by_moving(Piece(reference, middle, follower.q_start), by_hand,
+                                 Model.load(shipped_model(robot.name)), arm, camera)  # type: ignore[arg-type]
+    assert np.abs(measuring_error(true, by_hand)).mean() > 1e-4
+    assert np.abs(measuring_error(true, found.camera)).max() < 1e-5
+    assert found.residual_after < 1e-5

@@ -1,0 +1,318 @@
+"""The line is followed: bounds on the error with their reasons, the same bits twice, and what ends a run."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+from scenes import load_scene
+from scenes.commands.common import length
+from scenes.line.calibration import calibrate_by_moving
+from scenes.line.cell import Cell, prepared, set_up
+from scenes.line.compare import _law, _reaching, fastest
+from scenes.line.kind import run
+from scenes.line.play import methods, play
+from scenes.line.result import LineResult
+from scenes.models import model_for
+from scenes.scene_files.drawn_line import geometry
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import SceneError
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.hand_eye import HandEye
+from sensing.camera.line_detection import DetectionSettings
+from sensing.camera.opencv_detector import EdgePairs
+from sim.arm.arm import SimulatedArm
+from sim.camera.camera import CameraSettings, RenderedCamera
+from sim.equipped_arm import CarriedCamera
+
+
+@pytest.fixture(scope="module")
+def ideal() -> LineResult:
+    return run(load_scene("line").changed(world="bench"), method="ideal")
+
+
+CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg": 0.02, "height_mm": 0.2,
+              "lateral_mm": 0.02, "focal_percent": 0.1, "principal_px": 0.05, "k1": 0.001}
+"""Errors of the size that a calibration leaves, where a test is not about calibrating."""
+
+
+def short(**changes: Any) -> LineScene:
+    """A straight line of 0.4 m, which takes a second to run."""
+    line = {"points": [(0.4, 0.0), (0.8, 0.0)], **changes.pop("line", {})}
+    world = {"base": "bench", **changes.pop("world", {})}
+    return load_scene("straight").changed(world=world, line=line, calibration=CALIBRATED, **changes)
+
+
+def test_the_default_world_is_not_kind(ideal: LineResult) -> None:
+    world, scene = ideal.world, ideal.scene
+    assert world["elasticity"]
+    assert world["friction"]
+    assert world["quantisation"]
+    assert world["correction_delay"]
+    assert min(world["stiffness"]) < 5e5
+    assert world["inertia_tolerance"] > 0.05
+    assert scene.camera.latency >= 0.02
+    assert scene.camera.noise > 1.0
+    assert scene.calibration.roll_deg >= 0.1
+
+
+def test_ideal_robot_at_seven_tenths_of_a_metre_per_second(ideal: LineResult) -> None:
+    # Detection leaves about 0.03 mm a point, the dynamics that the identified model misses about 0.05 mm; the bound
+    # leaves room for as much again, and is half of what the sensed path alone leaves.
+    assert ideal.failure is None
+    assert ideal.control_error.mean < 1.0e-4
+    assert ideal.control_error.p95 < 2.5e-4
+    assert ideal.fields_used > 60
+
+
+def test_figures_count_the_distance_of_the_true_tool_from_the_drawn_line(ideal: LineResult) -> None:
+    """The same figure from the recording's external measurement, by an independent computation."""
+    recording = ideal.recording
+    tcp = np.column_stack([recording.columns[name] for name in "xyz"])
+    drawn, normal = ideal.geometry.drawn, ideal.geometry.plane.rotation[:, 2]
+    counts = np.isin(np.round(recording.t, 4), np.round(ideal.control_error.t, 4))
+    assert counts.sum() > 300
+    flat = tcp[counts] - np.outer((tcp[counts] - drawn[0]) @ normal, normal)
+    across = np.cross(normal, np.gradient(drawn, axis=0))
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    nearest = [int(np.argmin(np.linalg.norm(drawn - point, axis=1))) for point in flat]
+    distance = np.abs(np.sum((flat - drawn[nearest]) * across[nearest], axis=1))
+    # The measuring device's noise is 20 µm; it can only add to the mean of distances.
+    assert np.mean(distance) == pytest.approx(ideal.control_error.mean, abs=1e-5)
+
+
+def test_methods_rank_as_the_papers_say(ideal: LineResult) -> None:
+    scene = load_scene("line").changed(world="bench")
+    with prepared(scene) as cell:
+        none = run(scene, method="none", shared=cell).control_error.mean
+        # Its best gain on this scene, as ``compare`` finds it; without overshoot it can take 0.03, and is far worse.
+        direct = run(scene, method="direct_feedback", gains=(0.13, 0.0), shared=cell).control_error.mean
+        sensor = run(scene, method="sensor_path", shared=cell).control_error.mean
+    assert ideal.control_error.mean < sensor / 3
+    assert sensor < direct < none
+
+
+@pytest.mark.parametrize("name", ["straight", "corner", "svg", "gap", "cluttered"])
+def test_every_scene_is_followed(name: str) -> None:
+    # Twice the mean error of the default scene: gaps are bridged by the fusion, corners ask more of the wrist.
+    result = run(load_scene(name).changed(world="bench", calibration=CALIBRATED), method="ideal")
+    assert result.failure is None
+    assert result.control_error.mean < 2.0e-4
+    assert result.control_error.max < 1.0e-3
+
+
+def test_a_known_latency_does_not_matter() -> None:
+    scene = load_scene("line").changed(world="bench", calibration=CALIBRATED)
+    means = [run(scene.changed(camera={"latency": latency})).control_error.mean for latency in (0.02, 0.08)]
+    assert abs(means[1] - means[0]) < 1e-4
+
+
+def test_same_scene_and_seed_give_the_same_recording_bit_for_bit() -> None:
+    first, second, other = run(short()), run(short()), run(short(seed=2))
+    assert first.recording.hash == second.recording.hash
+    assert first.recording.hash != other.recording.hash
+
+
+def test_the_seed_decides_where_the_line_is() -> None:
+    scene = short()
+    shifts = {geometry(scene, np.random.default_rng(seed)).displacement for seed in range(20)}
+    assert len(shifts) == 20
+    sizes = np.abs([list(shift) for shift in shifts])
+    limit = [1e-3 * scene.displacement.along_mm, 1e-3 * scene.displacement.lateral_mm,
+             np.radians(scene.displacement.turn_deg)]
+    assert np.all(sizes >= 0.5 * np.array(limit) - 1e-12)
+    assert np.all(sizes <= np.array(limit) + 1e-12)
+
+
+def test_a_line_lost_midway_ends_the_run_on_the_path_and_keeps_what_was_done(tmp_path: Path) -> None:
+    gap = {"kind": "gap", "at_mm": 700.0, "length_mm": 500.0}
+    scene = load_scene("straight").changed(world="bench", calibration=CALIBRATED, feature=(gap,))
+    result = run(scene, out=tmp_path)
+    assert result.failure is not None
+    assert "line lost" in result.failure
+    recording = Recording.read(tmp_path / "recording.parquet")
+    assert "line lost" in recording.meta["stopped_because"]
+    assert (tmp_path / "report.html").stat().st_size > 10_000
+    assert json.loads((tmp_path / "report.json").read_text())["failure"] == result.failure
+    q = recording.joints("q")
+    # At rest in the end, and braked no harder than the joints may.
+    assert np.abs(q[-1] - q[-20]).max() < 2e-4
+
+
+def test_a_line_never_seen_ends_the_run(tmp_path: Path) -> None:
+    result = run(short(line={"gray": 199.0, "background": 200.0}), out=tmp_path)
+    assert result.failure is not None
+    assert "never seen" in result.failure
+    assert np.isnan(result.control_error.mean)
+    assert (tmp_path / "recording.parquet").is_file()
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"surface": {"origin": (2.5, 0.0, 0.3)}}, "out of reach"),
+        ({"surface": {"origin": (0.98, -4e11, 0.3)}}, "within 100 m"),
+        ({"speed": 6.0}, "speed"),
+        ({"camera": {"latency": -0.01}}, "greater than or equal to 0"),
+        ({"line": {"svg": "M 0 0 C", "points": None}}, "broken SVG path"),
+        ({"world": {"stifness": 1.0}}, "unknown key"),
+        ({"robot": "kr7"}, "shipped"),
+        ({"model": "nowhere.json"}, "no such model file"),
+    ],
+)
+def test_bad_scenes_are_refused_before_anything_moves(changes: dict, says: str) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        run(short(**changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_method() -> None:
+    with pytest.raises(InputError, match="expected one of none, direct_feedback"):
+        run(short(), method="magic")
+
+
+def test_a_controller_with_a_cycle_of_four_milliseconds() -> None:
+    # The model was identified at 12 ms; a shorter cycle must not make the line worse.
+    result = run(short(world={"t_ipo": 0.004}), method="ideal")
+    assert result.failure is None
+    assert result.control_error.mean < 2e-4
+
+
+# The fastest speed within a tolerance: kept by the run, near its edge, and refused where nothing keeps it.
+
+def test_the_law_of_the_trials_is_recovered() -> None:
+    trials = [(v, 3e-5 + 4e-5 * v**2) for v in (0.3, 0.6, 1.0)]
+    assert _law(trials) == pytest.approx((3e-5, 4e-5))
+    assert _reaching(trials, 3e-5 + 4e-5 * 1.44) == pytest.approx(1.2)
+
+
+def test_the_speed_found_keeps_the_tolerance_and_a_wider_one_is_faster() -> None:
+    scene = short()
+    with prepared(scene) as shared:
+        narrow, wide = (fastest(scene, tolerance, shared=shared) for tolerance in (8e-5, 1e-3))
+        result = play(scene.changed(speed=narrow.speed), "ideal", shared=shared)
+        with pytest.raises(InputError, match="allow more"):
+            fastest(scene, 1e-6, shared=shared)
+    assert result.control_error.p95 <= 8e-5
+    assert narrow.speed < wide.speed
+    assert dict(wide.trials)[wide.speed] <= 1e-3
+    assert 0.0 < narrow.predicted < 2e-4
+
+
+def test_lengths_have_units() -> None:
+    assert length("0.2mm", "--tolerance") == pytest.approx(2e-4)
+    assert length("200 um", "--tolerance") == pytest.approx(2e-4)
+    assert length("0.0002", "--tolerance") == pytest.approx(2e-4)
+    for wrong in ("0.2 inch", "-1mm", "nanmm", ""):
+        with pytest.raises(InputError):
+            length(wrong, "--tolerance")
+
+
+# The path of [L] 5 in the whole loop: points, polynomial, one measurement; and who chooses the detector.
+
+def test_polynomials_lead_as_well_as_all_their_points() -> None:
+    scene = load_scene("gap").changed(world="bench")
+    assert scene.measurement == "polynomial"
+    with prepared(scene) as cell:
+        polynomial = run(scene, method="ideal", shared=cell)
+        points = run(scene, method="ideal_points", shared=cell)
+        same = run(scene.changed(measurement="points"), method="ideal", shared=cell)
+    assert "ideal_points" in methods()
+    assert points.method == "ideal_points"
+    assert points.control_error.mean == same.control_error.mean != polynomial.control_error.mean
+    # Five points tell of bends that two numbers do not; docs/line_following.md has the table.
+    assert polynomial.control_error.mean < 1.15 * points.control_error.mean
+
+
+def test_the_line_is_followed_with_a_detector_of_opencv_alone() -> None:
+    result = run(short(camera={"detector": "opencv"}))
+    assert result.failure is None
+    assert result.control_error.mean < 2e-4
+    with pytest.raises(InputError, match="edge_pairs"):
+        run(short(camera={"detector": "eyes"}))
+
+
+def test_the_error_falls_with_the_horizon_until_it_covers_the_arm_s_lag() -> None:
+    scene = load_scene("line").changed(world="bench", calibration=CALIBRATED)
+    with prepared(scene) as cell:
+        one, four, all_planned = (run(scene.changed(n_d=n_d), shared=cell).control_error.mean
+                                  for n_d in (1, 4, None))
+        none = run(scene, method="none", shared=cell).control_error.mean
+    # Four cycles are 48 ms: delay, low-pass and what the joint controllers lag behind.
+    assert all_planned < 0.5 * one < 0.1 * none
+    assert four < 1.5 * all_planned
+
+
+@pytest.mark.parametrize(("width", "gray", "background"), [(6.0, 40, 200), (2.5, 210, 70)])
+def test_width_and_polarity_are_found_not_given(width: float, gray: int, background: int) -> None:
+    scene = short(line={"width_mm": width, "gray": gray, "background": background})
+    with prepared(scene) as cell:
+        result = run(scene, shared=cell)
+    # Half a pixel is 0.4 mm on the surface.
+    assert cell.detection.line_width == pytest.approx(1e-3 * width, abs=4e-4)
+    assert cell.detection.dark is (gray < background)
+    assert result.failure is None
+    assert result.control_error.mean < 2e-4
+
+
+def test_windows_are_asked_for_at_the_camera_s_own_time() -> None:
+    scene = short(camera={"stamp_offset": 0.03})
+    asked: list[float] = []
+    with prepared(scene) as cell:
+        carried = CarriedCamera(cell.camera, cell.camera)  # type: ignore[arg-type]
+        carried.request(0.1, 0.2, lambda t: asked.append(t))  # type: ignore[func-returns-value]
+        exposed = cell.camera.due(0.1, 0.2)
+    assert len(asked) == len(exposed) == 5
+    np.testing.assert_allclose(asked, np.array(exposed) + 0.03, atol=5e-4)
+
+
+# The camera calibrated by moving the simulated arm over the line, with everything on that disturbs it.
+
+def cell_of(**changes: object) -> Cell:
+    scene = load_scene("line").changed(world="bench").changed(**changes)
+    assert isinstance(scene, LineScene)
+    return set_up(scene)
+
+
+def calibrated(cell: Cell, deflection: GearDeflection | None = None) -> HandEye:
+    middle = 0.5 * cell.reference.length
+    with (SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm,
+          RenderedCamera(cell.true_camera, cell.line, CameraSettings(resolution=0.0005), cell.camera_noise) as camera):
+        return calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
+                                   DetectionSettings(), EdgePairs())
+
+
+def measuring_error(cell: Cell, believed: CameraModel) -> Array:
+    """Lateral error [m] of points 20 to 110 mm ahead of the TCP and 20 mm aside."""
+    x, y = np.meshgrid(np.linspace(0.02, 0.11, 5), np.linspace(-0.02, 0.02, 5))
+    points = np.column_stack([x.ravel(), y.ravel(), 0.0 * x.ravel()])
+    back = believed.on_plane(cell.true_camera.project_tool(points), np.array([0.0, 0.0, 1.0]), 0.0)
+    return np.asarray((back - points)[:, 1])
+
+
+def test_a_camera_mounted_by_hand_measures_to_thirty_micrometres_afterwards() -> None:
+    cell = cell_of(seed=3)
+    deflection = GearDeflection(model_for(cell.scene, cell.robot), cell.world.t_ipo)
+    result = calibrated(cell, deflection)
+    assert np.abs(measuring_error(cell, cell.camera)).mean() > 0.5e-3
+    assert np.abs(measuring_error(cell, result.camera)).mean() < 3e-5
+    assert result.residual_after < 1e-4 < result.residual_before
+
+
+def test_a_line_that_is_not_there_is_no_calibration() -> None:
+    cell = cell_of(line={"gray": 195.0})
+    with pytest.raises(SceneError, match="0 of"):
+        calibrated(cell)
+
+
+def test_too_few_poses_in_reach() -> None:
+    with pytest.raises(SceneError, match="reaches only"):
+        calibrated(cell_of(camera={"mount_ahead": 0.9}))

@@ -1,0 +1,214 @@
+"""The three path errors on motions whose errors are known."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from benchmarks.safe_loops import INPUTS, LOOPS, ROWS
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes import load_scene, models, run_scene
+from scenes.measured import Measured, visible
+from scenes.metrics import path_errors, reduction_percent
+from scenes.models import model_for, shipped_model
+from scenes.scene_files.scene import chosen
+from scenes.sweep import jobs
+from sim.arm.specimen import draw_specimen
+from sim.arm.world import World
+
+RADIUS, SPEED = 0.16, 0.63
+
+
+def circle(t, radius=RADIUS):
+    phase = SPEED / RADIUS * t
+    return np.column_stack([radius * np.cos(phase), radius * np.sin(phase), np.zeros_like(t)])
+
+
+T = np.arange(0.0, 1.5, 0.012)
+FINE = np.arange(-0.2, 1.8, 0.002)
+
+
+@pytest.mark.parametrize("delay", [0.015, 0.0007, -0.0007, -0.015])
+def test_a_pure_delay_is_a_time_matched_error_only(delay):
+    """Also of an arm that is early, as one is that is led by more than its delay."""
+    errors = path_errors(T, circle(T), FINE, circle(FINE - delay))
+    chord = 2 * RADIUS * np.sin(0.5 * SPEED / RADIUS * abs(delay))
+    assert errors.time_matched.E_car == pytest.approx(chord, rel=1e-4)
+    assert errors.delay == pytest.approx(delay, abs=1e-6)
+    assert errors.aligned.E_max < 1e-6
+    # What is left is the sagitta of the desired polyline's 12 ms chords.
+    assert errors.geometric.E_max < (SPEED * 0.012) ** 2 / (8 * RADIUS) * 1.01
+
+
+def test_a_radial_offset_shows_in_all_three():
+    errors = path_errors(T, circle(T), FINE, circle(FINE, RADIUS + 1e-3))
+    for error in (errors.time_matched, errors.aligned):
+        assert error.E_car == pytest.approx(1e-3, rel=1e-3)
+        assert error.E_max == pytest.approx(1e-3, rel=1e-2)
+    assert errors.geometric.E_car == pytest.approx(1e-3, rel=0.05)
+
+
+def test_geometric_never_exceeds_aligned_never_exceeds_time_matched():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        wobble = rng.normal(scale=1e-3, size=3) * np.sin(rng.uniform(2, 20) * FINE)[:, None]
+        errors = path_errors(T, circle(T), FINE, circle(FINE - rng.uniform(-0.02, 0.05)) + wobble)
+        assert errors.geometric.E_car <= errors.aligned.E_car * (1 + 1e-9) + 1e-9
+        assert errors.aligned.E_car <= errors.time_matched.E_car * (1 + 1e-9) + 1e-12
+
+
+def test_a_path_that_crosses_itself_is_not_flattered():
+    phase = 2 * np.pi * T / T[-1]
+    x_d = np.column_stack([np.sin(phase), np.sin(2 * phase), np.zeros_like(T)])
+    # Near the crossing the arm takes a short cut along the other branch's direction.
+    fine_phase = 2 * np.pi * FINE / T[-1]
+    x = np.column_stack([np.sin(fine_phase), -np.sin(2 * fine_phase), np.zeros_like(FINE)])
+    assert path_errors(T, x_d, FINE, x).geometric.E_car > 0.1
+
+
+def test_too_little_is_refused():
+    with pytest.raises(InputError, match="four instants"):
+        path_errors(T[:3], circle(T[:3]), FINE, circle(FINE))
+
+
+def test_reduction():
+    assert reduction_percent(2.0, 0.5) == pytest.approx(75.0)
+    assert reduction_percent(1.0, 2.0) == pytest.approx(-100.0)
+
+
+def test_a_long_motion_is_compared_piece_by_piece(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A spline's end does not reach through the overlap of two pieces: all measures are those of the whole one.
+    wobble = 1e-4 * np.random.default_rng(3).standard_normal((len(FINE), 3))
+    whole = path_errors(T, circle(T), FINE, circle(FINE - 0.0137) + wobble)
+    monkeypatch.setattr("scenes.metrics.PIECE", 150)
+    pieces = path_errors(T, circle(T), FINE, circle(FINE - 0.0137) + wobble)
+    assert len(FINE) > 300
+    assert pieces.delay == pytest.approx(whole.delay, abs=1e-7)
+    for kind in ("time_matched", "aligned", "geometric"):
+        one, other = getattr(whole, kind), getattr(pieces, kind)
+        assert other.E_car == pytest.approx(one.E_car, rel=1e-6)
+    np.testing.assert_allclose(pieces.time_matched.deviation, whole.time_matched.deviation, atol=1e-12)
+
+
+# What an arm does not measure is not in its recording.
+
+COLUMNS = {name: np.zeros(3) for name in ("q_1", "tau_1", "qa_1", "q_d_1", "x", "qx", "fx", "temp_1", "cam_t")}
+HIDDEN: dict[Measured, set[str]] = {"motor": {"qa_1", "x", "qx"}, "arm": {"x", "qx"}, "tcp": set()}
+
+
+@pytest.mark.parametrize("measured", ["motor", "arm", "tcp"])
+def test_only_what_is_measured_is_seen(measured: Measured) -> None:
+    seen = visible(Recording({"t": np.arange(3.0), **COLUMNS}), measured)
+    assert set(seen.columns) == {"t", *COLUMNS} - HIDDEN[measured]
+
+
+# A scene that would move for longer than it allows is refused before anything moves, whatever its kind.
+
+@pytest.mark.parametrize(("name", "slow"), [("line", 7e-4), ("force_wave", 7e-4), ("iso9283_1", 1e-3)])
+def test_a_motion_that_takes_too_long_is_refused_with_the_remedy(name: str, slow: float) -> None:
+    with pytest.raises(InputError, match="max_duration"):
+        run_scene(load_scene(name), speed=slow)
+
+
+def test_the_scene_says_how_long_it_may_be() -> None:
+    with pytest.raises(InputError, match=r"0\.5 s"):
+        run_scene(load_scene("line"), max_duration=0.5)
+
+
+# Whatever is asked for in whichever loop, commands keep the limits, also when there is no further one.
+
+@pytest.mark.parametrize("loop", list(LOOPS))
+@pytest.mark.parametrize("key", ["none", "ideal"])
+def test_commands_keep_every_limit(loop: str, key: str) -> None:
+    robot = Robot.load("kr6")
+    law = feedforward(key, Model.load(shipped_model("kr6")), robot, n_d=ROWS)
+    worst = np.max([LOOPS[loop](law, robot, kind, 150).worst for kind in INPUTS], axis=0)
+    assert np.all(worst <= 1.0 + 1e-6), worst
+    assert worst[1] > 0.5
+
+
+# An arm's own model: identified from its own motions once, kept by content, and what ``--individual`` plays with.
+
+ROBOT = Robot.load("kr6")
+
+
+def shipped() -> Model:
+    return model_for(load_scene("line"), ROBOT)
+
+
+def test_options_choose_the_arm_and_its_own_model() -> None:
+    scene = chosen(load_scene("line"), individual=3, n_d=7)
+    assert scene.world["individual"] == 3
+    assert (scene.model, scene.n_d) == ("own", 7)  # type: ignore[attr-defined]
+    assert scene.played()["individual"] == 3
+    named = chosen(load_scene("line").changed(model="mine.json"), individual=3)
+    assert named.model == "mine.json"
+    assert [job.individual for job in jobs(["line"], individuals=[1, 2])] == [1, 2]
+
+
+def test_the_model_is_identified_once_and_kept_by_what_it_depends_on(tmp_path: Path,
+                                                                     monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IDEAL_ROBOT_CACHE", str(tmp_path))
+    worlds: list[World] = []
+
+    def identified(name: str, *, world: World, progress: object) -> tuple[Model, list[object]]:
+        worlds.append(world)
+        return shipped(), []
+
+    monkeypatch.setattr(models, "identified_model", identified)
+    world = World.default("kr6")
+    first = models.prepared_model(ROBOT, world.replace(individual=2))
+    again = models.prepared_model(ROBOT, world.replace(individual=2))
+    other = models.prepared_model(ROBOT, world.replace(individual=3))
+    assert (first.fresh, again.fresh, other.fresh) == (True, False, True)
+    assert first.path == again.path != other.path
+    assert [one.individual for one in worlds] == [2, 3]
+    scene = load_scene("line").changed(world={"base": "bench", "individual": 3}, model="own")
+    assert model_for(scene, ROBOT) is not None
+    assert len(worlds) == 2
+
+
+@pytest.mark.slow
+def test_an_own_model_knows_its_arm_better_than_another_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("IDEAL_ROBOT_CACHE", str(tmp_path))
+    world = World.default("kr6").replace(individual=2)
+    own = Model.load(models.prepared_model(ROBOT, world).path)
+    still = np.zeros((20, 6))
+    q = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 6)) + ROBOT.home
+    truth = draw_specimen(ROBOT, world)
+    data = truth.model.createData()
+    gravity = np.array([pin.computeGeneralizedGravity(truth.model, data, row) for row in q]) / truth.drive_gain
+    errors = [float(np.sqrt(np.mean((model.rigid_body(q, still, still) - gravity)[:, 1:3] ** 2)))
+              for model in (own, shipped())]
+    assert errors[0] < 0.5 * errors[1]
+
+
+# After the compile step of the installation, a run has nothing left to compile.
+
+ROOT = Path(__file__).resolve().parents[2]
+COUNT = """
+from numba.core import event
+from scenes import load_scene, run_scene
+with event.install_recorder("numba:compile") as recorder:
+    run_scene(load_scene("line"), line={"length": 0.3})
+print("compiled", sorted({e.data["dispatcher"].py_func.__qualname__ for _, e in recorder.buffer}))
+"""
+
+
+@pytest.mark.slow
+def test_nothing_is_left_to_compile(tmp_path: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-m", "scenes.compiled"], cwd=tmp_path, env=environment, check=True)
+    said = subprocess.run([sys.executable, "-c", COUNT], cwd=tmp_path, env=environment, check=True,
+                          capture_output=True, text=True).stdout
+    assert "compiled []" in said

@@ -1,0 +1,188 @@
+"""``ideal-robot detect`` on files, folders and videos, and on what is none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+from scenes import cli
+from scenes.commands.detect import command
+from scenes.commands.export import command as export_command
+from scenes.detection import pictures
+from scenes.export.rerun_file import write_rerun
+from tests.sensing.camera.synthetic import drawn_line
+from trials.rivals import draw_rivals
+
+app = typer.Typer()
+app.command()(command)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    where = tmp_path / "cell"
+    where.mkdir()
+    cv2.imwrite(str(where / "a.png"), drawn_line(seed=1)[0])
+    cv2.imwrite(str(where / "b.png"), np.full((240, 320), 128, np.uint8))
+    return where
+
+
+def test_a_folder_gives_points_polynomial_and_reasons(folder: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, [str(folder), "--json", str(tmp_path / "line.json"), "--out",
+                                    str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    first, second = json.loads((tmp_path / "line.json").read_text())["pictures"]
+    assert first["found"]
+    assert first["polarity"] == "dark"
+    assert abs(first["width_px"] - 8.0) < 1.0
+    assert first["sigma_px"] < 0.2
+    assert sum(point["used"] for point in first["points"]) > 10
+    assert not second["found"]
+    assert second["reason"]
+    assert "data:image/png" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_pictures_without_a_line_end_with_exit_code_1(folder: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, [str(folder / "b.png"), "--out", str(tmp_path)])
+    assert done.exit_code == 1
+
+
+def test_frames_of_a_video(tmp_path: Path) -> None:
+    path = tmp_path / "line.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (640, 480))
+    if not writer.isOpened():
+        pytest.skip("this OpenCV cannot write MJPG videos")
+    for seed in range(4):
+        writer.write(cv2.cvtColor(drawn_line(seed=seed)[0], cv2.COLOR_GRAY2BGR))
+    writer.release()
+    assert [name for name, _ in pictures(str(path), every=2)] == ["frame 0", "frame 2"]
+
+
+@pytest.mark.parametrize("source", ["missing.png", "nowhere", "empty", "broken.png", "broken.avi"])
+def test_what_cannot_be_read_is_said(source: str, tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    for name in ("broken.png", "broken.avi"):
+        (tmp_path / name).write_bytes(b"no picture at all")
+    with pytest.raises(InputError):
+        list(pictures(str(tmp_path / source)))
+
+
+def test_a_small_file_of_a_huge_picture_is_refused_before_it_is_unpacked(tmp_path: Path,
+                                                                          monkeypatch: pytest.MonkeyPatch) -> None:
+    cv2.imwrite(str(tmp_path / "huge.png"), np.zeros((20_000, 10_000), np.uint8))
+    cv2.imwrite(str(tmp_path / "large.png"), np.zeros((8_100, 8_000), np.uint8))
+    monkeypatch.setattr(cv2, "imread", lambda *_: pytest.fail("unpacked"))
+    for name in ("huge.png", "large.png"):
+        with pytest.raises(InputError, match="64 megapixels"):
+            next(pictures(str(tmp_path / name)))
+
+
+# ``ideal-robot export`` writes what its options say, and nothing for names that cannot be.
+
+exporting = typer.Typer()
+exporting.command()(export_command)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    t = 0.012 * np.arange(40.0)
+    q = np.random.default_rng(0).normal(size=(40, 3))
+    return Recording.from_arrays(t, q=q, tau=q, x=t, y=t, z=t).write(tmp_path / "in.parquet")
+
+
+def test_several_formats_at_once(recording: Path, tmp_path: Path) -> None:
+    words = ["--csv", str(tmp_path / "o.csv"), "--mcap", str(tmp_path / "o.mcap"), "--rosbag2", str(tmp_path / "bag")]
+    done = CliRunner().invoke(exporting, [str(recording), *words])
+    assert done.exit_code == 0, done.output
+    expected = Recording.read(recording).joints("q")
+    for name in ("o.csv", "o.mcap", "bag"):
+        np.testing.assert_allclose(Recording.read(tmp_path / name).joints("q"), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("words", [[], ["--csv", "o.txt"], ["--rerun", "o.txt"], ["--mcap", "o.bag"],
+                                   ["--csv", "o.csv", "--rosbag2", "o", "--rerun", "o.txt"]])
+def test_no_format_or_another_ending_is_refused(words: list[str], recording: Path, tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = CliRunner().invoke(exporting, [str(recording), *words])
+    assert isinstance(done.exception, InputError)
+    assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
+
+
+def test_without_the_extra_of_one_format_none_is_written(recording: Path, tmp_path: Path,
+                                                         monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    words = ["--mcap", str(tmp_path / "o.mcap"), "--csv", str(tmp_path / "o.csv"), "--rerun", str(tmp_path / "o.rrd")]
+    done = CliRunner().invoke(exporting, [str(recording), *words])
+    assert isinstance(done.exception, InputError)
+    assert [one.name for one in tmp_path.iterdir()] == ["in.parquet"]
+
+
+def test_rerun_reads_its_file_back(recording: Path, tmp_path: Path) -> None:
+    pytest.importorskip("rerun", reason="needs the optional package rerun-sdk")
+    path = write_rerun(Recording.read(recording), tmp_path / "o.rrd")
+    tool = [sys.executable, "-m", "rerun_cli", "rrd"]
+    checked = subprocess.run([*tool, "verify", str(path)], capture_output=True, text=True, check=False)
+    assert checked.returncode == 0, checked.stderr
+    printed = subprocess.run([*tool, "print", "-v", str(path)], capture_output=True, text=True, check=True).stdout
+    for entity in ("/q/1", "/tau/3", "/tool/path", "/tool/now"):
+        assert entity in printed
+
+
+# ``plan-diagnosis`` from files: the motion it writes can be read, and wrong input leaves nothing behind.
+
+cli._register()
+OPEN = {"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2",
+                     "indistinguishable_from": ["torque_ripple"]}], "undecided": []}
+
+
+@pytest.fixture
+def files(tmp_path):
+    trial = draw_rivals(38)
+    (tmp_path / "arm.urdf").write_text(trial.arm.urdf, encoding="utf-8")
+    trial.first.write(tmp_path / "run.parquet")
+    (tmp_path / "open.json").write_text(json.dumps(OPEN), encoding="utf-8")
+    return tmp_path
+
+
+def arguments(files, *more):
+    return ["plan-diagnosis", str(files / "run.parquet"), "--urdf", str(files / "arm.urdf"), "--length", "12", *more]
+
+
+def test_motion_is_written_and_read(files):
+    answer = CliRunner().invoke(cli.app, arguments(files, "--result", str(files / "open.json"), "--z-min", "-9",
+                                                   "--out", str(files / "motion.csv"), "--json",
+                                                   str(files / "plan.json")))
+    assert answer.exit_code == 0, answer.output
+    plan = json.loads((files / "plan.json").read_text())
+    motion = Recording.read(files / "motion.csv")
+    assert plan["duration_s"] <= 12.0
+    assert len(motion.t) == plan["samples"]
+    assert plan["pairs"][0]["sigma"]["planned"] > plan["pairs"][0]["sigma"]["before"]
+    assert np.all(np.isfinite(np.column_stack([motion.columns["q_d_1"], motion.columns["q_c_2"]])))
+
+
+@pytest.mark.parametrize(("change", "field"), [
+    ({"effects": [{"effect": "gremlin", "joint": 1}]}, "effects.0.effect"), ({"verdict": "none"}, "effects")])
+def test_wrong_result_leaves_nothing(files, change, field):
+    (files / "open.json").write_text(json.dumps(change), encoding="utf-8")
+    answer = CliRunner().invoke(cli.app, arguments(files, "--result", str(files / "open.json"), "--out",
+                                                   str(files / "motion.csv")))
+    assert isinstance(answer.exception, InputError)
+    assert answer.exception.field == field
+    assert not (files / "motion.csv").exists()
+
+
+def test_length_that_makes_no_sense_is_refused(files):
+    answer = CliRunner().invoke(cli.app, [*arguments(files, "--result", str(files / "open.json")), "--length", "1"])
+    assert isinstance(answer.exception, InputError)
+    assert answer.exception.field == "length"

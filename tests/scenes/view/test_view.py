@@ -1,0 +1,340 @@
+"""The viewer in a headless browser with software WebGL: arm, line, force, picture and error are seen, and move."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from PIL import Image
+
+from ideal_robot.errors import InputError
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.online.journal import Journal, remove
+from scenes.report.replay import Replay, read_replay, replay_beside, write_replay
+from scenes.view.viewer import open_recording, recorded_replay, replay_of_columns
+from tests.browser import Page, chromium, needs_chromium
+from tests.scenes.report.test_replay import ROBOT, _replay
+
+pytest.importorskip("viser")
+
+SCENE = (slice(200, None), slice(None, 640))
+"""Rows and columns of the screenshot that show the scene and nothing else."""
+PANEL = (slice(None), slice(660, None))
+"""Those that show the controls."""
+PHONE = (slice(140, 560), slice(None))
+"""Rows of a phone's page between viser's notice and the controls."""
+
+
+def seen(page: Page, arrived: Callable[[np.ndarray], bool]) -> np.ndarray:
+    """The page once it shows what was waited for; a busy machine gets more time, and what it has then is judged."""
+    until = time.monotonic() + 120.0
+    while True:
+        picture = page.picture()
+        if arrived(picture) or time.monotonic() > until:
+            return picture
+        time.sleep(0.3)
+
+
+def scene_is_there(picture: np.ndarray) -> bool:
+    """It fades in: only once it has is the line's black black."""
+    return bool((arm(picture).sum() > 1500) and (picture[SCENE].max(axis=2) < 80).sum() > 300
+                and near(picture[PANEL], (255, 0, 255)).sum() > 3000
+                and near(picture[PANEL], (34, 139, 230), 30).sum() > 30)
+
+
+def arm(picture: np.ndarray) -> np.ndarray:
+    """Where the scene is orange."""
+    return orange(picture)[SCENE]
+
+
+def orange(picture: np.ndarray) -> np.ndarray:
+    return np.asarray(picture[..., 0] - picture[..., 2] > 30)
+
+
+def png(colour: tuple[int, int, int]) -> bytes:
+    file = io.BytesIO()
+    Image.new("RGB", (64, 48), colour).save(file, "png")
+    return file.getvalue()
+
+
+def replay_to_see() -> Replay:
+    """A wide motion over a dark curve, a force towards the viewer, camera pictures in colours that nothing else has."""
+    plain = _replay(200)
+    wide = plain.q + 0.8 * np.sin(plain.t)[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
+    pose = ROBOT.fk()
+    tool = np.array([pose(row).translation for row in wide])
+    angle = np.linspace(0, 2 * np.pi, 200)
+    ring = np.column_stack([0.7 + 0.5 * np.cos(angle), 0.5 * np.sin(angle), np.full(200, 0.02)])
+    return dataclasses.replace(plain, q=wide, tool=tool, wanted=tool, curves={"drawn line": ring},
+                               force=np.tile([0.0, -20.0, 5.0], (200, 1)),
+                               pictures=((0.0, png((255, 0, 255))), (4.0, png((0, 255, 255)))))
+
+
+def near(picture: np.ndarray, colour: tuple[int, int, int], within: int = 60) -> np.ndarray:
+    return np.asarray(np.abs(picture - np.array(colour)).max(axis=2) < within)
+
+
+@needs_chromium
+def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp_path: Path) -> None:
+    from scenes.view.viewer import Player, Viewer
+
+    with socket.socket() as link:
+        link.bind(("127.0.0.1", 0))
+        port = link.getsockname()[1]
+    viewer = Viewer(ROBOT, port)
+    try:
+        player = Player(viewer, replay_to_see())
+        player.running.value = False
+        player.slider.value = 0.1
+        with chromium(tmp_path) as page:
+            page.open(f"http://127.0.0.1:{viewer.port}/", 1000, 1300)
+            first = seen(page, scene_is_there)
+            player.slider.value = 3.9
+            second = seen(page, lambda picture: bool((arm(first) & ~arm(picture)).sum() > 300
+                                                     and near(picture[PANEL], (0, 255, 255)).sum() > 3000))
+            page.open(f"http://127.0.0.1:{viewer.port}/", 400, 800)
+            phone = seen(page, lambda picture: bool(orange(picture[PHONE]).sum() > 1500
+                                                    and (picture[PHONE].max(axis=2) < 80).sum() > 300))
+    finally:
+        viewer.server.stop()
+    pictures = [first, second]
+    before, after = map(arm, pictures)
+    assert before.sum() > 1500, "the arm"
+    assert (before & ~after).sum() > 300, "the arm moves with the slider"
+    rows, columns = np.nonzero(near(pictures[0][SCENE], (40, 40, 40)))
+    assert len(rows) > 300, "the line"
+    assert np.ptp(columns) > 150
+    assert np.ptp(rows) > 40
+    assert near(pictures[0][SCENE], (0, 110, 190)).sum() > 50, "the force's arrow"
+    assert near(pictures[0][PANEL], (255, 0, 255)).sum() > 3000, "the camera's picture"
+    assert near(pictures[1][PANEL], (255, 0, 255)).sum() == 0
+    assert near(pictures[1][PANEL], (0, 255, 255)).sum() > 3000, "the camera's picture of the other instant"
+    assert near(pictures[0][PANEL], (224, 106, 0)).sum() > 100, "the error over time"
+    assert orange(phone[PHONE]).sum() > 1500, "the arm on a phone"
+    assert np.ptp(np.nonzero(orange(phone[PHONE]))[0]) > 100, "all of it"
+    assert (phone[PHONE].max(axis=2) < 80).sum() > 300, "the line on a phone"
+    assert near(phone, (0, 255, 255)).sum() == 0, "plot and picture are closed until they are touched"
+
+
+# The page of a run on devices while it goes on.
+
+pytest.importorskip("viser")
+KR6 = Robot.load("kr6")
+
+
+def ran(journal: Journal, cycles: range) -> None:
+    for k in cycles:
+        q = KR6.home + 0.004 * k * np.array([1.0, 0, 0, 0, 0, 0])
+        journal.add(0.012 * k, RobotState(0.012 * (k + (k > 50)), q, np.zeros(6)), q + 0.001, q)
+
+
+def test_the_page_follows_the_journal_and_says_how_it_ended(tmp_path: Path) -> None:
+    from scenes.view.live import watch
+
+    page = watch(KR6, tmp_path, 8090, {})
+    try:
+        page.update()
+        assert "waiting" in page.state
+        journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
+        ran(journal, range(100))
+        page.update()
+        assert "seam" in page.state
+        assert "100 cycles of 12 ms, 1 lost" in page.state
+        assert "1.00 mrad" in page.state
+        page._grown -= 5.0
+        page.update()
+        assert "no new cycle for 5 s" in page.state
+        ran(journal, range(100, 140))
+        page.update()
+        assert "140 cycles" in page.state
+        journal.close()
+        remove(tmp_path)
+        (tmp_path / "report.json").write_text(json.dumps(
+            {"scene": "seam", "method": "ideal", "failure": "stopped by the user", "cycles": 140, "report": "r.html"}))
+        page.update()
+        assert "stopped by the user" in page.state
+    finally:
+        page.viewer.server.stop()
+
+
+@pytest.mark.parametrize("change", [{"cycle_time": {"a": 1}}, {"cycle_time": 1e-320}, {"cycle_time": 0},
+                                    {"cycle_time": 10**400}, {"gain": [1.0] * 3}])
+def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any], tmp_path: Path) -> None:
+    from scenes.view.live import watch
+
+    journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
+    ran(journal, range(100))
+    meta = json.loads((tmp_path / "journal.json").read_text())
+    (tmp_path / "journal.json").write_text(json.dumps({**meta, **change}))
+    page = watch(KR6, tmp_path, 8092, {})
+    try:
+        page.update()
+        assert "waiting" in page.state
+    finally:
+        page.viewer.server.stop()
+
+
+@needs_chromium
+def test_the_arm_its_way_and_the_words_are_seen(tmp_path: Path) -> None:
+    from scenes.view.live import watch
+
+    page = watch(KR6, tmp_path, 8091, {"reference": np.array([[0.5, -0.5, 0.3], [0.9, 0.5, 0.3]])})
+    journal = Journal(tmp_path, KR6, {"scene": "seam", "method": "ideal"})
+    ran(journal, range(200))
+    try:
+        page.update()
+        with chromium(tmp_path) as browser:
+            browser.open(f"http://127.0.0.1:{page.viewer.port}/", 1000, 900)
+            until = time.monotonic() + 90.0
+            while True:
+                picture = browser.picture().astype(int)
+                arm = (picture[..., 0] - picture[..., 2] > 30).sum()
+                way = (np.abs(picture - np.array([0, 110, 190])).max(axis=2) < 40).sum()
+                if (arm > 1000 and way > 50) or time.monotonic() > until:
+                    break
+                time.sleep(0.5)
+            said = browser.value("document.body.innerText")
+    finally:
+        page.viewer.server.stop()
+        journal.close()
+    assert arm > 1000
+    assert way > 50
+    assert "running" in said
+    assert "200 cycles of 12 ms" in said
+
+
+# The viewer of recordings: what is in the scene's tree, and that slider, picture and ghost follow.
+
+viser = pytest.importorskip("viser")
+
+
+def gray_png(gray: int) -> bytes:
+    file = io.BytesIO()
+    Image.new("L", (8, 6), gray).save(file, "png")
+    return file.getvalue()
+
+
+def whole_replay() -> Replay:
+    corners = np.array([[0.0, 0, 0.3], [1, 0, 0.3], [1, 1, 0.3], [0, 1, 0.3]])
+    plain = _replay(200)
+    return dataclasses.replace(plain, surface=corners, pictures=((0.0, gray_png(10)), (4.0, gray_png(240))),
+                               ghost=plain.q + 0.1, force=np.outer(plain.t, [0.0, 0.0, 5.0]))
+
+
+@pytest.fixture
+def player() -> Iterator[object]:
+    from scenes.view.viewer import Player, Viewer
+
+    with socket.socket() as link:
+        link.bind(("127.0.0.1", 0))
+        port = link.getsockname()[1]
+    viewer = Viewer(ROBOT, port)
+    yield Player(viewer, whole_replay())
+    viewer.server.stop()
+
+
+def test_the_slider_moves_arm_tool_ghost_and_picture(player) -> None:  # type: ignore[no-untyped-def]
+    arm, ghost = (player.viewer.frames[name] for name in ("arm", "ghost"))
+    before = [tuple(frame.position) for frame in (*arm, *ghost)], player.picture.image.mean()
+    player.slider.value = 3.5
+    k = int(np.searchsorted(player.replay.t, 3.5))
+    np.testing.assert_allclose(player.tool.position, player.replay.tool[k], atol=1e-9)
+    after = [tuple(frame.position) for frame in (*arm, *ghost)]
+    assert sum(a != b for a, b in zip(before[0], after, strict=True)) >= 8
+    # The last link carries the tool: the arm drawn is the arm of the recording.
+    data = ROBOT.pinocchio.createData()
+    pin.forwardKinematics(ROBOT.pinocchio, data, player.replay.q[k])
+    np.testing.assert_allclose(arm[-1].position, data.oMi[-1].translation, atol=1e-9)
+    assert player.picture.image.mean() > before[1] + 100
+    start, end = player.viewer._arrows["force"].points[0]
+    np.testing.assert_allclose(end, player.replay.tool[k], atol=1e-6)
+    assert end[2] > start[2] + 0.2
+    assert "3.5" in player.said.content
+    t, error, past = player.plot.data
+    assert np.isfinite(error).all()
+    np.testing.assert_array_equal(past, np.where(t <= 3.5 + 0.02, error, 0.0))
+
+
+def test_colours_go_from_green_to_red_and_gray_does_not_count() -> None:
+    from scenes.view.viewer import error_colours
+
+    green, red, gray = error_colours(np.array([0.0, -2.0, np.nan]))
+    assert green[1] > green[0]
+    assert red[0] > red[1]
+    assert np.ptp(gray.astype(int)) < 30
+
+
+def of_replay(replay: Replay) -> Recording:
+    return Recording.from_arrays(replay.t, meta={"robot": "kr6"}, source="test", q=replay.q, q_c=replay.q + 1e-3,
+                                 tau=np.zeros_like(replay.q))
+
+
+def test_a_replay_is_read_as_it_was_written(tmp_path: Path) -> None:
+    replay = whole_replay()
+    recording = of_replay(replay)
+    path = write_replay(replay, replay_beside(tmp_path / "recording.parquet"), recording)
+    read = recorded_replay(tmp_path / "recording.parquet", ROBOT, recording)
+    for name in ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(replay, name))
+    assert read.pictures == replay.pictures
+    assert read.error_name == replay.error_name
+    assert list(read.curves) == list(replay.curves)
+    other = dataclasses.replace(replay, q=replay.q + 0.5)
+    assert read_replay(path, ROBOT, of_replay(other)) is None
+    path.write_bytes(b"no zip")
+    with pytest.raises(InputError, match="delete it"):
+        read_replay(path, ROBOT, recording)
+
+
+def test_any_recording_shows_how_far_the_tool_is_from_the_command() -> None:
+    replay = replay_of_columns(ROBOT, of_replay(_replay(100)))
+    pose = Robot.load("kr6").fk()
+    k = 40
+    wanted = pose(replay.q[k] + 1e-3).translation
+    assert replay.error[k] == pytest.approx(1e3 * np.linalg.norm(wanted - replay.tool[k]), rel=1e-6)
+    assert "commanded" in replay.curves
+
+
+@pytest.mark.parametrize("t", [[], [1.0], [2.0, 1.0], [0.0, np.inf], [1.0, 1.0]])
+def test_times_that_do_not_rise_are_no_motion_to_show(t: list[float], tmp_path: Path) -> None:
+    columns = {"t": np.array(t), **{f"q_{i + 1}": np.zeros(len(t)) for i in range(6)}}
+    path = Recording(columns, {"robot": "kr6"}).write(tmp_path / "r.parquet")
+    with pytest.raises(InputError, match="times that rise"):
+        open_recording(path, None)
+
+
+@pytest.mark.parametrize(("name", "value"), [
+    ("t", np.arange(200.0)[::-1]), ("surface", np.zeros(3)), ("ghost", np.zeros((1, 6))), ("curve_0", np.zeros(2)),
+    ("picture_0", np.arange(9.0)), ("words", np.array("3")), ("words", np.array("[" * 100_000)),
+])
+def test_a_replay_with_an_array_of_another_shape_is_refused(name: str, value: np.ndarray, tmp_path: Path) -> None:
+    replay, path = whole_replay(), tmp_path / "recording.replay.npz"
+    write_replay(replay, path, of_replay(replay))
+    with np.load(path) as file:
+        arrays = {**file, name: value}
+    with path.open("wb") as written:
+        np.savez_compressed(written, **arrays)
+    with pytest.raises(InputError, match="delete it"):
+        read_replay(path, ROBOT, of_replay(replay))
+
+
+def test_positions_that_are_missing_are_not_shown() -> None:
+    """Of what is not a number no rotation can be made."""
+    columns = dict(of_replay(_replay(100)).columns)
+    columns["q_2"] = np.where(np.arange(100) < 40, np.nan, columns["q_2"])
+    replay = replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))
+    assert len(replay.t) == 60
+    columns["q_2"] = np.full(100, np.inf)
+    with pytest.raises(InputError, match="no two samples"):
+        replay_of_columns(ROBOT, Recording(columns, {"robot": "kr6"}))

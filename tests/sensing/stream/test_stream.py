@@ -1,0 +1,116 @@
+"""The stream's parser: any cut of the bytes gives the same packages, and nothing makes it grow or raise else."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sensing.clock_relation import ClockRelation
+from sensing.stream import HEADER, LARGEST, Kind, Reader, StreamError, packed
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=60)), max_size=8), st.integers(1, 50))
+def test_any_cut_gives_the_same_packages(sent: list[tuple[int, bytes]], size: int) -> None:
+    wire = b"".join(HEADER.pack(b"IR", 1, kind, len(load), 0.5) + load for kind, load in sent)
+    reader, found = Reader(), []
+    for i in range(0, len(wire), size):
+        found += reader.feed(wire[i : i + size])
+    assert [(one.kind, one.payload) for one in found] == sent
+
+
+@pytest.mark.parametrize("wire", [b"GET / HTTP/1.1\r\n\r\n", HEADER.pack(b"IR", 2, 1, 0, 0.0),
+                                  HEADER.pack(b"IR", 1, 2, LARGEST + 1, 0.0)])
+def test_another_protocol_another_version_and_what_is_too_large_are_refused(wire: bytes) -> None:
+    with pytest.raises(StreamError):
+        list(Reader().feed(wire))
+
+
+def test_the_documented_bytes() -> None:
+    assert packed(Kind.ASK, 1.5, struct.pack(">d", 2.0)).hex() == (
+        "4952" "01" "05" "00000008" "3ff8000000000000" "4000000000000000")
+
+
+def test_twenty_thousand_mutated_packages_raise_nothing_else_and_hold_nothing() -> None:
+    rng = np.random.default_rng(3)
+    sound = packed(Kind.WRENCH, 1.0, struct.pack(">I6d", 1, *range(6)))
+    for _ in range(20_000):
+        wire = bytearray(sound)
+        for place in rng.integers(0, len(wire), rng.integers(1, 4)):
+            wire[place] = rng.integers(0, 256)
+        reader = Reader()
+        try:
+            list(reader.feed(bytes(wire)))
+        except StreamError:
+            continue
+        assert len(reader._waiting) <= len(wire)
+
+
+# Offset and drift of a device's clock are recovered from stamps and arrivals; what cannot be is refused.
+
+def heard(relation: ClockRelation, *, offset: float, drift: float, seconds: float, rate: float = 50.0,
+          delay: float = 0.004, jitter: float = 0.0003, seed: int = 1) -> None:
+    """A device whose clock shows ``s`` at ``h = offset + (1 + drift) s``; exponential delays above the least one."""
+    rng = np.random.default_rng(seed)
+    for s in np.arange(0.0, seconds, 1.0 / rate):
+        relation.add(s, offset + (1.0 + drift) * s + delay + rng.exponential(jitter))
+
+
+@pytest.mark.parametrize("drift", [-50e-6, 20e-6, 50e-6])
+def test_offset_and_drift_are_recovered(drift: float) -> None:
+    relation = ClockRelation(least_delay=0.004)
+    heard(relation, offset=1234.5, drift=drift, seconds=60.0)
+    report = relation.report()
+    assert abs(1e-6 * report.drift_ppm - drift) < 4e-6
+    assert abs(relation.host(60.0) - (1234.5 + 60.0 * (1.0 + drift))) < 2e-4
+    assert abs(relation.stamp(relation.host(12.3)) - 12.3) < 1e-9
+    assert 0.0 <= report.late_ms < 1.0
+    assert report.refused == 0
+
+
+def test_a_short_while_tells_the_offset_and_leaves_the_drift_at_its_prior() -> None:
+    relation = ClockRelation()
+    heard(relation, offset=-7.0, drift=20e-6, seconds=0.6, delay=0.0)
+    assert abs(relation.host(0.5) - (-6.5)) < 2e-4
+    assert relation.report().drift_std_ppm > 50.0
+
+
+def test_late_messages_and_stalls_do_not_move_the_line() -> None:
+    relation, rng = ClockRelation(), np.random.default_rng(2)
+    for k in range(3000):
+        late = 0.3 - 0.02 * (k % 500 - 100) if 100 <= k % 500 < 115 else rng.exponential(0.001)
+        relation.add(0.02 * k, 100.0 + 0.02 * k + late)
+    assert abs(relation.host(60.0) - 160.0) < 5e-4
+
+
+@pytest.mark.parametrize("stamp", [np.nan, np.inf, 100.1, 50.0, 1e9])
+def test_one_impossible_stamp_is_refused_and_changes_nothing(stamp: float) -> None:
+    relation = ClockRelation()
+    heard(relation, offset=3.0, drift=0.0, seconds=100.0, rate=10.0, delay=0.0)
+    before = relation.host(100.0)
+    assert not relation.add(stamp, 103.0)
+    assert relation.host(100.0) == before
+    assert relation.report().refused == 1
+    assert relation.add(100.0, 103.0001)
+
+
+def test_a_clock_that_stood_still_is_noticed_within_two_seconds() -> None:
+    relation, rng = ClockRelation(), np.random.default_rng(4)
+    for k in range(1000):
+        relation.add(0.012 * k, 0.012 * k + rng.exponential(2e-4) + (0.04 if k > 700 else 0.0))
+        if k == 700 + round(2.0 / 0.012):
+            assert abs(relation.host(8.0) - 8.04) < 1e-3
+    assert relation.report().restarts == 1
+    assert abs(relation.report().drift_ppm) < 100.0
+
+
+def test_a_device_that_began_anew_is_believed_after_three_stamps() -> None:
+    relation = ClockRelation()
+    heard(relation, offset=3.0, drift=0.0, seconds=100.0, rate=10.0, delay=0.0)
+    assert [relation.add(s, 105.0 + s) for s in (0.0, 0.1, 0.2)] == [False, False, True]
+    assert abs(relation.host(10.0) - 115.0) < 1e-3
+    assert relation.report().restarts == 1

@@ -1,0 +1,239 @@
+"""Notebooks: outputs are not committed, each has an exercise, and each runs from the first cell to the last."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import importlib.util
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from types import ModuleType
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+ROOT = Path(__file__).resolve().parents[1]
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+LONGEST_CELL = 600
+"""Time after which a cell counts as hanging [s]."""
+DATA = ROOT.parent / "shared" / "data"
+
+
+def read(path: Path) -> nbformat.NotebookNode:
+    return nbformat.read(path, as_version=4)
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_committed_without_outputs_and_has_an_exercise_and_a_slider(path: Path) -> None:
+    book = read(path)
+    nbformat.validate(book)
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in book.cells)
+    assert any("## Exercise" in cell.source for cell in book.cells)
+    assert any("ipywidgets.interactive(" in cell.source for cell in book.cells if cell.cell_type == "code")
+
+
+def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = path.read_text(encoding="utf-8")
+    if "IDEAL_ROBOT_DATA" in text:
+        if not DATA.is_dir():
+            pytest.skip("needs the public data sets beside the repository")
+        monkeypatch.setenv("IDEAL_ROBOT_DATA", str(DATA))
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    # Sockets in a folder of its own: the ports that a kernel is given may be taken by another one until it opens them,
+    # and who then waits for an answer waits until the end of his patience.
+    with tempfile.TemporaryDirectory(prefix="ir") as folder:
+        client = NotebookClient(read(path), timeout=LONGEST_CELL, startup_timeout=120,
+                                resources={"metadata": {"path": str(ROOT)}})
+        kernel = client.create_kernel_manager()
+        kernel.transport, kernel.ip, kernel.connection_file = "ipc", f"{folder}/ipc", f"{folder}/kernel.json"
+        client.execute()
+
+
+@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if read(one).metadata.get("quick")],
+                         ids=lambda path: path.stem)
+def test_a_quick_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(path, monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", [one for one in NOTEBOOKS if not read(one).metadata.get("quick")],
+                         ids=lambda path: path.stem)
+def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(path, monkeypatch)
+
+
+# The tutorial, typed as printed: on the shipped arm and on arms of one's own, with robot data and without.
+
+PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+UR10E = ROOT.parent / "shared" / "data" / "ur10e" / "ur10e.urdf"
+COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.S) for line in block.splitlines() if line]
+
+
+def test_the_page_leads_from_a_recording_to_a_corrected_path() -> None:
+    verbs = [shlex.split(line)[1] for line in COMMANDS]
+    assert verbs == ["plan-identification", "plan-identification", "identify", "diagnose", "precorrect", "view"]
+    assert all(line.startswith("ideal-robot ") and "--robot kr6" in line for line in COMMANDS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arm", ["kr6", "own_robot", "ur10e"])
+def test_every_command_works_as_printed(arm: str, tmp_path: Path) -> None:
+    robot = "kr6"
+    if arm == "own_robot":
+        for name in ("own_robot.urdf", "own_robot.toml"):
+            shutil.copy(ROOT / "examples" / name, tmp_path)
+        robot = "own_robot.urdf"
+    if arm == "ur10e":
+        if not UR10E.is_file():
+            pytest.skip("needs the public data sets beside the repository")
+        robot = str(UR10E)
+    for line in COMMANDS:
+        words = [robot if word == "kr6" else word for word in shlex.split(line)[1:]]
+        # A viewer waits for the user otherwise; figures are read from the file that every verb writes on request.
+        words += ["--once"] if words[0] == "view" else ["--json", f"{words[0]}.json"]
+        done = subprocess.run([sys.executable, "-m", "scenes.cli", *words], cwd=tmp_path, capture_output=True,
+                              text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        assert done.returncode == 0, f"{line}\n{done.stdout[-1500:]}\n{done.stderr[-3000:]}"
+    figures = json.loads((tmp_path / "precorrect.json").read_text(encoding="utf-8"))["played_rms_error_mrad"]
+    assert (tmp_path / "out" / "corrected.parquet").is_file()
+    # Seen on the simulated arm, which is not the model.
+    for before, after in zip(figures["uncorrected"], figures["corrected"], strict=True):
+        assert after < 0.1 * before
+
+
+# The documentation site is built without a warning, and holds tutorial, scene keys and API.
+
+def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
+    words = ["-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(tmp_path / "site")]
+    done = subprocess.run([sys.executable, *words],
+                          cwd=ROOT, capture_output=True, text=True, check=False,
+                          env={**os.environ, "NO_MKDOCS_2_WARNING": "1"})
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "WARNING" not in done.stderr
+    pages = {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("index.html")}
+    assert {"index.html", "tutorial/index.html", "scene_keys/index.html"} <= pages
+    api = (tmp_path / "site" / "api" / "ideal_robot.friction" / "index.html").read_text(encoding="utf-8")
+    assert re.search(r'id="ideal_robot\.friction\.laws\.Arctan"', api)
+    # Nothing is fetched from elsewhere when a page is read.
+    first = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
+    assert not re.search(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', first)
+
+
+# Examples in docstrings say what the program does.
+
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
+MODULES = [".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
+           for path in sorted((ROOT / package).rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_of_a_module_hold(name: str) -> None:
+    module = importlib.import_module(name)
+    written = len(re.findall(r"^\s*>>> ", Path(str(module.__file__)).read_text(encoding="utf-8"), flags=re.MULTILINE))
+    done = doctest.testmod(module)
+    assert done.failed == 0
+    # An example that is not found, behind a decorator say, would never be run.
+    assert done.attempted == written
+
+
+def test_each_package_that_users_import_has_examples() -> None:
+    assert {name.partition(".")[0] for name in MODULES} >= {"ideal_robot", "sensing", "sim", "scenes"}
+    assert len(MODULES) >= 10
+
+
+# Published numbers: each names its command, stands on its page as the table says, and a changed one is found.
+
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("published_numbers", ROOT / "docs" / "published_numbers.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+NUMBERS = script()
+
+
+def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
+    from scenes.cli import VERBS
+
+    found = NUMBERS.published()
+    assert len(found) > 150
+    printing = {one.command for one in found if one.command.startswith("python ")}
+    assert all((ROOT / command.split()[1]).is_file() for command in printing)
+    assert {one.command.split()[0] for one in found if one.command not in printing} <= set(VERBS)
+    assert {one.page for one in found} >= {"README.md", "docs/ideal_robot.md", "docs/line_following.md",
+                                           "docs/contact.md"}
+    assert any(one.quick for one in found)
+
+
+def test_numbers_are_read_out_of_json_by_path() -> None:
+    content = {"runs": [{"speed": 0.7, "e": {"mean": 2.0}}, {"speed": 0.7, "e": {"mean": 3.0}},
+                        {"speed": 1.0, "e": {"mean": None}}], "a": {"b": [4.0, 5.0]}}
+    assert NUMBERS.value_of(content, "a.b.1") == 5.0
+    assert NUMBERS.value_of(content, "max(runs[speed=0.7].e.mean)") == 3.0
+    assert NUMBERS.value_of(content, "mean(runs[speed=0.7].e.mean)") == 2.5
+    with pytest.raises(ValueError, match="2 numbers"):
+        NUMBERS.value_of(content, "runs[speed=0.7].e.mean")
+
+
+def test_numbers_are_read_out_of_what_a_benchmark_prints(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("| arm | mm |\n| --- | --- |\n| `a` | 0.5 / 7 |\n| `b` | 2.0 / 9 |\n")
+    (tmp_path / "numbers.toml").write_text("""[[entry]]
+page = "page.md"
+header = "| arm | mm |"
+rows = { "`a`" = "a", "`b`" = "b" }
+command = "python -c 'print(\\"a: 0.52 mm, 7 ms\\\\nb: 2.3 mm, 9 ms\\")'"
+printed = ['{row}: ([0-9.]+) mm', '{row}: .* ([0-9]+) ms']
+""")
+    numbers = NUMBERS.published(tmp_path / "numbers.toml", tmp_path)
+    assert [(found, word) for _, found, word in NUMBERS.compare(numbers)] == [
+        (0.52, "same"), (7.0, "same"), (2.3, "DIFFERS"), (9.0, "same")]
+    with pytest.raises(ValueError, match="nothing printed"):
+        NUMBERS.value_of({"printed": "words"}, "~c: ([0-9]+)")
+
+
+def test_a_number_that_changed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+                                       capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "page.md").write_text("| what | mm |\n| --- | --- |\n| `a` | 0.50 / 7 |\n| `b` | 2.0 / 9 |\n")
+    (tmp_path / "numbers.toml").write_text("""[[entry]]
+page = "page.md"
+header = "| what | mm |"
+rows = { "`a`" = "a", "`b`" = "b" }
+command = "run it"
+values = ["{row}.first", "{row}.second"]
+""")
+    numbers = NUMBERS.published(tmp_path / "numbers.toml", tmp_path)
+    assert [one.text for one in numbers] == ["0.50", "7", "2.0", "9"]
+    made = {"a": {"first": 0.504, "second": 7.2}, "b": {"first": 2.3, "second": None}}
+    monkeypatch.setattr(NUMBERS, "made", lambda command, folder: made)
+    assert [word for *_, word in NUMBERS.compare(numbers)] == ["same", "same", "DIFFERS", "DIFFERS"]
+    monkeypatch.setattr(NUMBERS, "published", lambda: numbers)
+    assert NUMBERS.main([]) == 1
+    assert "4 numbers, 2 differ" in capsys.readouterr().out
+
+
+def test_a_table_without_the_row_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text("| what | mm |\n| --- | --- |\n| `a` | 0.50 |\n")
+    entry = {"page": "page.md", "header": "| what | mm |", "rows": {"`c`": "c"}, "command": "run it", "values": ["x"]}
+    with pytest.raises(ValueError, match="no row '`c`'"):
+        list(NUMBERS._numbers(entry, tmp_path))
+
+
+def test_a_quick_number_is_made_anew() -> None:
+    """One command from the table, run as `make docs-figures` runs it: the paths lead to these figures, in this unit."""
+    numbers = [one for one in NUMBERS.published() if one.command == "run contour"]
+    assert len(numbers) == 3
+    for one, found, _ in NUMBERS.compare(numbers):
+        assert found == pytest.approx(one.number, rel=0.3), one.what
