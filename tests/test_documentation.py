@@ -11,7 +11,7 @@ import pytest
 from scenes.cli import VERBS
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
 FOLDERS = (*PACKAGES, "benchmarks", "docs", "examples", "tests")
 DATA = {"toml", "json", "html", "urdf", "md", "py"}
@@ -66,7 +66,7 @@ def path_exists(path: str) -> bool:
 
 def missing_in(text: str, folder: Path) -> list[str]:
     """Files, dotted names and links of a page that are not there."""
-    missing = [link for link in re.findall(r"\]\(([^)#:\s]+)\)", text) if not (folder / link).exists()]
+    missing = [link for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)\s]*)?\)", text) if not (folder / link).exists()]
     code = re.findall(r"```.*?```", text, flags=re.DOTALL)
     spans = re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
     for span in [*spans, *code]:
@@ -87,7 +87,7 @@ def missing_in(text: str, folder: Path) -> list[str]:
     return list(dict.fromkeys(missing))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_names_exists(page: Path) -> None:
     assert missing_in(page.read_text(encoding="utf-8"), page.parent) == []
 

@@ -1,0 +1,68 @@
+"""How-to pages: twenty questions, one screen each, with commands that run as printed."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from scenes.cli import VERBS
+
+ROOT = Path(__file__).resolve().parents[1]
+INDEX = ROOT / "docs" / "howto" / "index.md"
+PAGES = sorted(page for page in INDEX.parent.glob("*.md") if page != INDEX)
+BLOCK = re.compile(r"```(sh|python)\n(.*?)```", re.DOTALL)
+
+
+def options_of(verb: str) -> set[str]:
+    """All options of a verb, as its own parser has them."""
+    app = typer.Typer()
+    app.command()(importlib.import_module(f"scenes.commands.{VERBS[verb]}").command)
+    return {option for one in typer.main.get_command(app).params for option in (*one.opts, *one.secondary_opts)}
+
+
+def test_twenty_questions_are_a_click_from_the_index() -> None:
+    linked = re.findall(r"^- \[(.*?)\]\((\w+\.md)\)$", INDEX.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    titles = {page.name: page.read_text(encoding="utf-8").splitlines()[0] for page in PAGES}
+    assert {name: f"# {title}" for title, name in linked} == titles
+    assert len(titles) == 20
+    assert all("?" in title for title in titles.values())
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_is_one_screen_of_commands_that_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert BLOCK.search(text)
+    assert len(BLOCK.sub("", text).split()) <= 260
+    lines = [line for kind, code in BLOCK.findall(text) if kind == "sh" for line in code.splitlines() if line]
+    for line in lines:
+        program, *words = shlex.split(line.removesuffix("&"))
+        if program == "ideal-robot":
+            given = {word for word in words if word.startswith("-") and len(word) > 1}
+            assert given <= options_of(words[0]), line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_a_page_runs_as_printed(page: Path, tmp_path: Path) -> None:
+    for folder in ("examples", "scenes"):
+        (tmp_path / folder).symlink_to(ROOT / folder)
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name, words in (("ideal-robot", "-m scenes.cli"), ("python", "")):
+        (programs / name).write_text(f'#!/bin/sh\nexec {sys.executable} {words} "$@"\n', encoding="utf-8")
+        (programs / name).chmod(0o755)
+    told = {**os.environ, "PYTHONPATH": str(ROOT), "PATH": f"{programs}{os.pathsep}{os.environ['PATH']}"}
+    for kind, code in BLOCK.findall(page.read_text(encoding="utf-8")):
+        # A viewer waits for the user otherwise; what runs beside another command is waited for.
+        script = re.sub(r"^(ideal-robot view .*)$", r"\1 --once", code, flags=re.MULTILINE) + "\nwait\n"
+        call = ["bash", "-e", "-c", script] if kind == "sh" else [sys.executable, "-c", code]
+        done = subprocess.run(call, cwd=tmp_path, env=told, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{code}\n{done.stdout[-1500:]}\n{done.stderr[-3000:]}"
