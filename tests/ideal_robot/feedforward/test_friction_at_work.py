@@ -90,3 +90,13 @@ def test_a_recording_without_torques_is_refused() -> None:
         friction_at_work(Recording.from_arrays(T * np.arange(400), q=q), loop)
     with pytest.raises(InputError, match="joints"):
         friction_at_work(Recording.from_arrays(T * np.arange(400), q=q[:, :3], tau=q[:, :3]), loop)
+
+
+def test_ripple_that_the_loop_knows_is_no_friction() -> None:
+    """Two thirds of dry friction, over three of its periods at most: taken for friction it bends the curve."""
+    loop = plant()
+    waves = np.stack([np.full(loop.n, 25.0), 0.6 * loop.friction_dry, 0.3 * loop.friction_dry])[None]
+    rippled = loop.replace(ripple=waves)
+    same = friction_at_work(recorded(rippled), rippled).in_loop(rippled)
+    moving = slice(0, loop.n - 1)
+    np.testing.assert_allclose(at_speeds(same)[:, moving], at_speeds(loop)[:, moving], atol=0.03)

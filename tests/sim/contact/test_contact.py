@@ -216,5 +216,5 @@ def test_payload_bends_gears_as_a_body_of_its_mass_does(lever: np.ndarray) -> No
     np.testing.assert_allclose(pin.log6(seen).vector, 0.0, atol=1e-8)
     recording = hang_payloads(robot, world, postures, masses, lever, np.random.default_rng(0), samples=1,
                               tracker=(0.0, 0.0))
-    for one in identify_from_payloads([recording], robot):
-        assert one.stiffness == pytest.approx(world.stiffness[one.joint - 1], rel=0.02)
+    found = {one.joint: one.stiffness for one in identify_from_payloads([recording], robot)}
+    np.testing.assert_allclose([found[joint] for joint in (2, 3, 4, 5)], world.stiffness[1:5], rtol=3e-3)
