@@ -18,6 +18,7 @@ from itertools import islice
 
 import numpy as np
 
+from ideal_robot.deadline import Deadline
 from ideal_robot.rtde.wire import Kind, Recipe, RtdeConnection, RtdeError
 from ideal_robot.rtde.wire import package as rtde_package
 from sensing.camera.cameras import StreamCamera
@@ -155,10 +156,10 @@ def netft(count: int, rng: np.random.Generator) -> str:
 
 def rtde(count: int, rng: np.random.Generator) -> str:
     """A client of RTDE whose controller agrees to everything and then sends mutated data packages."""
-    names, codes = ("timestamp", "actual_q"), b"\1DOUBLE,VECTOR6D"
+    fields, codes = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D"}, b"\1DOUBLE,VECTOR6D"
     agreed = [rtde_package(Kind.VERSION, b"\1"), rtde_package(Kind.CONTROLLER, struct.pack(">4I", 5, 11, 0, 0)),
               rtde_package(Kind.OUTPUTS, codes), rtde_package(Kind.START, b"\1")]
-    recipe = Recipe.agreed(names, codes)
+    recipe = Recipe.agreed(fields, codes)
     packets = mutated(lambda k: recipe.packed(0.008 * k, *range(6)), count, rng)
     connections = taken = 0
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -171,12 +172,12 @@ def rtde(count: int, rng: np.random.Generator) -> str:
                 controller.shutdown(socket.SHUT_WR)
                 try:
                     link.agree()
-                    outputs = link.outputs(names, 125.0)
+                    outputs = link.outputs(fields, 125.0)
                     link.start()
                     while True:
-                        data, _ = link.newest(outputs)
+                        data, _ = link.newest(outputs, Deadline.within(2.0))
                         taken += 1
-                        if set(data) != set(names):
+                        if set(data) != set(fields):
                             raise SystemExit("data that are none were taken")
                 except RtdeError:
                     link.close()

@@ -15,13 +15,16 @@ from types import TracebackType
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import CatchUp, FollowingWatch, RobotState, checked_command
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Value
+from ideal_robot.rtde.wire import Recipe, RtdeConnection, RtdeError, Values
 
-_OUTPUTS = ("timestamp", "actual_q", "target_q", "actual_current", "runtime_state", "safety_status_bits")
+_OUTPUTS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "target_q": "VECTOR6D", "actual_current": "VECTOR6D",
+            "runtime_state": "UINT32", "safety_status_bits": "UINT32"}
 _AXES = 6
+_MANY = 2.0**31
 _PLAYING = 2
 """``runtime_state`` of a running program."""
 _SAFETY = {2: "protective stop", 4: "safeguard stop", 5: "emergency stop (system)", 6: "emergency stop (robot)",
@@ -57,7 +60,7 @@ class RtdeRobot:
         port: TCP port.
         register: first of the six input double registers for the command; the counter of commands goes into the input
             integer register of the same number.
-        timeout: silence of the controller after which the connection counts as broken [s].
+        timeout: how long the next data package is waited for, or an answer; older packages do not count [s].
         bridge: how long data packages may be missing [s].
         answers_within: time in which the arm's loop answers a command, for the watch over following [s].
 
@@ -89,8 +92,8 @@ class RtdeRobot:
         self.answer_times = array("d")
         self.arrived = math.nan
         self.max_lost = max(math.ceil(bridge / robot.t_ipo), 1)
-        self._inputs = (*(f"input_double_register_{register + i}" for i in range(_AXES)),
-                        f"input_int_register_{register}")
+        self._inputs = {**{f"input_double_register_{register + i}": "DOUBLE" for i in range(_AXES)},
+                        f"input_int_register_{register}": "INT32"}
         self._timeout = timeout
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
@@ -102,24 +105,31 @@ class RtdeRobot:
         self._missed = False
         self.gone_on = 0
 
-    def connect(self) -> RobotState:
-        """Agrees with the controller on what is exchanged; the program there may run already or be started afterwards.
+    def connect(self, patience: float = 60.0) -> RobotState:
+        """Agrees with the controller on what is exchanged; its program runs, or is started within ``patience`` [s].
 
         Returns the state at rest, ``t = 0``. ``commanded`` is then where the controller holds the arm.
 
         Raises:
-            RtdeError: no controller, another protocol, fields it does not know, an arm stopped by its safety system.
+            RtdeError: no controller, another protocol, fields it does not know, an arm stopped by its safety system, a
+                program that is not started.
         """
         self._connection = link = RtdeConnection(self.host, self.port, self._timeout)
         self.version = link.agree()
         self._outputs: Recipe = link.outputs(_OUTPUTS, 1.0 / self.t_ipo)
         self._recipe = link.inputs(self._inputs)
         link.start()
-        self.commanded = self._wanted = np.array(self._next()["target_q"])
-        # Whatever stood in the registers must not be where the arm goes first.
-        link.send(self._recipe.packed(*self.commanded.tolist(), 0))
-        data = self._next()
-        self._begun = self._last = self._time(data)
+        started, playing = Deadline.within(patience), False
+        while not playing:
+            data = self._next(Deadline.within(self._timeout))
+            playing = self._playing(data)
+            if not playing and started.passed:
+                raise RtdeError(f"the controller's program was not started within {patience:.3g} s")
+            self.commanded = self._wanted = np.array(data["target_q"])
+            # Whatever stood in the registers must not be where the arm goes first.
+            link.send(self._recipe.packed(*self.commanded.tolist(), 0))
+        data = self._next(Deadline.within(self._timeout))
+        self._begun = self._last = data["timestamp"][0]
         self._watch.begin(self.commanded, np.array(data["actual_q"]))
         return self._state(data)
 
@@ -171,12 +181,12 @@ class RtdeRobot:
             RtdeError: silence, a broken connection, an arm stopped by its safety system, a program that ended, more
                 missed than can be bridged.
         """
-        while True:
-            data = self._next()
-            since = round((self._time(data) - self._last) / self.t_ipo)
-            if since > 0:
-                break
+        deadline = Deadline.within(self._timeout)
+        while (since := self._since(data := self._next(deadline))) <= 0:
             self.counts.outdated += 1
+            if deadline.left < self.t_ipo:
+                raise RtdeError(f"the controller's time stamps do not go on ({data['timestamp'][0]:.3f} s after "
+                                f"{self._last:.3f} s); its clock was set anew: begin anew, from rest")
         if since - 1 > self.max_lost:
             raise RtdeError(f"{since - 1} data packages in a row were lost, more than {self.max_lost}; check network "
                             "and load")
@@ -184,7 +194,7 @@ class RtdeRobot:
             self.counts.lost += since - 1
             self._missed = True
         self._last += since * self.t_ipo
-        if data["runtime_state"] != _PLAYING and self._number > 1:
+        if not self._playing(data):
             raise RtdeError("the controller's program does not run any more")
         return self._state(data)
 
@@ -202,31 +212,30 @@ class RtdeRobot:
                  trace: TracebackType | None) -> None:
         self.close()
 
-    def _next(self) -> dict[str, Value]:
+    def _next(self, deadline: Deadline) -> Values:
         """The newest data package, if the arm is not stopped and all numbers are numbers."""
         if self._connection is None:
             raise RtdeError("connect to the controller before a command is handed over")
-        data, self.arrived = self._connection.newest(self._outputs)
-        bits = int(self._number_of(data, "safety_status_bits"))
+        data, self.arrived = self._connection.newest(self._outputs, deadline)
+        bits = int(data["safety_status_bits"][0])
         stopped = [name for bit, name in _SAFETY.items() if bits >> bit & 1]
         if stopped:
             raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
                             + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
-        if not np.isfinite([self._time(data), *data["actual_q"], *data["target_q"]]).all():  # type: ignore[misc]
-            raise RtdeError("the controller tells positions that are not finite")
+        told = [data[name] for name in ("timestamp", "actual_q", "target_q", "actual_current")]
+        if not np.isfinite(np.concatenate(told)).all():
+            raise RtdeError("the controller tells times, positions or currents that are not finite")
         return data
 
-    def _time(self, data: dict[str, Value]) -> float:
-        return float(self._number_of(data, "timestamp"))
+    def _since(self, data: Values) -> int:
+        """Cycles since the last package that counted; many where the clock has jumped."""
+        return round(min(max((data["timestamp"][0] - self._last) / self.t_ipo, -_MANY), _MANY))
 
     @staticmethod
-    def _number_of(data: dict[str, Value], name: str) -> float:
-        value = data[name]
-        if isinstance(value, tuple):
-            raise RtdeError(f"{name} has {len(value)} numbers, one is expected")
-        return value
+    def _playing(data: Values) -> bool:
+        return data["runtime_state"][0] == _PLAYING
 
-    def _state(self, data: dict[str, Value]) -> RobotState:
+    def _state(self, data: Values) -> RobotState:
         """Torque is the current in ampere times the drive gain."""
         self.counts.cycles += 1
         measured = np.array(data["actual_q"])

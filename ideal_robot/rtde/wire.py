@@ -8,9 +8,12 @@ from __future__ import annotations
 import socket
 import struct
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
+from itertools import islice
 
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import IdealRobotError
 
 # What can go wrong between us and a controller that speaks RTDE.
@@ -22,11 +25,11 @@ class RtdeError(IdealRobotError):
 MAX_PACKAGE = 4096
 """Largest package that is read [bytes]; the field names of a recipe have 2048 at most."""
 _HEADER = struct.Struct(">HB")
-_FORMATS = {"BOOL": "?", "UINT8": "B", "UINT32": "I", "UINT64": "Q", "INT32": "i", "DOUBLE": "d", "VECTOR3D": "3d",
-            "VECTOR6D": "6d", "VECTOR6INT32": "6i", "VECTOR6UINT32": "6I"}
+_FORMATS = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
 _REFUSALS = {"NOT_FOUND": "the controller does not know it", "IN_USE": "another client writes it"}
 
-Value = int | float | bool | tuple[int, ...] | tuple[float, ...]
+Values = dict[str, tuple[float, ...]]
+"""Numbers of a data package by the name of their field."""
 
 
 class Kind(IntEnum):
@@ -92,37 +95,38 @@ class Recipe:
     counts: tuple[int, ...]
 
     @classmethod
-    def agreed(cls, names: tuple[str, ...], answer: bytes) -> Recipe:
+    def agreed(cls, fields: Mapping[str, str], answer: bytes) -> Recipe:
         """From the controller's answer to a setup: number of the recipe, and the types of the fields.
 
+        Args:
+            fields: names and types of what was asked for.
+            answer: payload of the answer.
+
         Raises:
-            RtdeError: a field that is not known or not free, another number of fields, a type that is not known.
+            RtdeError: a field that is not known or not free, another type or number of fields.
         """
         types = answer[1:].decode("ascii", "replace").split(",")
-        refused = [f"{name}: {_REFUSALS[kind]}" for name, kind in zip(names, types, strict=False) if kind in _REFUSALS]
+        refused = [f"{name}: {_REFUSALS.get(told, f'{fields[name]} is expected, the controller says {told[:20]!a}')}"
+                   for name, told in zip(fields, types, strict=False) if told != fields[name]]
+        if len(types) != len(fields) or not answer or (answer[0] == 0 and not refused):
+            raise RtdeError(f"the controller's answer to the fields {', '.join(fields)} cannot be used "
+                            f"({answer[:80]!a})")
         if refused:
             raise RtdeError("; ".join(refused))
-        unknown = [kind for kind in types if kind not in _FORMATS]
-        if len(types) != len(names) or unknown or not answer or answer[0] == 0:
-            raise RtdeError(f"the controller's answer to the fields {', '.join(names)} cannot be used "
-                            f"({answer[:80]!a})")
         formats = [_FORMATS[kind] for kind in types]
         counts = tuple(int(text[:-1] or 1) for text in formats)
-        return cls(answer[0], names, struct.Struct(">" + "".join(formats)), counts)
+        return cls(answer[0], tuple(fields), struct.Struct(">" + "".join(formats)), counts)
 
-    def unpacked(self, payload: bytes) -> dict[str, Value]:
-        """Values of a data package by name.
+    def unpacked(self, payload: bytes) -> Values:
+        """Numbers of a data package by name of the field.
 
         Raises:
             RtdeError: another recipe, or another length.
         """
         if len(payload) != 1 + self.layout.size or payload[0] != self.number:
             raise RtdeError(f"a data package of {len(payload)} bytes does not fit recipe {self.number}")
-        values, found, at = self.layout.unpack_from(payload, 1), {}, 0
-        for name, count in zip(self.names, self.counts, strict=True):
-            found[name] = values[at] if count == 1 else values[at : at + count]
-            at += count
-        return found
+        values = iter(self.layout.unpack_from(payload, 1))
+        return {name: tuple(islice(values, count)) for name, count in zip(self.names, self.counts, strict=True)}
 
     def packed(self, *values: float) -> bytes:
         """A data package with the numbers of all fields in a row."""
@@ -147,7 +151,7 @@ class RtdeConnection:
 
     Args:
         host, port: where the controller listens.
-        timeout: how long an answer, or a data package, is waited for [s].
+        timeout: how long the controller has for an answer, whatever else it sends meanwhile [s].
 
     Raises:
         RtdeError: no one listens there.
@@ -182,21 +186,22 @@ class RtdeConnection:
         major, minor, fix, build = struct.unpack(">4I", answer)
         return major, minor, fix, build
 
-    def outputs(self, names: tuple[str, ...], frequency: float) -> Recipe:
-        """What the controller is to send, so often a second.
+    def outputs(self, fields: Mapping[str, str], frequency: float) -> Recipe:
+        """What the controller is to send, names and types, so often a second.
 
         Raises:
             RtdeError: see ``Recipe.agreed``.
         """
-        return Recipe.agreed(names, self._asked(Kind.OUTPUTS, struct.pack(">d", frequency) + ",".join(names).encode()))
+        asked = struct.pack(">d", frequency) + ",".join(fields).encode()
+        return Recipe.agreed(fields, self._asked(Kind.OUTPUTS, asked))
 
-    def inputs(self, names: tuple[str, ...]) -> Recipe:
-        """What we are to send.
+    def inputs(self, fields: Mapping[str, str]) -> Recipe:
+        """What we are to send, names and types.
 
         Raises:
             RtdeError: see ``Recipe.agreed``.
         """
-        return Recipe.agreed(names, self._asked(Kind.INPUTS, ",".join(names).encode()))
+        return Recipe.agreed(fields, self._asked(Kind.INPUTS, ",".join(fields).encode()))
 
     def start(self) -> None:
         """Data packages from now on.
@@ -225,18 +230,18 @@ class RtdeConnection:
         except OSError as error:
             raise RtdeError(f"the controller is gone ({error})" + self._last_text()) from error
 
-    def newest(self, recipe: Recipe) -> tuple[dict[str, Value], float]:
+    def newest(self, recipe: Recipe, deadline: Deadline) -> tuple[Values, float]:
         """The newest data package that is there, waited for if there is none, and when it was read.
 
         Raises:
             RtdeError: silence, a broken connection, a package that does not fit.
         """
-        payload, end = None, time.perf_counter() + self._timeout
-        while payload is None:
-            payload = self._data(end)
+        kind, payload = 0, b""
+        while kind != Kind.DATA:
+            kind, payload = self._package(deadline)
         arrived = time.perf_counter()
-        while (later := self._data(0.0)) is not None:
-            payload = later
+        while not deadline.passed and (later := self._waiting()) is not None:
+            payload = later[1] if later[0] == Kind.DATA else payload
         return recipe.unpacked(payload), arrived
 
     def close(self) -> None:
@@ -248,36 +253,43 @@ class RtdeConnection:
         return self._answer(kind)
 
     def _answer(self, kind: Kind) -> bytes:
-        end = time.perf_counter() + self._timeout
+        deadline = Deadline.within(self._timeout)
         while True:
-            found, payload = self._package(end) or (None, b"")
+            found, payload = self._package(deadline)
             if found == kind:
                 return payload
 
-    def _data(self, end: float) -> bytes | None:
-        """Payload of the next data package, None if the next package is another one or (``end = 0``) not there."""
-        found = self._package(end)
-        return found[1] if found is not None and found[0] == Kind.DATA else None
+    def _package(self, deadline: Deadline) -> tuple[int, bytes]:
+        """Kind and payload of the next package.
 
-    def _package(self, end: float) -> tuple[int, bytes] | None:
-        """The next package; with ``end = 0`` None instead of waiting."""
-        while (found := self._reader.next()) is None:
-            left = end - time.perf_counter()
-            if end and left <= 0:
-                raise RtdeError(f"nothing from the controller within {self._timeout:.3g} s" + self._last_text())
-            self._socket.settimeout(left if end else 0.0)
+        Raises:
+            RtdeError: none before the deadline, or a broken connection.
+        """
+        while not deadline.passed:
+            if (found := self._next(deadline.left)) is not None:
+                return found
+        raise RtdeError(f"nothing that was waited for from the controller within {deadline.seconds:.3g} s"
+                        + self._last_text())
+
+    def _waiting(self) -> tuple[int, bytes] | None:
+        """The next package if it is there already."""
+        return self._next(0.0)
+
+    def _next(self, seconds: float) -> tuple[int, bytes] | None:
+        """The next package; None if it is not whole after one more piece of the stream, or none came in time."""
+        if (found := self._reader.next()) is None:
+            self._socket.settimeout(seconds)
             try:
                 piece = self._socket.recv(4096)
-            except BlockingIOError:
+            except (BlockingIOError, TimeoutError):
                 return None
-            except TimeoutError:
-                continue
             except OSError as error:
                 raise RtdeError(f"the controller is gone ({error})" + self._last_text()) from error
             if not piece:
                 raise RtdeError("the controller has closed the connection" + self._last_text())
             self._reader.feed(piece)
-        if found[0] == Kind.TEXT:
+            found = self._reader.next()
+        if found is not None and found[0] == Kind.TEXT:
             self.texts = [*self.texts, said(found[1])][-10:]
         return found
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
@@ -97,14 +98,14 @@ def opened_arm(devices: Devices, robot: Robot, answers_within: float) -> Iterato
 
 
 def _connect(rtde: RtdeRobot, patience: float) -> None:
-    """Connects as soon as somebody listens, up to ``patience`` [s]."""
-    end = time.monotonic() + patience
+    """Connects as soon as somebody listens and the program there runs, up to ``patience`` [s]."""
+    deadline = Deadline.within(patience)
     while True:
         try:
-            rtde.connect()
+            rtde.connect(deadline.left)
             return
         except RtdeError as error:
-            if not isinstance(error.__cause__, OSError) or time.monotonic() > end:
+            if not isinstance(error.__cause__, OSError) or deadline.passed:
                 raise
         time.sleep(0.2)
 

@@ -186,7 +186,8 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
         line, drawn = _line_of(cell, scene)
         contact = (lambda: TipContact(arm, cell.surface, true_tip(cell.scene.tip))
                    ) if isinstance(cell, ForceCell) else None
-        served, carried = ServedCell(cell, arm, line, contact), []
+        served = ServedCell(cell, arm, line, contact)
+        carried: list[Carried] = []
         try:
             if drawn is not None:
                 clock = DeviceClock(100.0 + unkind.offset, unkind.drift)
@@ -204,13 +205,13 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
                 force = ServedForce(cell.sensor, scene.sensor.rate, -unkind.drift, served.pose_at, served.force_at,
                                     netft, outbox)
                 served.force = netft.address
-                carried.append(force)  # type: ignore[arg-type]
+                carried.append(force)
+            served_arm = (ServedRtde if places.rtde else ServedArm)(
+                arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift, rng=streams[2],
+                carried=tuple(carried), sign=Axes.of(cell.robot).sign, anew=served.anew)
         except (OSError, OverflowError) as error:
             raise InputError(f"cannot listen there ({error})", field="host:port", value=places.host) from error
-        devices: tuple[Carried, ...] = tuple(carried)
-        served_arm = ServedRtde if places.rtde else ServedArm
-        yield served, served_arm(arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift,
-                                rng=streams[2], carried=devices, sign=Axes.of(cell.robot).sign, anew=served.anew)
+        yield served, served_arm
 
 
 def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple[DrawnLine | None, LiveCamera | None]:
@@ -262,15 +263,20 @@ def serve_scene(scene: Scene, places: Places, unkind: Unkindness, sessions: int,
                 + "; ".join(f"{key} {value}" for key, value in figures.items() if key.endswith(("_mm", "_N"))))
 
         before = {number: signal.signal(number, lambda *_: arm.stop()) for number in (signal.SIGINT, signal.SIGTERM)}
-        say("controller: {} {}:{}".format("listens on" if places.rtde else "sends to", *places.arm))
-        if cell.camera is not None:
-            say("camera: stream://{}:{}".format(*cell.camera))
-        if cell.force is not None:
-            say("force: netft://{}:{}?rate={:g}".format(*cell.force, scene.sensor.rate))  # type: ignore[attr-defined]
         try:
             with undisturbed(priority=_PRIORITY):
+                _say_where(cell, places, scene, say)
                 arm.sessions(sessions, done)
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
     return told
+
+
+def _say_where(cell: ServedCell, places: Places, scene: Scene, say: Callable[[str], None]) -> None:
+    """Where the devices are, once they answer."""
+    say("controller: {} {}:{}".format("listens on" if places.rtde else "sends to", *places.arm))
+    if cell.camera is not None:
+        say("camera: stream://{}:{}".format(*cell.camera))
+    if cell.force is not None and isinstance(scene, ForceScene):
+        say("force: netft://{}:{}?rate={:g}".format(*cell.force, scene.sensor.rate))

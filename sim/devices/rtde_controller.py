@@ -1,217 +1,218 @@
 """A UR controller's side of RTDE around a simulated arm: for tests, and to try a client without a robot.
 
 Written from Universal Robots' public description of the protocol alone, without the code of the client's side. The
-controller runs the program of docs/rsi.md: it hands what it finds in the input registers to its arm, every cycle.
+controller runs the program of docs/rsi.md: it hands what it finds in the input registers to its arm, every cycle. As a
+real one it serves several clients at a time; the one that writes the program's registers leads the arm.
 """
 
 from __future__ import annotations
 
+import selectors
 import socket
 import struct
 import threading
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from contextlib import suppress
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
+from sim.devices.rtde_client import ClientError, Inputs, RtdeClient, RtdeFaults
+from sim.devices.rtde_fields import CODES, count, output_type
 
-_KNOWN = {"timestamp": "DOUBLE", "target_q": "VECTOR6D", "actual_q": "VECTOR6D", "actual_qd": "VECTOR6D",
-          "target_qd": "VECTOR6D", "actual_current": "VECTOR6D", "actual_TCP_pose": "VECTOR6D", "robot_mode": "INT32",
-          "safety_mode": "INT32", "runtime_state": "UINT32", "safety_status_bits": "UINT32", "speed_scaling": "DOUBLE"}
-_CODES = {"DOUBLE": "d", "INT32": "i", "UINT32": "I", "VECTOR6D": "6d"}
 _PROTECTIVE = 1 << 2 | 1 << 10
+_MOST = 8
+"""Clients at a time."""
+_AGREES = 10.0
+"""Time in which a client has to say what it wants [s]."""
+_LOOK = 0.05
+"""How often it is looked whether the end has come [s]."""
 
 
-@dataclass
-class RtdeFaults:
-    """What the controller shall do that it should not, by the number of the cycle.
-
-    Attributes:
-        protocols: versions of the protocol it knows.
-        unknown: fields it does not know.
-        in_use: input fields another client writes.
-        skips: cycles whose data package is left out.
-        protective_stop: cycle from which the arm is stopped by its safety system.
-        program_ends: cycle from which the program does not run any more.
-        disconnects: cycle at which it closes the connection.
-        says: text it sends at the start.
-    """
-
-    protocols: tuple[int, ...] = (1, 2)
-    unknown: tuple[str, ...] = ()
-    in_use: tuple[str, ...] = ()
-    skips: tuple[int, ...] = ()
-    protective_stop: int | None = None
-    program_ends: int | None = None
-    disconnects: int | None = None
-    says: str = ""
-
-
-@dataclass
 class RtdeController:
-    """Listens on this computer, serves one client and moves the arm by the input registers.
+    """Listens from the beginning, and serves clients while it is asked to.
 
-    Attributes:
+    Args:
         arm: the arm; it has to have six joints.
         faults: see ``RtdeFaults``.
         register: first of the input registers its program reads.
-        timeout: how long a command is waited for in each cycle [s]; the simulated time stands still meanwhile.
-        port: TCP port; 0 for any free one, see ``address``.
-        after: called behind each cycle with how many there were, e.g. to wait for the next one; None: at once.
-        commands: what the arm was commanded in each cycle.
+        timeout: how long a command is waited for in each cycle of ``run`` [s]; the simulated time stands still
+            meanwhile.
+        address: where to listen; port 0 for any free one.
+
+    Raises:
+        OSError: it cannot be listened there.
+
+    Attributes:
+        address: where it listens.
+        commands: what the arm was commanded in each cycle of ``run``.
         inputs: every value it was given by name, the last one each.
+        ended: why the client that led the arm does not any more, and what others were let go for.
+        playing: whether the program runs.
     """
 
-    arm: SimulatedArm
-    faults: RtdeFaults = field(default_factory=RtdeFaults)
-    register: int = 24
-    timeout: float = 5.0
-    port: int = 0
-    after: Callable[[int], None] | None = None
-    commands: list[Array] = field(default_factory=list)
-    inputs: dict[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", self.port))
-        self._listener.settimeout(0.05)
+    def __init__(self, arm: SimulatedArm, faults: RtdeFaults | None = None, *, register: int = 24, timeout: float = 5.0,
+                 address: tuple[str, int] = ("127.0.0.1", 0)) -> None:
+        self.arm, self.faults, self.register, self.timeout = arm, faults or RtdeFaults(), register, timeout
+        self.commands: list[Array] = []
+        self.inputs: Inputs = {}
+        self.ended, self.playing = "", True
+        self._listener = socket.create_server(address)
+        self._listener.setblocking(False)
+        self.address: tuple[str, int] = self._listener.getsockname()[:2]
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ)
+        self._clients: dict[RtdeClient, float] = {}
         self._stopped = threading.Event()
-        self._waiting = b""
-        self._outputs: list[str] = []
-        self._recipes: dict[int, list[str]] = {}
+        self._cycle, self._answered = 0, False
 
     @property
-    def address(self) -> tuple[str, int]:
-        """Where it listens."""
-        host, port = self._listener.getsockname()
-        return str(host), int(port)
+    def led(self) -> bool:
+        """Whether a client is there that writes the program's registers."""
+        return self._leader is not None
+
+    @property
+    def commanded(self) -> Array | None:
+        """Where the program wants the arm ``(n,)``; None while it waits for its first number."""
+        if self.inputs.get(f"input_int_register_{self.register}", (0,))[0] <= 0:
+            return None
+        angles = (f"input_double_register_{self.register + i}" for i in range(6))
+        return np.array([self.inputs.get(name, (np.nan,))[0] for name in angles])
 
     def stop(self) -> None:
         """Ends ``run`` from another thread."""
         self._stopped.set()
 
-    def run(self) -> None:
-        """Serves one client until it leaves or ``stop`` is called."""
-        client = None
-        while client is None and not self._stopped.is_set():
-            try:
-                client, _ = self._listener.accept()
-            except TimeoutError:
-                continue
+    def close(self) -> None:
+        """Lets every client go and listens no more."""
+        for client in list(self._clients):
+            self._leave(client)
+        self._selector.close()
         self._listener.close()
-        if client is None:
-            return
-        with client:
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            try:
-                if self._agreed(client):
-                    self._play(client)
-            except ConnectionError:
-                return
 
-    def _agreed(self, client: socket.socket) -> bool:
-        """Answers what the client asks for until it starts; False if it leaves before."""
-        while (asked := self._package(client, self.timeout)) is not None:
-            letter, payload = asked
-            if letter == "V":
-                known = struct.unpack(">H", payload)[0] in self.faults.protocols
-                self._send(client, "V", b"\1" if known else b"\0")
-            elif letter == "v":
-                self._send(client, "v", struct.pack(">4I", 5, 11, 0, 0))
-            elif letter == "O":
-                self._outputs = _names(payload[8:])
-                types = ["NOT_FOUND" if name in self.faults.unknown else _KNOWN.get(name, "NOT_FOUND")
-                         for name in self._outputs]
-                self._send(client, "O", b"\1" + ",".join(types).encode())
-            elif letter == "I":
-                self._answer_inputs(client, _names(payload))
-            elif letter == "S":
-                if self.faults.says:
-                    text = self.faults.says.encode()
-                    self._send(client, "M", bytes((len(text),)) + text + b"\4RTDE\3")
-                self._send(client, "S", b"\1")
-                return True
-        return False
-
-    def _answer_inputs(self, client: socket.socket, names: list[str]) -> None:
-        types = ["IN_USE" if name in self.faults.in_use else "INT32" if name.startswith("input_int_register_")
-                 else "DOUBLE" if name.startswith("input_double_register_") else "NOT_FOUND" for name in names]
-        sound = set(types) <= {"INT32", "DOUBLE"}
-        number = len(self._recipes) + 1 if sound else 0
-        if sound:
-            self._recipes[number] = names
-        self._send(client, "I", bytes((number,)) + ",".join(types).encode())
-
-    def _play(self, client: socket.socket) -> None:
-        """A data package every cycle; the command that answers it moves the arm."""
+    def run(self) -> None:
+        """Plays cycles from a client's start until the last one has left or ``stop`` is called."""
         held = self.arm.truth.q_m.copy()
-        state, k = RobotState(self.arm.t, held, np.zeros(6)), 0
-        begun = 100.0
-        while not self._stopped.is_set() and k != self.faults.disconnects:
-            skipped = k in self.faults.skips
-            if not skipped:
-                self._send(client, "U", b"\1" + self._told(state, held, begun + k * self.arm.t_ipo, k))
-                self._commanded(client)
+        state, begun = RobotState(self.arm.t, held, np.zeros(6)), False
+        while not self._stopped.is_set():
+            if not any(client.started for client in self._clients):
+                if begun and not self._clients:
+                    break
+                self._listen(time.perf_counter() + _LOOK, lambda: False)
+                continue
+            begun, k = True, self._cycle
+            if k == self.faults.disconnects:
+                break
+            answered = self.exchange(state, held, time.perf_counter() + (self.timeout if self.led else self.arm.t_ipo))
             stopped = self.faults.protective_stop is not None and k >= self.faults.protective_stop
-            if self.inputs.get(f"input_int_register_{self.register}", 0) > 0 and not stopped and not skipped:
-                held = np.array([self.inputs[f"input_double_register_{self.register + i}"] for i in range(6)])
+            if answered and self.commanded is not None and not stopped:
+                held = self.commanded
             self.commands.append(held)
-            state, k = self.arm.cycle(held), k + 1
-            if self.after is not None:
-                self.after(k)
-
-    def _told(self, state: RobotState, held: Array, t: float, k: int) -> bytes:
-        stop, end = self.faults.protective_stop, self.faults.program_ends
-        values: dict[str, Iterable[float]] = {
-            "timestamp": (t,), "target_q": held, "actual_q": state.q,
-            "actual_current": state.tau / self.arm.robot.drive_gain, "robot_mode": (7,), "safety_mode": (1,),
-            "runtime_state": (1 if end is not None and k >= end else 2,), "speed_scaling": (1.0,),
-            "safety_status_bits": (_PROTECTIVE if stop is not None and k >= stop else 1,)}
-        return b"".join(struct.pack(">" + _CODES[_KNOWN[name]], *values.get(name, np.zeros(6)))
-                        for name in self._outputs)
-
-    def _commanded(self, client: socket.socket) -> None:
-        """Takes the client's next data package, if one comes."""
-        while True:
-            found = self._package(client, self.timeout)
-            if found is None:
-                return
-            if found[0] == "P":
-                raise ConnectionError("the client has paused")
-            if found[0] != "U":
-                continue
-            names = self._recipes[found[1][0]]
-            codes = ">" + "".join("i" if name.startswith("input_int") else "d" for name in names)
-            self.inputs.update(zip(names, struct.unpack(codes, found[1][1:]), strict=True))
-            return
-
-    def _package(self, client: socket.socket, timeout: float) -> tuple[str, bytes] | None:
-        """Letter and payload of the next package; None if the client says nothing, or the end has come."""
-        end = time.perf_counter() + timeout
-        while True:
-            if len(self._waiting) >= 3:
-                size, letter = struct.unpack_from(">HB", self._waiting)
-                if len(self._waiting) >= size:
-                    payload, self._waiting = self._waiting[3:size], self._waiting[size:]
-                    return chr(letter), payload
-            client.settimeout(0.05)
             try:
-                piece = client.recv(4096)
-            except TimeoutError:
-                if self._stopped.is_set() or time.perf_counter() > end:
-                    return None
-                continue
-            if not piece:
-                raise ConnectionError("the client has left")
-            self._waiting += piece
+                state = self.arm.cycle(held)
+            except IdealRobotError as error:
+                self.ended = f"the controller refuses: {error}"
+                break
+        self.close()
 
-    def _send(self, client: socket.socket, letter: str, payload: bytes) -> None:
-        client.sendall(struct.pack(">HB", 3 + len(payload), ord(letter)) + payload)
+    def exchange(self, state: RobotState, held: Array, end: float) -> bool:
+        """Tells every client the state; returns whether the one that leads has written since the last time.
 
+        Args:
+            state: of the arm.
+            held: where it is commanded ``(n,)`` [rad].
+            end: until when an answer is waited for, by ``time.perf_counter`` [s]; without a client that leads nothing
+                is waited for but what may come in ``run``.
+        """
+        self._answered = False
+        self._listen(0.0, lambda: True)
+        # What comes late stands in the registers all the same; the answer to this cycle is waited for nevertheless.
+        late, self._answered = self._answered, False
+        k, self._cycle = self._cycle, self._cycle + 1
+        if k in self.faults.skips:
+            return False
+        for client in [one for one in self._clients if one.started and one.outputs]:
+            # A slower client gets every second package, or every third …
+            if k % max(round(1.0 / (client.rate * self.arm.t_ipo)), 1) == 0:
+                self._served(client, lambda client=client: client.tell(  # type: ignore[misc]
+                    self._told(client.outputs, state, held, k)))
+        self._listen(end, lambda: self._answered)
+        return late or self._answered
 
-def _names(payload: bytes) -> list[str]:
-    """Field names of a recipe; some clients end the list with a comma."""
-    return payload.decode().rstrip(",").split(",")
+    def let_go(self, reason: str) -> None:
+        """Ends the connection of the client that leads; its program begins anew."""
+        if self._leader is not None:
+            self._leave(self._leader, reason)
+
+    @property
+    def _leader(self) -> RtdeClient | None:
+        return next((one for one in self._clients if f"input_int_register_{self.register}" in one.writes), None)
+
+    def _listen(self, end: float, enough: Callable[[], bool]) -> None:
+        """Serves clients until it is enough, or ``end``; at least once what is there."""
+        while not self._stopped.is_set():
+            left = max(end - time.perf_counter(), 0.0)
+            for key, _ in self._selector.select(min(left, _LOOK)):
+                if key.data is None:
+                    self._accept()
+                elif key.data in self._clients:
+                    self._served(key.data, lambda client=key.data: self._write(client))  # type: ignore[misc]
+            for client, since in list(self._clients.items()):
+                if not (client.started or client.writes) and time.perf_counter() - since > _AGREES:
+                    self._leave(client, f"the client was let go: it asked for nothing in {_AGREES:.0f} s")
+            if left == 0.0 or enough():
+                return
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            link, _ = self._listener.accept()
+            if len(self._clients) >= _MOST:
+                link.close()
+                return
+            client = RtdeClient(link, self.faults, self._taken)
+            self._clients[client] = time.perf_counter()
+            self._selector.register(link, selectors.EVENT_READ, client)
+
+    def _taken(self, asks: RtdeClient, name: str) -> bool:
+        return any(name in client.writes for client in self._clients if client is not asks)
+
+    def _write(self, client: RtdeClient) -> None:
+        """Takes over what a client has written."""
+        for values in client.read():
+            self.inputs.update(values)
+            self._answered = self._answered or f"input_int_register_{self.register}" in values
+
+    def _served(self, client: RtdeClient, deed: Callable[[], None]) -> None:
+        try:
+            deed()
+        except ClientError as error:
+            self._leave(client, str(error))
+
+    def _leave(self, client: RtdeClient, reason: str = "") -> None:
+        if client is self._leader or not self.ended:
+            self.ended = reason
+        self._clients.pop(client)
+        for name in client.writes:
+            self.inputs.pop(name, None)
+        self._selector.unregister(client.link)
+        client.close()
+
+    def _told(self, names: tuple[str, ...], state: RobotState, held: Array, k: int) -> bytes:
+        """What a data package tells; of what this arm does not have, zeros."""
+        stop, end, stands = self.faults.protective_stop, self.faults.program_ends, self.faults.clock_stands
+        playing = self.playing and self.faults.program_begins <= k and (end is None or k < end)
+        values: dict[str, Iterable[float]] = {
+            "timestamp": (100.0 + (k if stands is None else min(k, stands)) * self.arm.t_ipo,), "target_q": held,
+            "actual_q": state.q, "actual_current": state.tau / self.arm.robot.drive_gain, "robot_mode": (7,),
+            "safety_mode": (1,), "safety_status": (1,), "runtime_state": (2 if playing else 1,),
+            "speed_scaling": (1.0,), "target_speed_fraction": (1.0,), "robot_status_bits": (3 if playing else 1,),
+            "safety_status_bits": (_PROTECTIVE if stop is not None and k >= stop else 1,), **self.inputs}
+        told = b""
+        for name in names:
+            kind = output_type(name) or "DOUBLE"
+            told += struct.pack(">" + CODES[kind], *values.get(name, (0,) * count(kind)))
+        return told

@@ -6,7 +6,7 @@ import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -128,7 +128,7 @@ class ServedArm:
         self._due = time.perf_counter()
         k = 0
         while not self._stopped:
-            session.held_up += bool(session.commands) and time.perf_counter() > self._due + _HELD_UP * self._T
+            session.held_up += self._held_up(session)
             self._ipoc = (self._ipoc + round(1e3 * self._T)) % 2**32
             self._send(link, self._wire.packet(state, begin, session.late, self._ipoc))
             correction = self._wire.answer(link, self._ipoc,
@@ -158,6 +158,9 @@ class ServedArm:
         session.ended = "stopped"
         return session
 
+    def _held_up(self, session: Session) -> bool:
+        return bool(session.commands) and time.perf_counter() > self._due + _HELD_UP * self._T
+
     def _send(self, link: socket.socket, packet: bytes) -> None:
         u = self._unkind
         lost, twice, late = self._rng.random(3) < (u.loss, u.doubled, u.late_share)
@@ -186,13 +189,13 @@ class ServedArm:
                 session.slipped += 1
 
     def _brake(self, session: Session) -> None:
-        """The controller's own ramp, within the arm's limits, from whatever speed was commanded last."""
+        """The controller's own ramp, from whatever speed was commanded last; at a joint's end it stands."""
         q = session.commands[-1]
         v = (q - session.commands[-2]) / self._T if len(session.commands) > 1 else np.zeros_like(q)
         fall = np.max(np.abs(v) / self.arm.robot.a_max)
         cycles = max(int(np.ceil(fall / self._T)), 1)
         for i in range(cycles):
-            q = q + v * (1.0 - (i + 1) / cycles) * self._T
+            q = np.clip(q + v * (1.0 - (i + 1) / cycles) * self._T, self.arm.robot.q_min, self.arm.robot.q_max)
             self._moved(q, session)
         for _ in range(round(_STANDING / self._T)):
             self._moved(q, session)
@@ -224,33 +227,81 @@ class ServedArm:
 # A UR controller in real time around a simulated arm, client after client.
 
 class ServedRtde(ServedArm):
-    """As ``ServedArm``, behind RTDE: ``address`` is where it listens. A client that leaves ends its session."""
+    """As ``ServedArm``, behind RTDE: ``address`` is where it listens, from the beginning.
+
+    A session begins with the first command of a client that leads the arm, and ends when it leaves, is silent, or
+    commands what the controller refuses. Other clients are told the state all the time.
+    """
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._controller = RtdeController(self.arm, address=self._address)
+        self._state = RobotState(0.0, self._start, np.zeros(self.arm.robot.n))
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        return self._controller.address
 
     def sessions(self, most: int, done: Callable[[Session], None]) -> None:
         """See ``ServedArm.sessions``."""
         count = 0
-        while not self._stopped and (most == 0 or count < most):
-            self._controller = RtdeController(self.arm, timeout=ANSWER_WITHIN * self._host_T, port=self._address[1],
-                                              after=self._carry_and_listen)
-            self._due = time.perf_counter()
-            self._controller.run()
-            session = Session([np.array(row) for row in self._controller.commands],
-                              len(self._controller.commands), ended="the client has left")
-            if self._moved_by(session.commands):
-                self._brake(session)
-                done(session)
-                self._go_back(session.commands[-1])
-                count += 1
-            elif session.commands:
-                self._reset()
+        try:
+            while not self._stopped and (most == 0 or count < most):
+                session = self._led()
+                self._controller.playing = False
+                self._controller.let_go(session.ended)
+                if self._moved_by(session.commands):
+                    self._brake(session)
+                    done(session)
+                    self._go_back(session.commands[-1])
+                    count += 1
+                elif session.commands:
+                    self._reset()
+                self._controller.playing = True
+        finally:
+            self._controller.close()
 
     def stop(self) -> None:
         """Ends ``sessions`` after the present cycle."""
         super().stop()
         self._controller.stop()
 
-    def _carry_and_listen(self, k: int) -> None:
-        self._carry(k)
+    def _led(self) -> Session:
+        """Waits for a client's command, then moves the arm by its commands until they stop coming."""
+        session, held, silent = Session(), self._start, 0
+        self._state, self._due = RobotState(0.0, self._start, np.zeros(self.arm.robot.n)), time.perf_counter()
+        while not self._stopped:
+            session.held_up += self._held_up(session)
+            end = max(self._due, time.perf_counter()) + ANSWER_WITHIN * self._host_T
+            answered = self._controller.exchange(self._state, held, end if self._controller.led else 0.0)
+            wanted = self._controller.commanded
+            if answered and wanted is not None:
+                held, silent = wanted, 0
+                session.answered += 1
+            elif session.commands:
+                silent += 1
+                session.late += 1
+            if session.commands and not self._controller.led:
+                session.ended = self._controller.ended
+                return session
+            if silent * self._T > TIMEOUT:
+                session.ended = f"no command for {1e3 * TIMEOUT:.0f} ms"
+                return session
+            if session.answered:
+                try:
+                    self._state = self.arm.cycle(held)
+                except IdealRobotError as error:
+                    session.ended = f"the controller refuses: {error}"
+                    return session
+                session.commands.append(held)
+            self._carry(len(session.commands), session)
+        session.ended = "stopped"
+        return session
+
+    def _moved(self, q: Array, session: Session | None = None) -> None:
+        self._controller.exchange(self._state, q, 0.0)
+        super()._moved(q, session)
 
     def _moved_by(self, commands: list[Array]) -> bool:
         return bool(commands) and bool(np.abs(np.array(commands) - self._start).max() > 1e-6)

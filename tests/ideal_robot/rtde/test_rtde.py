@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import importlib.util
+import socket
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rtde import RtdeError, RtdeRobot
-from ideal_robot.rtde.wire import MAX_PACKAGE, Kind, Reader, Recipe, package, said
+from ideal_robot.rtde.wire import MAX_PACKAGE, Kind, Reader, Recipe, RtdeConnection, package, said
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.rtde_controller import RtdeController, RtdeFaults
@@ -26,11 +29,11 @@ ROBOT = Robot.load("kr6")
 
 
 @contextmanager
-def connected(**faults) -> Iterator[tuple[RtdeRobot, RtdeController]]:
+def connected(timeout: float = 5.0, patience: float = 5.0, **faults) -> Iterator[tuple[RtdeRobot, RtdeController]]:
     with (SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm,
-          serving(RtdeController(arm, RtdeFaults(**faults))) as controller,
-          RtdeRobot(ROBOT, *controller.address[:1], port=controller.address[1], timeout=5.0) as link):
-        link.connect()
+          serving(RtdeController(arm, RtdeFaults(**faults), timeout=timeout)) as controller,
+          RtdeRobot(ROBOT, controller.address[0], port=controller.address[1], timeout=patience) as link):
+        link.connect(patience=0.5)
         yield link, controller
 
 
@@ -52,12 +55,20 @@ def test_what_is_agreed_on_is_what_was_asked_for() -> None:
         np.testing.assert_allclose(link.commanded, ROBOT.home, atol=1e-12)
         for k in (1, 2, 3):
             link.cycle(ramp(k))
-        assert controller.inputs["input_int_register_24"] == 3
-        np.testing.assert_array_equal([controller.inputs[f"input_double_register_{24 + i}"] for i in range(6)], ramp(3))
+        assert controller.inputs["input_int_register_24"] == (3,)
+        np.testing.assert_array_equal(controller.commanded, ramp(3))
+
+
+def test_a_program_may_be_started_after_the_connection() -> None:
+    with connected(program_begins=20) as (link, controller):
+        until(link)
+        assert controller.faults.program_begins < len(controller.commands)
+        np.testing.assert_allclose(controller.commands[20], ROBOT.home, atol=1e-12)
 
 
 @pytest.mark.parametrize(("faults", "says"), [
     ({"protocols": (1,)}, "does not know version 2"),
+    ({"program_begins": 10**6}, "program was not started within 0.5 s"),
     ({"unknown": ("actual_current",)}, "actual_current: the controller does not know it"),
     ({"in_use": ("input_double_register_26",)}, "input_double_register_26: another client writes it"),
     ({"protective_stop": 0, "says": "C153A0 collision"}, "protective stop, stopped by safety; it says: C153A0"),
@@ -78,10 +89,18 @@ def test_what_ends_a_run_is_named(faults, says: str) -> None:
     with connected(**faults) as (link, controller):
         with pytest.raises(RtdeError, match=says):
             until(link)
-        assert 25 <= link.counts.cycles <= 32
+        assert 25 <= link.counts.cycles <= 33
         # Stopped, the arm gets no further command.
         np.testing.assert_array_equal(controller.commands[-1], link.commanded if "skips" in faults else
                                       controller.commands[-1])
+
+
+def test_time_stamps_that_stand_still_end_the_run() -> None:
+    """A controller goes on sending, whether it gets commands or not."""
+    with connected(timeout=0.02, patience=1.0, clock_stands=30) as (link, _):
+        with pytest.raises(RtdeError, match=r"time stamps do not go on \(100.36. s after 100.36. s\)"):
+            until(link)
+        assert link.counts.outdated > 10
 
 
 def test_missed_cycles_are_made_good_within_the_limits() -> None:
@@ -120,7 +139,7 @@ def test_a_public_client_understands_our_controller() -> None:
         pytest.skip("the package ur-rtde is not installed")
     with SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm:
         try:
-            controller = RtdeController(arm, timeout=0.01, port=30004)
+            controller = RtdeController(arm, timeout=0.01, address=("127.0.0.1", 30004))
         except OSError:
             pytest.skip("something else listens on RTDE's port 30004")
         with serving(controller):
@@ -168,23 +187,58 @@ def test_a_size_that_cannot_be_ends_the_connection(size: int) -> None:
         reader.next()
 
 
+FIELDS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "safety_mode": "INT32"}
+AGREED = b"\7DOUBLE,VECTOR6D,INT32"
+
+
 def test_a_recipe_takes_what_fits_it_and_nothing_else() -> None:
-    recipe = Recipe.agreed(("timestamp", "actual_q", "safety_mode"), b"\7DOUBLE,VECTOR6D,INT32")
+    recipe = Recipe.agreed(FIELDS, AGREED)
     data = recipe.packed(1.5, 1, 2, 3, 4, 5, 6, -1)
     assert data[:4] == struct.pack(">HBB", 4 + 60, ord("U"), 7)
-    assert recipe.unpacked(data[3:]) == {"timestamp": 1.5, "actual_q": (1, 2, 3, 4, 5, 6), "safety_mode": -1}
+    assert recipe.unpacked(data[3:]) == {"timestamp": (1.5,), "actual_q": (1, 2, 3, 4, 5, 6), "safety_mode": (-1,)}
     for wrong in (data[3:-1], data[3:] + b"\0", b"\6" + data[4:], b""):
         with pytest.raises(RtdeError, match="does not fit"):
             recipe.unpacked(wrong)
-    for answer in (b"", b"\0DOUBLE", b"\1DOUBLE,DOUBLE", b"\1FLOAT"):
+    for answer in (b"", b"\0DOUBLE", b"\1DOUBLE,DOUBLE"):
         with pytest.raises(RtdeError, match="cannot be used"):
-            Recipe.agreed(("timestamp",), answer)
+            Recipe.agreed({"timestamp": "DOUBLE"}, answer)
+
+
+@pytest.mark.parametrize("told", ["VECTOR6D", "FLOAT", "", "double"])
+def test_a_field_of_another_type_is_refused_before_a_number_is_sent(told: str) -> None:
+    with pytest.raises(RtdeError, match="input_double_register_24: DOUBLE is expected, the controller says"):
+        Recipe.agreed({"input_double_register_24": "DOUBLE"}, b"\1" + told.encode())
+
+
+def test_a_flood_of_other_packages_does_not_hold_up_what_waits_for_an_answer() -> None:
+    """Each read waits as long as it is told to, whatever comes meanwhile."""
+    stopped = threading.Event()
+
+    def flood(controller: socket.socket) -> None:
+        with suppress(OSError):
+            while not stopped.is_set():
+                controller.sendall(package(Kind.TEXT, b"\2hi\4RTDE\3") * 100)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        link = RtdeConnection(*listener.getsockname(), 0.3)
+        controller, _ = listener.accept()
+        thread = threading.Thread(target=flood, args=(controller,))
+        thread.start()
+        try:
+            with pytest.raises(RtdeError, match=r"within 0.3 s; it says: hi"):
+                link.agree()
+            with pytest.raises(RtdeError, match=r"within 0.2 s; it says: hi"):
+                link.newest(Recipe.agreed(FIELDS, AGREED), Deadline.within(0.2))
+        finally:
+            stopped.set()
+            link.close()
+            controller.close()
+            thread.join()
 
 
 def test_mutated_answers_end_the_connection_and_nothing_else() -> None:
     rng = np.random.default_rng(3)
-    recipe = Recipe.agreed(("timestamp", "actual_q"), b"\1DOUBLE,VECTOR6D")
-    stream = package(Kind.OUTPUTS, b"\1DOUBLE,VECTOR6D") + recipe.packed(1.0, *range(6))
+    stream = package(Kind.OUTPUTS, AGREED) + Recipe.agreed(FIELDS, AGREED).packed(1.0, *range(7))
     for _ in range(20_000):
         data = bytearray(stream)
         for _ in range(int(rng.integers(1, 4))):
@@ -192,10 +246,11 @@ def test_mutated_answers_end_the_connection_and_nothing_else() -> None:
         reader = Reader()
         reader.feed(bytes(data))
         try:
+            recipe = Recipe.agreed(FIELDS, AGREED)
             while (found := reader.next()) is not None:
                 if found[0] == Kind.OUTPUTS:
-                    Recipe.agreed(("timestamp", "actual_q"), found[1])
+                    recipe = Recipe.agreed(FIELDS, found[1])
                 elif found[0] == Kind.DATA:
-                    assert set(recipe.unpacked(found[1])) == {"timestamp", "actual_q"}
+                    assert set(recipe.unpacked(found[1])) == set(FIELDS)
         except RtdeError:
             continue

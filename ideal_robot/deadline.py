@@ -1,0 +1,34 @@
+"""Until when something is waited for, by the one clock that neither jumps nor goes back."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Deadline:
+    """An end that a whole wait shares, however many reads it takes.
+
+    Attributes:
+        seconds: how long was to be waited [s].
+        end: until when, by ``time.perf_counter`` [s].
+    """
+
+    seconds: float
+    end: float
+
+    @classmethod
+    def within(cls, seconds: float) -> Deadline:
+        """So long from now [s]."""
+        return cls(seconds, time.perf_counter() + seconds)
+
+    @property
+    def left(self) -> float:
+        """What is left [s]; 0 when it has passed."""
+        return max(self.end - time.perf_counter(), 0.0)
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is left."""
+        return self.left == 0.0

@@ -1,0 +1,201 @@
+"""One client of a simulated UR controller: what it asks for is answered, what it may not do ends its connection."""
+
+from __future__ import annotations
+
+import math
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+
+from sim.devices.rtde_fields import CODES, count, input_type, output_type
+
+_HEADER = struct.Struct(">HB")
+_PIECE = 1 << 16
+_UNREAD = 1 << 17
+"""What may wait for a client that does not read [bytes]; a thousand data packages of the usual fields."""
+_RECIPES = 255
+"""Numbers of recipes are one byte, and 0 is none."""
+_DATA = 4096
+"""Longest data package [bytes]."""
+
+Inputs = dict[str, tuple[float, ...]]
+"""Values that a client has written, by name."""
+
+
+class ClientError(Exception):
+    """The client is let go; the text says why."""
+
+
+@dataclass
+class RtdeFaults:
+    """What the controller shall do that it should not, by the number of the cycle.
+
+    Attributes:
+        protocols: versions of the protocol it knows.
+        unknown: fields it does not know.
+        in_use: input fields another client writes.
+        skips: cycles whose data package is left out.
+        protective_stop: cycle from which the arm is stopped by its safety system.
+        program_begins: cycle from which the program runs.
+        program_ends: cycle from which the program does not run any more.
+        clock_stands: cycle from which the time stamps stay what they are.
+        disconnects: cycle at which it closes the connection.
+        says: text it sends at the start.
+    """
+
+    protocols: tuple[int, ...] = (2,)
+    unknown: tuple[str, ...] = ()
+    in_use: tuple[str, ...] = ()
+    skips: tuple[int, ...] = ()
+    protective_stop: int | None = None
+    program_begins: int = 0
+    program_ends: int | None = None
+    clock_stands: int | None = None
+    disconnects: int | None = None
+    says: str = ""
+
+
+class RtdeClient:
+    """A connection of a client.
+
+    Args:
+        link: accepted from the listener.
+        faults: what of the agreement goes wrong.
+        taken: whether another client writes a field.
+
+    Attributes:
+        started: whether it gets data packages.
+        outputs: names of the fields it gets.
+        rate: how often it wants them [Hz].
+        writes: names of the fields it may write.
+    """
+
+    def __init__(self, link: socket.socket, faults: RtdeFaults, taken: Callable[[RtdeClient, str], bool]) -> None:
+        link.setblocking(False)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.link, self._faults, self._taken = link, faults, taken
+        self.started = False
+        self.outputs: tuple[str, ...] = ()
+        self.rate = math.inf
+        self.writes: set[str] = set()
+        self._recipes: list[tuple[dict[str, str], struct.Struct]] = []
+        self._waiting, self._unsent = b"", b""
+
+    def read(self) -> list[Inputs]:
+        """Answers what has been asked, and returns what was written, data package by data package.
+
+        Raises:
+            ClientError: it has left, or is no sound client.
+        """
+        try:
+            piece = self.link.recv(_PIECE)
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            raise ClientError("the client has left") from error
+        if not piece:
+            raise ClientError("the client has left")
+        self._waiting += piece
+        try:
+            written = [self._answer(letter, payload) for letter, payload in self._packages()]
+        except (struct.error, UnicodeDecodeError) as error:
+            raise ClientError(f"the client was let go: a package that cannot be read ({error})") from error
+        return [one for one in written if one is not None]
+
+    def tell(self, payload: bytes) -> None:
+        """A data package with the values of ``outputs``."""
+        self._send("U", b"\1" + payload)
+
+    def close(self) -> None:
+        """Ends the connection."""
+        self.link.close()
+
+    def _packages(self) -> Iterator[tuple[str, bytes]]:
+        while len(self._waiting) >= _HEADER.size:
+            size, letter = _HEADER.unpack_from(self._waiting)
+            if size < _HEADER.size:
+                raise ClientError(f"the client was let go: a package of {size} bytes")
+            if len(self._waiting) < size:
+                return
+            payload, self._waiting = self._waiting[_HEADER.size : size], self._waiting[size:]
+            yield chr(letter), payload
+
+    def _answer(self, letter: str, payload: bytes) -> Inputs | None:
+        """Answers a package; returns the values if it is a data package."""
+        if letter == "U":
+            return self._written(payload)
+        if letter == "V":
+            self._send("V", b"\1" if struct.unpack(">H", payload)[0] in self._faults.protocols else b"\0")
+        elif letter == "v":
+            self._send("v", struct.pack(">4I", 5, 11, 0, 0))
+        elif letter == "O":
+            self._asks_outputs(payload)
+        elif letter == "I":
+            self._asks_inputs(payload)
+        elif letter in "SP":
+            self.started = letter == "S"
+            if self.started and self._faults.says:
+                text = self._faults.says.encode()
+                self._send("M", bytes((len(text),)) + text + b"\4RTDE\3")
+            self._send(letter, b"\1")
+        elif letter != "M":
+            raise ClientError(f"the client was let go: a package of kind {letter!a}")
+        return None
+
+    def _asks_outputs(self, payload: bytes) -> None:
+        rate, = struct.unpack_from(">d", payload)
+        if not 0.0 < rate < math.inf:
+            raise ClientError(f"the client was let go: it asks for {rate} packages a second")
+        types = {name: output_type(name) or "NOT_FOUND" for name in _names(payload[8:])}
+        types.update(dict.fromkeys(set(types) & set(self._faults.unknown), "NOT_FOUND"))
+        if set(types.values()) <= set(CODES):
+            _layout(types)
+            self.outputs, self.rate = tuple(types), rate
+        self._send("O", b"\1" + ",".join(types.values()).encode())
+
+    def _asks_inputs(self, payload: bytes) -> None:
+        names = _names(payload)
+        types = {name: "IN_USE" if name in self._faults.in_use or self._taken(self, name)
+                 else input_type(name) or "NOT_FOUND" for name in names}
+        sound = set(types.values()) <= set(CODES)
+        if sound:
+            self._recipes.append((types, _layout(types)))
+            self.writes.update(names)
+        if len(self._recipes) > _RECIPES:
+            raise ClientError(f"the client was let go: more than {_RECIPES} recipes")
+        self._send("I", bytes((len(self._recipes) if sound else 0,)) + ",".join(types.values()).encode())
+
+    def _written(self, payload: bytes) -> Inputs:
+        if not payload or not 0 < payload[0] <= len(self._recipes):
+            raise ClientError("the client was let go: a data package of a recipe that was not agreed on")
+        types, layout = self._recipes[payload[0] - 1]
+        values = iter(layout.unpack(payload[1:]))
+        return {name: tuple(islice(values, count(kind))) for name, kind in types.items()}
+
+    def _send(self, letter: str, payload: bytes) -> None:
+        self._unsent += _HEADER.pack(_HEADER.size + len(payload), ord(letter)) + payload
+        try:
+            self._unsent = self._unsent[self.link.send(self._unsent) :]
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            raise ClientError("the client has left") from error
+        if len(self._unsent) > _UNREAD:
+            raise ClientError("the client was let go: it does not read what it is sent")
+
+
+def _names(payload: bytes) -> list[str]:
+    """Field names of a recipe; some clients end the list with a comma."""
+    names = payload.decode("ascii").rstrip(",").split(",")
+    if len(set(names)) < len(names):
+        raise ClientError("the client was let go: a field stands in its recipe twice")
+    return names
+
+
+def _layout(types: dict[str, str]) -> struct.Struct:
+    layout = struct.Struct(">" + "".join(CODES[kind] for kind in types.values()))
+    if layout.size > _DATA:
+        raise ClientError(f"the client was let go: a recipe of {layout.size} bytes")
+    return layout
