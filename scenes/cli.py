@@ -1,4 +1,4 @@
-"""The command line: one verb a job, one file a verb in ``scenes/commands``."""
+"""The command line: one verb a job; the verbs stand by theme in ``scenes/commands``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import warnings
+from collections.abc import Callable
 from functools import cache
 from importlib import metadata
 from typing import Annotated
@@ -24,28 +25,28 @@ from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
 from scenes.terminal import shown  # noqa: E402
 
 VERBS = {
-    "run": "run",
-    "compare": "compare",
-    "sweep": "sweep",
-    "prepare": "prepare",
-    "identify": "identify",
-    "plan-identification": "plan_identification",
-    "stiffness": "stiffness",
-    "diagnose": "diagnose",
-    "plan-diagnosis": "plan_diagnosis",
-    "close-loop": "close_loop",
-    "precorrect": "precorrect",
-    "rsi": "rsi",
-    "follow": "follow",
-    "simulate": "simulate",
-    "detect": "detect",
-    "export": "export",
-    "fetch": "fetch",
-    "list": "list",
-    "new": "new",
-    "view": "view",
+    "run": "play:run",
+    "compare": "play:compare",
+    "sweep": "play:sweep",
+    "prepare": "play:prepare",
+    "identify": "recordings:identify",
+    "plan-identification": "motions:plan_identification",
+    "stiffness": "recordings:stiffness",
+    "diagnose": "recordings:diagnose",
+    "plan-diagnosis": "motions:plan_diagnosis",
+    "close-loop": "play:close_loop",
+    "precorrect": "recordings:precorrect",
+    "rsi": "devices:rsi",
+    "follow": "devices:follow",
+    "simulate": "devices:simulate",
+    "detect": "devices:detect",
+    "export": "files:export",
+    "fetch": "files:fetch",
+    "list": "files:list_",
+    "new": "files:new",
+    "view": "files:view",
 }
-"""Verb on the command line → module in ``scenes/commands`` whose function ``command`` it calls."""
+"""Verb on the command line → module in ``scenes/commands`` and its function."""
 
 app = typer.Typer(
     name="ideal-robot",
@@ -84,8 +85,15 @@ class Verb(TyperCommand):
 
 @cache
 def _register() -> None:
-    for verb, module in VERBS.items():
-        app.command(verb, cls=Verb)(importlib.import_module(f"scenes.commands.{module}").command)
+    for verb in VERBS:
+        app.command(verb, cls=Verb)(function_of(verb))
+
+
+def function_of(verb: str) -> Callable[..., None]:
+    """The function that a verb calls."""
+    module, _, name = VERBS[verb].partition(":")
+    found: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
+    return found
 
 
 def main() -> None:

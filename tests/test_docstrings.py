@@ -33,10 +33,17 @@ def documented(docstring: str) -> set[str]:
     return {name.strip().lstrip("*") for line in lines for name in line.split(",")}
 
 
+SHARED = {target.id: node.value
+          for node in ast.parse((ROOT / "scenes" / "commands" / "options.py").read_text(encoding="utf-8")).body
+          if isinstance(node, ast.Assign) for target in node.targets if isinstance(target, ast.Name)}
+"""Options that several verbs have: their annotations by name."""
+
+
 def helped(function: Function) -> set[str]:
     """Names of the parameters whose annotation, ``Annotated[…, typer.Option(help="…")]``, says what they are."""
     return {one.arg for one in (*function.args.args, *function.args.kwonlyargs) if one.annotation
-            for call in ast.walk(one.annotation) if isinstance(call, ast.Call)
+            for call in ast.walk(SHARED.get(getattr(one.annotation, "id", ""), one.annotation))
+            if isinstance(call, ast.Call)
             for keyword in call.keywords if keyword.arg == "help"
             # A text, or a call that makes one of what is registered.
             and (isinstance(keyword.value, ast.Call) or getattr(keyword.value, "value", ""))}

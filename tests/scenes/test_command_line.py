@@ -22,9 +22,8 @@ import scenes
 from ideal_robot.identification import whole_model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
-from scenes.cli import VERBS, _register, app, main
-from scenes.commands import diagnose as diagnose_command
-from scenes.commands import identify as identify_command
+from scenes.cli import VERBS, _register, app, function_of, main
+from scenes.commands import recordings
 from scenes.commands.common import show_table
 from scenes.path import close_loop, kind
 from scenes.scene_file import load_scene
@@ -136,7 +135,7 @@ def test_help_has_an_example(tmp_path: Path, verb: str) -> None:
 
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(verb: str, tmp_path: Path) -> None:
-    from scenes.commands.method_option import completed, methods_of
+    from scenes.commands.options import completed, methods_of
 
     done = program(verb, "--help", cwd=tmp_path)
     told = " ".join(done.stdout.replace("│", " ").split())
@@ -199,7 +198,7 @@ def test_completion_can_be_installed() -> None:
 @pytest.mark.parametrize("verb", sorted(VERBS))
 def test_robot_means_the_same_in_every_verb(verb: str) -> None:
     """A name or a path of an arm; drive data have their own option."""
-    command = importlib.import_module(f"scenes.commands.{VERBS[verb]}").command
+    command = function_of(verb)
     hints = get_type_hints(command, include_extras=True)
     assert "urdf" not in inspect.signature(command).parameters
     if "robot" in hints:
@@ -321,7 +320,7 @@ def test_identification_and_a_played_path_go_by_their_shares() -> None:
 
 def test_drawing_the_page_is_no_last_moment() -> None:
     """It takes a third of the time or more, so that the bar has room left for it."""
-    for shares in (diagnose_command.SHARES, identify_command.SHARES, identify_command.SHARES_WITH_CASCADE):
+    for shares in (recordings.SHARES, recordings.SHARES_OF_DIAGNOSIS, recordings.SHARES_WITH_CASCADE):
         assert list(shares)[-1] == "drawing"
         assert shares["drawing"] > 0.25
     assert close_loop.SHARES["rounds"] > 0.5

@@ -26,7 +26,7 @@ from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
 from ideal_robot.whole_file import OutputError, write_text
 from scenes.cli import ended_by, main
-from scenes.commands import export, new
+from scenes.commands.files import export, new
 from scenes.models import prepared_model, shipped_model
 from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.outputs import check_outputs, whole_folder
@@ -98,7 +98,7 @@ def test_a_new_scene_that_finds_no_room_leaves_the_old_one(tmp_path: Path, monke
 
     monkeypatch.setattr("ideal_robot.whole_file.synchronise", full)
     with pytest.raises(OutputError):
-        new.command("weld", force=True)
+        new("weld", force=True)
     assert Path("weld.toml").read_text() == "mine"
 
 
@@ -106,9 +106,9 @@ def test_places_of_an_export_are_tried_before_work_begins(tmp_path: Path) -> Non
     place = tmp_path / "a.mcap"
     place.mkdir()
     with pytest.raises(InputError, match="is a folder"):
-        export.command(tmp_path / "absent.csv", mcap=place, csv=tmp_path / "x.csv")
+        export(tmp_path / "absent.csv", mcap=place, csv=tmp_path / "x.csv")
     with pytest.raises(InputError, match="a bag is a new folder"):
-        export.command(tmp_path / "absent.csv", rosbag2=place, csv=tmp_path / "x.csv")
+        export(tmp_path / "absent.csv", rosbag2=place, csv=tmp_path / "x.csv")
 
 
 # A limit on the size of files stands for a disk that is full: verbs say in one line what and what helps.
@@ -231,11 +231,11 @@ def test_a_cache_folder_that_cannot_be_written_is_told_before_the_arm_moves(tmp_
 
 
 def test_a_recording_s_ending_is_refused_before_the_arm_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    from scenes.commands import rsi
+    from scenes.commands.devices import rsi
 
     monkeypatch.setattr("scenes.rsi.setup.rsi_server", lambda *_, **__: pytest.fail("moved"))
     with pytest.raises(InputError, match=r"\.parquet or \.csv"):
-        rsi.command(Path("p.csv"), record=Path("moved.txt"))
+        rsi(Path("p.csv"), record=Path("moved.txt"))
 
 
 def test_a_closing_that_finds_no_room_says_which_model_is_left(tmp_path: Path) -> None:

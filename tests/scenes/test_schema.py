@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 from ideal_robot.errors import InputError
 from scenes.catalogue import catalogue
-from scenes.commands.new import command as new
+from scenes.commands.files import new
 from scenes.kind import KINDS
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape

@@ -16,15 +16,15 @@ from typer.testing import CliRunner
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from scenes import cli
-from scenes.commands.detect import command
-from scenes.commands.export import command as export_command
+from scenes.commands.devices import detect
+from scenes.commands.files import export
 from scenes.detection import pictures
-from scenes.export.rerun_file import write_rerun
+from scenes.rerun_file import write_rerun
 from tests.sensing.camera.synthetic import drawn_line
 from trials.rivals import draw_rivals
 
 app = typer.Typer()
-app.command()(command)
+app.command()(detect)
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ def test_a_small_file_of_a_huge_picture_is_refused_before_it_is_unpacked(tmp_pat
 # ``ideal-robot export`` writes what its options say, and nothing for names that cannot be.
 
 exporting = typer.Typer()
-exporting.command()(export_command)
+exporting.command()(export)
 
 
 @pytest.fixture

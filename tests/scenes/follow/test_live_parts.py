@@ -46,7 +46,7 @@ def _arm(link: Tame, tmp_path: Path) -> LiveArm:
 
 
 def test_the_followers_process_knows_no_simulator() -> None:
-    program = ("import sys, scenes.commands.follow, scenes.online.run, scenes.online.run as s, "
+    program = ("import sys, scenes.commands.devices, scenes.online.run, scenes.online.run as s, "
                "scenes.online.camera_process, scenes.scene_files.scene, scenes.outputs;"
                "s.load_cell('line'), s.load_cell('glue');"
                "found = sorted(m for m in sys.modules if m.split('.')[0] in ('sim', 'pybullet'));"
@@ -56,7 +56,7 @@ def test_the_followers_process_knows_no_simulator() -> None:
 
 
 def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None:
-    program = ("import sys, scenes.commands.follow; from scenes.online.run import _job; "
+    program = ("import sys, scenes.commands.devices; from scenes.online.run import _job; "
                "from scenes.online.devices import Devices; from scenes.online.run import load_cell; "
                "from scenes.commands.common import closed; from scenes.terminal import progress_bar; "
                "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"

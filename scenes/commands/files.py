@@ -1,0 +1,221 @@
+"""Verbs on files: list, new, export, fetch, view."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class What(StrEnum):
+    """What can be listed."""
+
+    SCENES = "scenes"
+    ROBOTS = "robots"
+    METHODS = "methods"
+    EFFECTS = "effects"
+    DETECTORS = "detectors"
+    KEYS = "keys"
+
+
+def list_(
+    what: Annotated[What, typer.Argument(help="scenes, robots, methods, effects, detectors, or keys of scene files.")],
+    kind: Annotated[str, typer.Option(help="With keys: of which kind of scene.")] = "line",
+    json: Annotated[Path | None, typer.Option(help="Write the list as JSON to this file; with keys, the JSON Schema.",
+                                              )] = None,
+) -> None:
+    """Lists the scenes, robots, methods, effects and detectors there are, those of other packages included.
+
+    Example: `ideal-robot list scenes`
+    """
+    from scenes.catalogue import catalogue
+    from scenes.commands.common import show_table
+    from scenes.report.page import write_json
+    from scenes.schema import json_schema
+
+    columns, rows = catalogue(what.value, kind)
+    show_table(what.value, columns, rows)
+    if json is not None:
+        write_json(json, json_schema(kind) if what is What.KEYS
+                   else {what.value: [dict(zip(columns, row, strict=True)) for row in rows]})
+
+
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the scene; the file is NAME.toml in this folder.")],
+    kind: Annotated[str, typer.Option(help="Kind of scene: line, path, force, clamped or close_clamped.")] = "line",
+    force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
+) -> None:
+    """Writes a scene file that can be played at once and says in comments which keys there are besides.
+
+    Example: `ideal-robot new weld_seam --kind line`
+    """
+    from ideal_robot.errors import InputError
+    from ideal_robot.whole_file import write_text
+    from scenes.kind import KINDS
+    from scenes.scene_file import library, load_scene
+    from scenes.scene_files.scene import NAME
+    from scenes.schema import commented_scene
+
+    if not NAME.fullmatch(name):
+        raise InputError("expected letters, digits and _ - + . ( ) or spaces", field="NAME", value=name)
+    KINDS.get(kind)
+    path = Path(f"{name}.toml")
+    if path.exists() and not force:
+        raise InputError("there is such a file already; take another name, or --force", file=path)
+    examples = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1",
+                "close_clamped": "close_clamped"}
+    found = examples.get(kind)
+    if found is None:
+        raise InputError("no shipped scene is of that kind; see the documentation of the package that added it",
+                         field="--kind", value=kind)
+    write_text(path, commented_scene(name, kind, (library() / f"{found}.toml").read_text(encoding="utf-8")))
+    load_scene(f"./{path}")
+    typer.echo(f"written: {path}")
+    typer.echo(f"play it: ideal-robot run ./{path}")
+
+
+def export(
+    recording: Annotated[Path, typer.Argument(help="Recording (Parquet, CSV, ROS 2 bag or MCAP).")],
+    mcap: Annotated[Path | None, typer.Option(help="MCAP file with ROS 2 messages, for Foxglove.")] = None,
+    rosbag2: Annotated[Path | None, typer.Option(help="Folder of a ROS 2 bag.")] = None,
+    rerun: Annotated[Path | None, typer.Option(help="Rerun file (.rrd); needs the extra 'rerun'.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV file.")] = None,
+    parquet: Annotated[Path | None, typer.Option(help="Parquet file.")] = None,
+) -> None:
+    """Writes a recording as MCAP, ROS 2 bag, Rerun file, CSV or Parquet; several at once if wanted.
+
+    Example: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
+    """
+    from ideal_robot.errors import InputError
+    from ideal_robot.signals.recording import Recording
+    from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
+    from scenes.outputs import check_outputs
+    from scenes.rerun_file import write_rerun
+    from scenes.terminal import progress_bar
+
+    # The one that needs an extra comes first: where that is missing nothing has been written.
+    writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),
+               "--csv": (csv, Recording.write), "--parquet": (parquet, Recording.write)}
+    wanted = {option: (path, writer) for option, (path, writer) in writers.items() if path is not None}
+    if not wanted:
+        raise InputError(f"say which format: {', '.join(writers)}", field="export")
+    for option, path, ending in (("--mcap", mcap, ".mcap"), ("--rerun", rerun, ".rrd"), ("--csv", csv, ".csv"),
+                                 ("--parquet", parquet, ".parquet")):
+        if path is not None and path.suffix != ending:
+            raise InputError(f"expected a name ending in {ending}", field=option, value=str(path))
+    if rosbag2 is not None and rosbag2.exists():
+        raise InputError("a bag is a new folder; choose a name that does not exist", field="--rosbag2",
+                         value=str(rosbag2))
+    check_outputs({"--rosbag2": rosbag2}, mcap=mcap, rerun=rerun, csv=csv, parquet=parquet)
+    loaded = Recording.read(recording)
+    with progress_bar("export") as progress:
+        for i, (option, (path, writer)) in enumerate(wanted.items()):
+            progress(i / len(wanted), option[2:])
+            typer.echo(f"written: {writer(loaded, path)}")
+
+
+def fetch(
+    name: Annotated[str | None, typer.Argument(help="Which data set; without it they are listed.")] = None,
+    file: Annotated[Path | None, typer.Option(help="The original file, where it was downloaded by hand.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the recording.")] = Path("data"),
+    json: Annotated[Path | None, typer.Option(help="Write what was fetched, or the list, as JSON to this file.",
+                                              )] = None,
+) -> None:
+    """Gets a public data set by its address, compares it with a checksum, and writes it as a recording.
+
+    None of them is part of this package: each has its own licence, which is written beside the recording.
+
+    Example: `ideal-robot fetch ur10e_ptp`
+    """
+    from scenes.commands.common import show_table
+    from scenes.data_sets import data_sets, fetch
+    from scenes.outputs import check_outputs
+    from scenes.report.page import write_json
+
+    if name is None:
+        rows = [[one.name, one.title, one.licence, one.page] for one in data_sets().values()]
+        show_table("public data sets", ["name", "what", "licence", "page"], rows)
+        if json is not None:
+            write_json(json, {"data_sets": [dict(zip(("name", "title", "licence", "page"), row, strict=True))
+                                            for row in rows]})
+        return
+    check_outputs({"--out": out}, json=json)
+    path = fetch(name, out, file=file)
+    one = data_sets()[name]
+    if json is not None:
+        write_json(json, {"name": name, "recording": path, "licence": one.licence, "cite": one.cite, "page": one.page})
+    typer.echo(f"{one.title}\nlicence: {one.licence}\ncite: {one.cite}\nrecording: {path}")
+
+
+def view(
+    what: Annotated[str, typer.Argument(help="A scene (name or .toml), a recording (.parquet, .csv) or a robot.")],
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                              "URDF; needed where a recording does not say it.")] = None,
+    port: Annotated[int, typer.Option(help="TCP port on this machine; the next free one where it is taken.", min=1,
+                                      max=65535)] = 8080,
+    live: Annotated[Path | None, typer.Option(help="Folder of a run on devices that goes on or is about to begin, "
+                                              "such as out/follow/line; WHAT is its scene.")] = None,
+    once: Annotated[bool, typer.Option("--once", help="Set the page up and leave: a check without a browser.")] = False,
+) -> None:
+    """Shows an arm in a browser: a recording played, a scene played first and then shown, or a robot at home.
+
+    With --live a run of `ideal-robot follow` is shown while it goes on, from the journal it writes.
+
+    Example: `ideal-robot view out/line/recording.parquet`
+    """
+    from ideal_robot.robots.robot import SHIPPED, Robot
+    from scenes.kind import kind_of
+    from scenes.scene_file import load_scene
+    from scenes.terminal import progress_bar
+    from scenes.view.viewer import Player, Viewer, open_recording, recorded_replay
+
+    if live is not None:
+        from scenes.online.run import load_cell
+        from scenes.scene_files.drawn_line import reference_points
+        from scenes.view.live import watch
+
+        cell = load_cell(what)
+        page = watch(Robot.load(robot or cell.robot), live, port, {"reference": reference_points(cell)})  # type: ignore[arg-type]
+        typer.echo(f"open http://127.0.0.1:{page.viewer.port} in a browser; Ctrl-C ends")
+        try:
+            while not once:
+                page.update()
+                time.sleep(0.1)
+        except KeyboardInterrupt:
+            typer.echo("closed")
+        page.viewer.server.stop()
+        return
+    replay = None
+    curves: dict = {}
+    if Path(what).suffix in (".parquet", ".csv"):
+        arm, recording = open_recording(Path(what), robot)
+        replay = recorded_replay(Path(what), arm, recording)
+    elif what in SHIPPED or Path(what).suffix == ".urdf":
+        arm = Robot.load(what)
+    else:
+        scene = load_scene(what)
+        kind = kind_of(scene)
+        arm = Robot.load(scene.robot)
+        if kind.replay is not None and not once:
+            with progress_bar(scene.name) as progress:
+                replay = kind.replay(kind.run(scene, progress=progress))
+        elif kind.curves is not None:
+            curves = kind.curves(scene)
+    viewer = Viewer(arm, port)
+    for (name, points), colour in zip(curves.items(), ((40, 40, 40), (224, 106, 0), (0, 110, 190)), strict=False):
+        viewer.draw(name, points, colour)
+    player = None if replay is None else Player(viewer, replay)
+    typer.echo(f"open http://127.0.0.1:{viewer.port} in a browser; Ctrl-C ends")
+    if once:
+        viewer.server.stop()
+        return
+    try:
+        if player is not None:
+            player.play()
+        while True:
+            time.sleep(1.0)
+    except KeyboardInterrupt:
+        typer.echo("closed")

@@ -1,0 +1,275 @@
+"""Verbs on recordings and paths of an arm: identify, diagnose, stiffness, precorrect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from scenes.commands.options import (
+    DriveData,
+    JsonFigures,
+    JsonResults,
+    ModelsRobot,
+    PlannerDelay,
+    ReportFolder,
+    Rest,
+    RobotName,
+    completed,
+    method_help,
+)
+
+SHARES = {"reading": 0.45, "drawing": 0.55}
+"""Measured shares of the time: identification without the controllers' own cycles, and its page."""
+SHARES_WITH_CASCADE = {"reading": 0.73, "drawing": 0.27}
+"""With them."""
+
+
+def identify(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
+                                                          "MCAP).")],
+    robot: RobotName,
+    validate: Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
+                                                             "to; may be given several times.")] = None,
+    method: Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
+                                             "plan-identification --method two-step).")] = "joint",
+    drive_data: DriveData = None,
+    friction: Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
+                                               "viscous_coulomb, cube_root, arctan, stribeck, "
+                                               "bell_stribeck or asymmetric.")] = "auto",
+    cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
+    decimate_to: Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
+                                                           "filter.")] = None,
+    without_integrator: Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
+                                                                       "off, for their gains ([G] 5.2.2).")] = None,
+    model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None,
+    export_urdf: Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
+                                                          "inertias.")] = None,
+    json: JsonResults = None,
+    out: ReportFolder = Path("out/identify"),
+) -> None:
+    """Friction, base parameters, rotor inertias, offsets and controllers of an arm, each with its uncertainty.
+
+    Example: `ideal-robot identify free_50s.parquet free_30s.parquet --robot ur10e.urdf --validate free_20s.parquet`
+    """
+    from ideal_robot.identification.whole_model import identify_model
+    from ideal_robot.progress import Steps
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
+    from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import show_table
+    from scenes.identification.page import identification_page
+    from scenes.outputs import check_outputs
+    from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
+
+    check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
+    with progress_bar("identify") as progress:
+        steps = Steps(progress, SHARES if model is None else SHARES_WITH_CASCADE)
+        arm = Robot.load(robot, drive_data)
+        loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
+                                   for paths in (recordings, validate, without_integrator))
+        analysis = identify_model(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
+                           cutoff_decimation=decimate_to, without_integrator=pd_only,
+                           cascade=model is not None, progress=steps.begin("reading"))
+        steps.begin("drawing")
+        content, page = analysis.to_dict(), out / "report.html"
+        with whole_files(page, json, model, export_urdf) as (page_file, json_file, model_file, urdf_file):
+            identification_page(analysis).write(page_file)
+            if json_file is not None:
+                write_json(json_file, content)
+            if model_file is not None:
+                analysis.model.save(model_file)
+            if urdf_file is not None:
+                analysis.model.export_urdf(urdf_file)
+    show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
+               [[r["source"], r["role"], *r["residual_std_percent"]]
+                for r in content["recordings"]])
+    show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
+               [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in analysis.model.parameters])
+    show_table("friction laws", ["joint", "law"],
+               [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
+    for warning in analysis.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    typer.echo(f"report: {page}")
+
+
+SHARES_OF_DIAGNOSIS = {"reading": 0.7, "drawing": 0.3}
+"""Measured shares of the time: the diagnosis itself, and its page."""
+
+
+def diagnose(
+    recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")],
+    robot: RobotName,
+    model: Annotated[Path | None, typer.Option(help="Model to diagnose; without it a baseline (rigid body, Coulomb and "
+                                                    "viscous friction, rotors, offsets) is identified first.")] = None,
+    validate: Annotated[Path | None, typer.Option(help="Another recording of the same arm, for the errors that are "
+                                                       "reported; else every fourth block of time is kept "
+                                                       "apart.")] = None,
+    drive_data: DriveData = None,
+    model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None,
+    cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: 20. The band of the torques and "
+                                                      "the time left out around reversals follow it.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0,
+    json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
+    out: ReportFolder = Path("out/diagnose"),
+) -> None:
+    """Finds the effect behind a model's residual, adds it, and reports the error before and after on held-out data.
+
+    Example: `ideal-robot diagnose estimation.parquet --robot arm.urdf --validate other.parquet --model-out better.json`
+    """
+    from ideal_robot.diagnosis import diagnose
+    from ideal_robot.model.model import Model
+    from ideal_robot.progress import Steps
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
+    from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import show_table
+    from scenes.diagnosis.page import diagnosis_page, summary, unexplained, unused
+    from scenes.outputs import check_outputs
+    from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
+
+    check_outputs({"--out": out}, json=json, model_out=model_out)
+    with progress_bar("diagnose") as progress:
+        steps = Steps(progress, SHARES_OF_DIAGNOSIS)
+        arm = Robot.load(robot, drive_data)
+        found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
+                         validate=None if validate is None else Recording.read(validate), seed=seed, cutoff=cutoff,
+                         progress=steps.begin("reading"))
+        steps.begin("drawing")
+        page = out / "report.html"
+        better = None if found.model is None else model_out
+        with whole_files(page, json, better) as (page_file, json_file, model_file):
+            diagnosis_page(found, f"Diagnosis of {recording.name}").write(page_file)
+            if json_file is not None:
+                write_json(json_file, found.to_dict())
+            if model_file is not None and found.model is not None:
+                found.model.save(model_file)
+    show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
+               ["channel", "before", "refitted", "after", "noise", "unit", "samples that counted %"],
+               [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit, 100.0 * c.counted]
+                for c in found.channels])
+    if found.effects or found.unknown:
+        show_table("what was added", ["effect", "joint", "channel", "before", "after", "p", "parameters", "or"],
+                   [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.0e}",
+                     ", ".join(e.depends_on) or "; ".join(p.text for p in e.fitted.parameters),
+                     ", ".join(e.indistinguishable_from)] for e in (*found.effects, *found.unknown)])
+    for d in found.not_transferred:
+        typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); {d.reason}", err=True)
+    for joint, reason in sorted(found.undecided.items()):
+        typer.echo(f"undecided: joint {joint} {reason}", err=True)
+    for refit in found.refitted:
+        typer.echo(f"explained by refitting alone: joint {refit.joint}: {refit.text}", err=True)
+    for warning in found.warnings:
+        typer.echo(f"warning: {warning}", err=True)
+    if loud := unexplained(found):
+        typer.echo(f"warning: {loud}", err=True)
+    if found.unused:
+        typer.echo(f"not used: {unused(found)}")
+    typer.echo(summary(found))
+    typer.echo(f"report: {page}")
+
+
+def stiffness(
+    recordings: Annotated[list[Path], typer.Argument(help="Recordings with the flange clamped, or with payloads "
+                                                          "hung on it (Parquet or CSV).")],
+    robot: RobotName,
+    method: Annotated[str, typer.Option(help="motor (currents), wrench (force sensor) or both.")] = "both",
+    clamp: Annotated[bool | None, typer.Option("--clamp/--no-clamp", help="Estimate the give of clamp and links beside "
+                                               "the gears; default: where the recordings allow it.")] = None,
+    drive_gain_tolerance: Annotated[float, typer.Option(help="Relative standard deviation of the data sheet's drive "
+                                                             "gains.", min=0.0)] = 0.03,
+    json: JsonResults = None,
+    out: ReportFolder = Path("out/stiffness"),
+) -> None:
+    """Joint stiffness of an arm whose flange is clamped to the environment, after Jubien, Abba and Gautier (2014).
+
+    Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --robot kr500 --method both`
+    """
+    from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
+    from ideal_robot.whole_file import whole_files
+    from scenes.clamped.page import stiffness_page
+    from scenes.commands.common import show_table
+    from scenes.outputs import check_outputs
+    from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
+
+    check_outputs({"--out": out}, json=json)
+    with progress_bar("stiffness") as progress:
+        arm = Robot.load(robot)
+        loaded = [Recording.read(path) for path in recordings]
+        progress(0.1, "synchronising and fitting")
+        analysis = analyse_stiffness(loaded, arm, method, clamp=clamp, drive_gain=drive_gain_tolerance)
+        progress(0.7, "drawing")
+        page = out / "report.html"
+        with whole_files(page, json) as (page_file, json_file):
+            stiffness_page(analysis, title=f"Joint stiffness of {arm.name}").write(page_file)
+            if json_file is not None:
+                write_json(json_file, analysis.to_dict())
+    show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],
+               [[one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.relative_error_percent]
+                for one in analysis.joints])
+    for warning in analysis.warnings:
+        typer.echo(f"note: {warning}", err=True)
+    typer.echo(f"report: {page}")
+
+
+def precorrect(
+    path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, "
+                                              "or q_c_1 … q_c_n) [rad].")],
+    model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
+    robot: ModelsRobot = None,
+    method: Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
+        "precorrect", incomplete))] = "ideal",
+    delay: PlannerDelay = False,
+    rest: Rest = 0.6,
+    play: Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
+                                                      "them.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1,
+    json: JsonFigures = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/precorrect.")] = None,
+) -> None:
+    """Corrects a joint path so that the arm, not the command, follows it.
+
+    The output has `t`, the commands `q_c_i` and the desired `q_d_i` at the interpolation cycle. Limits of position,
+    speed and acceleration are checked before anything is written.
+
+    Example: `ideal-robot precorrect path.csv --model scenes/models/kr15.json -o corrected.csv`
+    """
+    import numpy as np
+
+    from ideal_robot.model.model import Model
+    from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import show_table
+    from scenes.outputs import check_outputs
+    from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
+    from scenes.report.page import write_json
+    from scenes.terminal import progress_bar
+
+    folder = out or Path("out") / "precorrect"
+    check_outputs({"--out": folder}, output=output, json=json)
+    with progress_bar("precorrect") as progress:
+        progress(0.1, "")
+        result = precorrected_path(path, model, robot=robot, method=method, delay=delay, rest=rest)
+        measured = None
+        if play:
+            progress(0.6, "playing")
+            measured = played(result, robot_of(Model.load(model), robot, model), seed, delay=delay)
+        progress(0.9, "report")
+        report = folder / "report.html"
+        with whole_files(output, report, json) as (path_file, page_file, json_file):
+            result.recording.write(path_file)
+            write_page(result, page_file, measured)
+            if json_file is not None:
+                errors = {} if measured is None else {"played_rms_error_mrad": {
+                    word: 1e3 * np.sqrt(np.mean(error**2, axis=0))
+                    for word, error in zip(("corrected", "uncorrected"), measured, strict=True)}}
+                write_json(json_file, {**result.to_dict(), **errors, "output": output, "report": report})
+    show_table("Correction per joint", *table(result, measured))
+    typer.echo(f"corrected path: {output}")
+    typer.echo(f"report: {report}")
