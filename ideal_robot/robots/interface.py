@@ -198,65 +198,81 @@ def _left(moved: Array, expected: Array) -> float:
 
 # Back to the commands that are wanted, from where and how fast the controller has the arm instead.
 #
-# What is sent is the wanted command plus an offset ``o``. Where an answer was missed the offset starts with the
-# difference in position and speed, so that the controller sees no jump, and fades on a cubic::
+# What is sent is the wanted command plus an offset ``o``. Where an answer was missed the offset begins with the
+# difference in position, speed and acceleration between what the controller has in force and what is wanted, so that
+# the controller sees neither a jump nor a kink, and fades:
 #
-#     o(u) = (1 - u)² (o_0 + (2 o_0 + N d_0) u) ,   u = i / N
+# .. math:: \ddot o = \lambda (v - \dot o), \qquad v = -\tfrac{\lambda}{4} o
 #
-# with ``o_0`` [rad] and ``d_0`` [rad a cycle] at ``i = 0`` and rest at ``i = N``. All joints take the same time, so the
-# arm leaves the path as little as it can.
+# which is critically damped, with limits of the acceleration, of its change, and of the speed ``v`` at which the arm
+# catches up: the faster it is, the more the next missed answer takes away at once. What exceeds a limit is shortened
+# for all joints alike, so that they keep step and what is left of the path is time alone.
 
-_LONGEST = 2000
-"""Cycles after which an offset has faded whatever it costs."""
+_RISE = 0.03
+"""Time in which the acceleration rises to its limit [s]: some cycles of the slowest controllers. With λ its inverse, an
+acceleration that falls from its limit keeps the same limit of jerk."""
+_STEADY = 0.4
+"""Largest λ T: with more than 1 the offset would not fade evenly from cycle to cycle."""
+_FASTER = 0.3
+"""Share by which the arm may be faster than wanted meanwhile."""
+_CREEP = 0.05
+"""Share of the speed limit with which a joint may catch up at least."""
+_GONE, _AT_ONCE = 5e-6, 0.01
+"""An offset that is none any more [rad], and the share of the acceleration limit that taking it away may cost."""
 
 
 class CatchUp:
     """The offset of what is sent from what is wanted.
 
     Args:
-        room: acceleration of the arm it may take ``(n,)`` [rad/s²].
+        a_max: acceleration of the arm ``(n,)`` [rad/s²]; the offset may take half of it, less what is wanted beyond.
         v_max: speed the arm may reach with it ``(n,)`` [rad/s].
         t_ipo: cycle [s].
+
+    Attributes:
+        active: whether there is an offset still.
     """
 
-    def __init__(self, room: Array, v_max: Array, t_ipo: float) -> None:
-        self._room, self._fastest = room * t_ipo**2, v_max * t_ipo
-        self._offset = self._drift = np.zeros(len(room))
-        self._cycles = self._done = 0
+    def __init__(self, a_max: Array, v_max: Array, t_ipo: float) -> None:
+        self._most, self._fastest, self._jerk = a_max * t_ipo**2, v_max * t_ipo, 0.5 * a_max / _RISE * t_ipo**3
+        self._rate = min(t_ipo / _RISE, _STEADY)
+        self._offset = self._drift = self._bend = self._wanted = np.zeros(len(a_max))
+        self.active = False
 
-    @property
-    def active(self) -> bool:
-        """Whether there is an offset still."""
-        return self._done < self._cycles
-
-    def start(self, offset: Array, drift: Array, wanted: Array) -> None:
+    def start(self, offset: Array, drift: Array, bend: Array, wanted: Array) -> None:
         """From another position and speed.
 
         Args:
             offset: position in force minus the one wanted ``(n,)`` [rad].
             drift: the same of the speeds ``(n,)`` [rad a cycle].
+            bend: the same of the accelerations ``(n,)`` [rad a cycle²].
             wanted: speed wanted ``(n,)`` [rad a cycle].
         """
-        self._offset, self._drift, self._done = offset, drift, 0
-        # |ö| is largest at an end: |6 o + 4 N d| / N² and |6 o + 2 N d| / N².
-        lengths = np.arange(1.0, _LONGEST + 1.0)[:, None]
-        needed = np.maximum(np.abs(6 * offset + 4 * lengths * drift), np.abs(6 * offset + 2 * lengths * drift))
-        fits = (needed <= self._room * lengths**2).all(axis=1)
-        self._cycles = int(np.argmax(fits)) + 1 if fits.any() else _LONGEST
-        allowed = np.maximum(self._fastest, np.maximum(np.abs(wanted), np.abs(wanted + drift))) + 1e-12
-        while self._cycles < _LONGEST:
-            rows = np.array([self._at(i) for i in range(self._cycles + 1)])
-            if (np.abs(wanted + np.diff(rows, axis=0)) <= allowed).all():
-                break
-            self._cycles = min(int(1.25 * self._cycles) + 1, _LONGEST)
+        self._offset, self._drift, self._bend, self._wanted = offset, drift, bend, wanted
+        self.active = True
 
-    def next(self) -> Array:
-        """Offset of the coming command ``(n,)`` [rad]."""
-        self._done = min(self._done + 1, self._cycles)
-        return self._at(self._done)
+    def next(self, wanted: Array) -> Array:
+        """Offset of the coming command ``(n,)`` [rad].
 
-    def _at(self, i: int) -> Array:
-        if i >= self._cycles:
-            return np.zeros_like(self._offset)
-        u = i / self._cycles
-        return np.asarray((1 - u) ** 2 * (self._offset + (2 * self._offset + self._cycles * self._drift) * u))
+        Args:
+            wanted: speed wanted ``(n,)`` [rad a cycle].
+        """
+        if not self.active:
+            return self._offset
+        speed, asked = np.abs(wanted), np.abs(wanted - self._wanted)
+        self._wanted = wanted
+        room = np.clip(self._most - asked, 0.25 * self._most, 0.5 * self._most)
+        faster = np.maximum(np.minimum(_FASTER * speed, self._fastest - speed), _CREEP * self._fastest)
+        v = _shortened(-0.25 * self._rate * self._offset, faster)
+        bend = _shortened(self._rate * (v - self._drift), room)
+        self._bend = self._bend + _shortened(bend - self._bend, self._jerk)
+        self._drift = self._drift + self._bend
+        self._offset = self._offset + self._drift
+        if (np.maximum(np.abs(self._offset), np.abs(self._drift)) < np.minimum(_GONE, _AT_ONCE * self._most)).all():
+            self._offset, self.active = np.zeros_like(self._offset), False
+        return self._offset
+
+
+def _shortened(values: Array, limits: Array) -> Array:
+    """Values ``(n,)``, all shortened by the same share until each keeps its limit ``(n,)``."""
+    return np.asarray(values / max(float(np.max(np.abs(values) / limits)), 1.0))

@@ -62,6 +62,11 @@ class InForce:
             self.step = np.zeros_like(self.step)
         return missed > 0
 
+    @property
+    def sent(self) -> Array:
+        """What the answer to this cycle asks for beyond what is in force ``(n,)`` [deg]."""
+        return np.zeros_like(self.position) if self._sent is None else self._sent - self.position
+
     def is_at(self, position: Array) -> None:
         """The controller turned out to be at rest at ``position (n,)`` [deg]."""
         self.position, self.step, self._sent = position, np.zeros_like(position), None
@@ -143,7 +148,7 @@ class RsiRobot:
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
         self._brake = 1.8 * room * robot.t_ipo**2
-        self._catch_up = CatchUp(room, v_max, robot.t_ipo)
+        self._catch_up = CatchUp(2.0 * room, v_max, robot.t_ipo)
         self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
                                      np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative)
         self._in_force = InForce(robot.n, relative and self.form.hold_on is True)
@@ -165,8 +170,8 @@ class RsiRobot:
 
     @property
     def settled(self) -> bool:
-        """Whether what is in force is what was wanted, nothing missed and not yet made good."""
-        return not (self._missed or self._catch_up.active)
+        """Whether what is in force is what was wanted: nothing missed and not yet found or made good."""
+        return not (self._missed or self._catch_up.active or self._in_doubt)
 
     def connect(self, patience: float = 60.0) -> RobotState:
         """Waits for the controller's first packet; who sends it is the controller from then on.
@@ -192,7 +197,7 @@ class RsiRobot:
                            f"{held[axis]:.2f}° (AIPos, ASPos) before anything was sent; start RSI anew, from rest")
         self._first = self._last = first
         self._late = first.late or 0
-        self._begin = held.copy()
+        self._begin, self._step = held.copy(), np.zeros(self.robot.n)
         self.commanded = self._wanted = self.axes.joints(held)
         if self.relative and first.late is None:
             # Increments may get lost without a word: they add up until the next rest.
@@ -219,18 +224,19 @@ class RsiRobot:
         """
         if self._first is None:
             raise RsiError("connect to the controller before a command is handed over")
-        q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
-        wanted, self._wanted = self._wanted, q_c
+        wanted, before = self._wanted, self._step
+        q_c = self._want(q_c)
         if self._watch.adds_up:
             self._answer_with(self._slowed())
             return
-        self._resynchronise(q_c - wanted)
+        self._resynchronise(self._step)
         if self._missed:
-            drift = self.axes.turned(self._in_force.step) - (q_c - wanted)
-            self._catch_up.start(self.commanded - wanted, drift, q_c - wanted)
+            # What the controller has in force, it has without acceleration: it held the arm, or its speed.
+            drift = self.axes.turned(self._in_force.step) - self._step
+            self._catch_up.start(self.commanded - wanted, drift, before - self._step, before)
             self._missed = False
         if self._catch_up.active:
-            q_c = np.clip(q_c + self._catch_up.next(), self.robot.q_min, self.robot.q_max)
+            q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
         position = self._in_force.position
         correction = self.axes.angles(q_c) - self._begin
         if self.relative:
@@ -248,7 +254,7 @@ class RsiRobot:
         Raises:
             InputError, LimitError: as ``cycle``.
         """
-        self._wanted = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
+        self._want(q_c)
         self._missed = True
 
     def receive(self) -> RobotState:
@@ -286,6 +292,12 @@ class RsiRobot:
                  trace: TracebackType | None) -> None:
         self.close()
 
+    def _want(self, q_c: Array) -> Array:
+        """Notes what is wanted from now on and by how much that is further than before."""
+        q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
+        self._step, self._wanted = q_c - self._wanted, q_c
+        return q_c
+
     def _answer_with(self, correction: Array) -> None:
         self._answer = format_sen(correction, self._last.ipoc, self.form)
         self._link.send(self._answer)
@@ -300,7 +312,7 @@ class RsiRobot:
 
     def _resynchronise(self, step: Array) -> None:
         """After lost increments, at rest: where the arm is measured is where they have led."""
-        moving = np.max(np.abs(step)) > _RESTED or not self.settled
+        moving = np.max(np.abs(step)) > _RESTED or self._missed or self._catch_up.active
         self._still = 0 if moving or not self._in_doubt else self._still + 1
         if self._still * self.t_ipo >= _REST_TIME:
             self._still, self._in_doubt = 0, False
@@ -342,7 +354,9 @@ class RsiRobot:
         late = 0 if newest.late is None else max(newest.late - self._late, 0)
         self._late = self._late if newest.late is None else newest.late
         self.counts.late += late
-        self._in_doubt = self._in_doubt or (self.relative and (late + lost > 0 or newest.late is None))
+        # An increment of nothing may get lost.
+        untold = newest.late is None and bool(self._in_force.sent.any())
+        self._in_doubt = self._in_doubt or (self.relative and (late + lost > 0 or untold))
         if self._in_force.advance(used=late <= lost, missed=lost):
             self._missed = True
             self.commanded = self.axes.joints(self._begin + self._in_force.position)

@@ -97,7 +97,7 @@ class RtdeRobot:
         self._timeout = timeout
         v_max = np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
         room = np.where(np.isfinite(robot.a_max), 0.5 * robot.a_max, v_max / 0.3)
-        self._catch_up = CatchUp(room, v_max, robot.t_ipo)
+        self._catch_up = CatchUp(2.0 * room, v_max, robot.t_ipo)
         self._watch = FollowingWatch(robot.n, math.ceil(answers_within / robot.t_ipo) + self.max_lost,
                                      np.maximum(3.0 * v_max * robot.t_ipo, np.radians(1.0)), relative=False)
         self._connection: RtdeConnection | None = None
@@ -119,6 +119,7 @@ class RtdeRobot:
         self._outputs: Recipe = link.outputs(_OUTPUTS, 1.0 / self.t_ipo)
         self._recipe = link.inputs(self._inputs)
         link.start()
+        self._step = np.zeros(self.robot.n)
         started, playing = Deadline.within(patience), False
         while not playing:
             data = self._next(Deadline.within(self._timeout))
@@ -153,13 +154,14 @@ class RtdeRobot:
         if self._connection is None:
             raise RtdeError("connect to the controller before a command is handed over")
         q_c = checked_command(self.robot, q_c, self._wanted, self.t_ipo)
-        wanted, self._wanted = self._wanted, q_c
+        wanted, before, self._wanted = self._wanted, self._step, q_c
+        self._step = q_c - wanted
         if self._missed:
             # The arm was held: its speed is gone, the one that is wanted is not.
-            self._catch_up.start(self.commanded - wanted, wanted - q_c, q_c - wanted)
+            self._catch_up.start(self.commanded - wanted, -self._step, before - self._step, before)
             self._missed = False
         if self._catch_up.active:
-            q_c = np.clip(q_c + self._catch_up.next(), self.robot.q_min, self.robot.q_max)
+            q_c = np.clip(q_c + self._catch_up.next(self._step), self.robot.q_min, self.robot.q_max)
         self._number = self._number % (2**31 - 1) + 1
         self._connection.send(self._recipe.packed(*q_c.tolist(), self._number))
         self.answer_times.append(time.perf_counter() - self.arrived)

@@ -106,7 +106,7 @@ def test_an_arm_that_stands_elsewhere_is_not_moved(tmp_path: Path) -> None:
 
 def test_lost_and_repeated_packets_delay_the_path_and_skip_nothing(tmp_path: Path) -> None:
     def disturbance(cycle: int, packet: bytes) -> list[bytes]:
-        return [] if cycle in (80, 110, 111) else [packet, packet] if cycle % 40 == 7 else [b"<Rob/>", packet]
+        return [] if cycle in (60, 70, 71) else [packet, packet] if cycle % 40 == 7 else [b"<Rob/>", packet]
 
     path = written(tmp_path, motion())
     run, seen = played(path, cycles=REST + 100 + 25 + 4, method="none", disturbance=disturbance)
