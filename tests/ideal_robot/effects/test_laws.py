@@ -1,16 +1,31 @@
-"""Laws of all effects of the library, on one small motion."""
+"""Laws of all effects of the library, the table of them, and the way in for effects of others."""
+
+from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, FittedEffect, Signals, effect_of, library
-from ideal_robot.effects.drive import LateTorque
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.validation.evidence import discriminating_motion
+from ideal_robot.effects import (
+    ARM_POSITION,
+    MOTOR_TORQUE,
+    Effect,
+    FittedEffect,
+    Signals,
+    effect_of,
+    library,
+    names,
+    register,
+    unregister,
+)
 from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.registry import EFFECTS
 from ideal_robot.errors import InputError
-from ideal_robot.friction import PerJointFriction, ViscousCoulomb
+from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.test_diagnose import arm
 
 
 def motion(n: int = 2, count: int = 1500) -> Signals:
@@ -106,42 +121,66 @@ def test_a_learned_term_still_holds_where_a_path_reaches_a_little_further():
     assert left[2] < 0.35
 
 
-def test_dead_time_is_exact_at_its_chord():
-    signals = motion()
-    effect = next(e for e in library() if e.name == "dead_time" and e.channel(1) == "tau_1")
-    delay = 3.0 * signals.dt
-    late = effect.columns(signals, 1, (delay,))[:, 0, 0] * delay + signals.torque[:, 0]
-    np.testing.assert_allclose(late[10:-10], signals.torque[7:-13, 0], atol=1e-9)
+@pytest.mark.parametrize("key", ["prefix", "head"])
+def test_a_learned_curve_of_an_older_file_is_read(key):
+    data = {"depends_on": ["q_1"], "directed": False, "knots": [[-1.0, 1.0]], key: "tcp"}
+    assert Unknown.from_data(data).channel(2) == "tcp_2"
 
 
-@pytest.mark.parametrize("name", ["coulomb", "stribeck", "load_dependent_friction"])
-def test_dry_friction_of_an_effect_builds_up_as_the_models_own_does(name):
-    signals = motion()
-    friction = PerJointFriction([ViscousCoulomb(np.array([[0.5], [1.0]]), np.array([[0.06]]), presliding=True),
-                                 ViscousCoulomb(np.array([[0.5], [1.0]]))])
-    known = replace(signals, sliding=friction.sliding(signals.q, signals.qd))
-    effect = next(e for e in library() if e.name == name and e.acts_on("tau_1"))
-    theta = effect.starts(signals, 1)[0]
-    sharp, gradual = (effect.columns(s, 1, theta)[:, 0, 0] for s in (signals, known))
-    # After each reversal that ends a long stroke it still acts in the old direction, later it is the same.
-    turned = np.flatnonzero(np.diff(np.sign(signals.qd[:, 0])))
-    turned = turned[1:][np.abs(np.diff(signals.q[turned, 0])) > 0.3] + 2
-    assert len(turned) >= 3
-    assert np.all(sharp[turned] * gradual[turned] < 0.0)
-    fast = np.abs(signals.qd[:, 0]) > 0.9 * np.abs(signals.qd[:, 0]).max()
-    assert gradual[fast] == pytest.approx(sharp[fast], rel=1e-3)
-    # A joint whose model has no memory keeps the sign of its speed.
-    assert np.array_equal(effect.columns(signals, 2, theta), effect.columns(known, 2, theta))
+def test_the_table_says_of_each_effect_what_its_class_says():
+    assert EFFECTS.names() == tuple(effect.key for effect in library())
+    assert len(set(EFFECTS.names())) == len(library())
 
 
-@pytest.mark.parametrize("delay", [-0.0008, 0.0003, 0.0137])
-def test_a_delay_is_exact_where_the_chord_is_as_long(delay):
-    t = np.arange(0.0, 4.0, 1e-3)
-    still = np.zeros((len(t), 1))
-    torque = np.sin(2.0 * np.pi * 8.0 * t)[:, None]
-    effect = LateTorque()
-    theta = effect.consistent_theta(np.array([delay]), (1e-3,))
-    signals = Signals(t, still, still, still, still, torque, still)
-    late = torque[:, 0] + delay * effect.columns(signals, 1, theta)[:, 0, 0]
-    inner = slice(50, -50)
-    assert late[inner] == pytest.approx(np.sin(2.0 * np.pi * 8.0 * (t - delay))[inner], abs=1e-5)
+def test_rivals_that_effects_name_are_effects():
+    named = {rival for effect in library() for rival, _ in effect.discriminating_motion}
+    assert named <= set(names())
+
+
+class SquareOfPosition(Effect):
+    """A torque that no effect of ours makes: ``tau = c sign(sin(7 q))``."""
+
+    name = "square_of_position"
+    discriminating_motion = (("cable_spring", "other strokes"),)
+
+    def columns(self, signals, joint, theta):
+        return signals.on_joint(joint, np.sign(np.sin(7.0 * signals.q[:, joint - 1])))
+
+
+@pytest.fixture
+def own_effect():
+    effect = SquareOfPosition()
+    register(effect)
+    yield effect
+    unregister(effect)
+
+
+def test_an_own_effect_is_found_by_the_diagnosis(own_effect, tmp_path):
+    assert own_effect in library()
+    assert "square_of_position" in names()
+    one, rng = arm(tmp_path), np.random.default_rng(3)
+    t = np.arange(0.0, 40.0, 0.004)
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    tau = tau + 0.7 * np.sign(np.sin(7.0 * q))
+    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
+    assert [e.fitted.name for e in found.effects] == ["square_of_position"]
+    assert found.effects[0].fitted.coefficients[0] == pytest.approx(0.7, rel=0.02)
+    assert found.effects[0].fitted.channel == "tau_1"
+    assert discriminating_motion("cable_spring", ("square_of_position",)) == "other strokes"
+
+
+def test_an_effect_is_registered_once(own_effect):
+    with pytest.raises(InputError, match="already"):
+        register(SquareOfPosition())
+
+
+def test_an_effect_that_was_taken_out_is_unknown():
+    effect = SquareOfPosition()
+    register(effect)
+    fitted = FittedEffect(effect.name, 1, "tau_1", (2.0,))
+    assert effect_of(fitted) is effect
+    unregister(effect)
+    with pytest.raises(InputError, match="known are"):
+        fitted.contribution(motion())

@@ -1,20 +1,24 @@
 """Causes of the whole arm: what they add is what the changed arm does."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression
-from ideal_robot.effects.fitted import FittedEffect
+from ideal_robot.diagnosis.channels.regression import Regression
+from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.effects.registry import find
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
 
-def made():
+def of_a_moved_arm() -> tuple[Robot, Regression]:
     robot = Robot.load("kr6")
     t = np.arange(0.0, 6.0, 0.005)
     q = 0.4 * np.sin(np.outer(t, np.linspace(1.0, 2.0, robot.n)) + np.arange(robot.n))
@@ -24,13 +28,13 @@ def made():
     return robot, torque_regression(recording, robot, Model.nominal(robot), payload=True)
 
 
-def torques(model, signals):
+def torques(model: pin.Model, signals: Signals) -> Array:
     data = model.createData()
     return np.array([pin.rnea(model, data, *row) for row in zip(signals.q, signals.qd, signals.qdd, strict=True)])
 
 
 def test_they_are_what_the_changed_arm_does():
-    robot, regression = made()
+    robot, regression = of_a_moved_arm()
     signals = regression.signals
     before = torques(robot.pinocchio, signals)
 
@@ -55,7 +59,7 @@ def test_they_are_what_the_changed_arm_does():
 
 
 def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has_wrong():
-    robot, regression = made()
+    robot, regression = of_a_moved_arm()
     signals, tilt = regression.signals, find("base_tilt", "tau")
     true = robot.pinocchio.copy()
     true.inertias[1] = true.inertias[1] + pin.Inertia(6.0, np.array([0.08, -0.05, 0.0]), np.zeros((3, 3)))
@@ -75,18 +79,9 @@ def test_a_leaning_base_shows_moments_of_an_upright_first_axis_that_the_urdf_has
     np.testing.assert_allclose(before, columns[:, :, :2] @ [0.2, -0.1])
 
 
-def test_one_filter_delays_every_joint():
-    _, regression = made()
-    signals = regression.signals
-    column = find("torque_filter", "tau").columns(signals, 0, (0.01,))[:, :, 0]
-    steps = round(0.01 / signals.dt)
-    late = signals.torque[100 - steps : -100 - steps] - signals.torque[100:-100]
-    np.testing.assert_allclose(0.01 * column[100:-100], late, atol=1e-9)
-
-
 @pytest.mark.parametrize("unit", ["N m", "A"])
 def test_a_spring_balances_gravity_where_there_is_some_in_any_unit(unit):
-    _, regression = made()
+    _, regression = of_a_moved_arm()
     if unit == "A":
         amperes = 0.1 * regression.decimate(regression.signals.torque)
         regression = in_own_units(replace(regression, measured=amperes))
@@ -95,29 +90,5 @@ def test_a_spring_balances_gravity_where_there_is_some_in_any_unit(unit):
 
 
 def test_a_single_sample_that_stands_out_costs_nothing():
-    _, regression = made()
+    _, regression = of_a_moved_arm()
     assert np.max(np.abs(regression.measured[:, 2])) == 0.0
-
-
-def test_teeth_carry_what_is_behind_the_gear():
-    _, regression = made()
-    signals, effect = regression.signals, find("load_dependent_friction", "tau")
-    column = effect.columns(signals, 2, (0.7,))[:, 1, 0]
-    carried = np.abs(signals.load[:, 1] - 0.7 * signals.qdd[:, 1])
-    np.testing.assert_allclose(column, carried * signals.sliding_direction(2), atol=1e-12)
-    driven = find("load_direction_friction", "tau").columns(signals, 2, (0.7,))[:, 1, 0]
-    drives = (signals.load[:, 1] - 0.7 * signals.qdd[:, 1]) * signals.qd[:, 1] > 0.0
-    np.testing.assert_allclose(driven[drives], column[drives], atol=1e-12)
-    np.testing.assert_allclose(driven[~drives], 0.0, atol=1e-12)
-    # Models written before the effect knew of inertia before the gear.
-    np.testing.assert_allclose(effect.columns(signals, 2, ()), effect.columns(signals, 2, (0.0,)))
-
-
-@pytest.mark.parametrize(("name", "prefix", "early"), [("torque_filter", "tau", -1.0), ("dead_time", "tau", -1.0),
-                                                       ("dead_time", "q", 1.0)])
-def test_torques_that_are_held_over_a_cycle_are_not_early(name, prefix, early):
-    """Half a cycle of a loop of a kilohertz is in every drive: a torque acts from its stamp on until the next."""
-    _, regression = made()
-    effect = find(name, prefix)
-    for delay, right in ((early * 2e-4, False), (early * 2e-3, True), (-early * 2e-4, True)):
-        assert effect.plausible(np.array([delay]), (), regression.signals, 1) == right

@@ -1,0 +1,84 @@
+"""Friction as the model lacks it: terms of the laws, with the memory that the model has, under load, in either form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.effects import library
+from ideal_robot.effects.friction import LawTerm
+from ideal_robot.effects.registry import find
+from ideal_robot.friction import LAWS, PerJointFriction, ViscousCoulomb
+from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.ideal_robot.effects.test_laws import motion
+from tests.ideal_robot.effects.test_loads import of_a_moved_arm
+
+
+def test_terms_are_those_of_the_laws_that_identification_fits() -> None:
+    """Of each law that has one a term is an effect: what the diagnosis names, identification can fit."""
+    terms = [effect for effect in library() if isinstance(effect, LawTerm)]
+    assert {effect.law for effect in terms} == {law for key, law in LAWS if key != "cube_root"}
+    signals = motion()
+    qd = signals.qd[:, 0]
+    for effect in (one for one in terms if one.name != "asymmetric_friction"):
+        theta = effect.starts(signals, 1)[0]
+        a4 = [1.0 / value if effect.name == "stribeck" else value for value in theta]
+        coefficients = np.zeros((len(effect.law.coefficient_names), 1))
+        coefficients[effect.term] = 1.0
+        law = effect.law(coefficients, np.array(a4)[:, None])
+        torque = law.torque(qd[:, None], direction=signals.sliding_direction(1)[:, None])[:, 0]
+        np.testing.assert_allclose(effect.columns(signals, 1, theta)[:, 0, 0], torque, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["coulomb", "stribeck", "load_dependent_friction"])
+def test_dry_friction_of_an_effect_builds_up_as_the_models_own_does(name):
+    signals = motion()
+    friction = PerJointFriction([ViscousCoulomb(np.array([[0.5], [1.0]]), np.array([[0.06]]), presliding=True),
+                                 ViscousCoulomb(np.array([[0.5], [1.0]]))])
+    known = replace(signals, sliding=friction.sliding(signals.q, signals.qd))
+    effect = next(e for e in library() if e.name == name and e.acts_on("tau_1"))
+    theta = effect.starts(signals, 1)[0]
+    sharp, gradual = (effect.columns(s, 1, theta)[:, 0, 0] for s in (signals, known))
+    # After each reversal that ends a long stroke it still acts in the old direction, later it is the same.
+    turned = np.flatnonzero(np.diff(np.sign(signals.qd[:, 0])))
+    turned = turned[1:][np.abs(np.diff(signals.q[turned, 0])) > 0.3] + 2
+    assert len(turned) >= 3
+    assert np.all(sharp[turned] * gradual[turned] < 0.0)
+    fast = np.abs(signals.qd[:, 0]) > 0.9 * np.abs(signals.qd[:, 0]).max()
+    assert gradual[fast] == pytest.approx(sharp[fast], rel=1e-3)
+    # A joint whose model has no memory keeps the sign of its speed.
+    assert np.array_equal(effect.columns(signals, 2, theta), effect.columns(known, 2, theta))
+
+
+@pytest.mark.parametrize(("exponent", "channel"), [(1.0, "tau_1"), (2.0, "tau_bell_1")])
+def test_either_form_is_one_name_with_its_numbers(tmp_path: Path, exponent: float, channel: str) -> None:
+    one, rng = arm(tmp_path), np.random.default_rng(3)
+    t = np.arange(0.0, 40.0, 0.004)
+    q = 0.6 * np.sin(0.7 * t)[:, None] + 0.3 * np.sin(1.9 * t)[:, None]
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    tau = 0.6 * qdd - 14.7 * np.cos(q) + 2.0 * np.tanh(qd / 2e-3) + 1.5 * qd + 0.03 * rng.normal(size=q.shape)
+    tau = tau + 1.2 * np.tanh(qd / 2e-3) * np.exp(-((np.abs(qd) / 0.2) ** exponent))
+    found = diagnose(Recording.from_arrays(t, q=q, tau=tau), one)
+    assert [(e.fitted.name, e.fitted.channel) for e in found.effects] == [("stribeck", channel)]
+    surplus, speed = (p.value for p in found.effects[0].fitted.parameters)
+    assert surplus == pytest.approx(1.2, rel=0.1)
+    assert speed == pytest.approx(0.2, rel=0.1)
+
+
+def test_teeth_carry_what_is_behind_the_gear():
+    _, regression = of_a_moved_arm()
+    signals, effect = regression.signals, find("load_dependent_friction", "tau")
+    column = effect.columns(signals, 2, (0.7,))[:, 1, 0]
+    carried = np.abs(signals.load[:, 1] - 0.7 * signals.qdd[:, 1])
+    np.testing.assert_allclose(column, carried * signals.sliding_direction(2), atol=1e-12)
+    driven = find("load_direction_friction", "tau").columns(signals, 2, (0.7,))[:, 1, 0]
+    drives = (signals.load[:, 1] - 0.7 * signals.qdd[:, 1]) * signals.qd[:, 1] > 0.0
+    np.testing.assert_allclose(driven[drives], column[drives], atol=1e-12)
+    np.testing.assert_allclose(driven[~drives], 0.0, atol=1e-12)
+    # Models written before the effect knew of inertia before the gear.
+    np.testing.assert_allclose(effect.columns(signals, 2, ()), effect.columns(signals, 2, (0.0,)))
