@@ -7,7 +7,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +17,14 @@ import pandas as pd
 
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
+from scenes.cluster import work_off_on
 from scenes.kind import KINDS, kind_of
 from scenes.methods import method_of
 from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, chosen
-from scenes.workers import work_off
+from scenes.workers import LostError, work_off
 
 # Answers of a sweep as they come, one JSON line each, so that a sweep that was ended can go on.
 
@@ -159,7 +160,11 @@ def jobs(scenes: Sequence[str | Scene], methods: Sequence[Any] = (), speeds: Seq
 
 
 def play(job: Job) -> dict[str, Any]:
-    """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep."""
+    """Plays one job without writing anything; whatever fails is part of the answer, it does not end the sweep.
+
+    Raises:
+        MemoryError: which says nothing of the run, but of what was beside it.
+    """
     answer = _named(job)
     try:
         scene = chosen(_scene(job.scene), speed=job.speed, seed=job.seed, individual=job.individual,
@@ -169,6 +174,8 @@ def play(job: Job) -> dict[str, Any]:
         return {**answer, **result.json(), "failure": result.failure}
     except IdealRobotError as error:
         return {**answer, "failure": str(error)}
+    except MemoryError:
+        raise
     except Exception as error:  # one run that cannot be computed is a row among the others
         return {**answer, "failure": f"{type(error).__name__}: {error}"}
 
@@ -177,6 +184,10 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
           done: Callable[[int], None] = lambda count: None, file: SweepFile | None = None,
           function: Callable[[Job], dict[str, Any]] = play) -> list[dict[str, Any]]:
     """Plays all jobs and returns their answers in the order of ``work``.
+
+    A job is answered when ``function`` has returned, be it with a failure of the run itself. Of a job whose process,
+    worker or scheduler was lost the answer has the reason under ``not_played``; it is not written to ``file``, so that
+    the next sweep with the file plays it.
 
     Args:
         work: what to play.
@@ -197,10 +208,12 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
     left = [index for index, answer in enumerate(answers) if answer is None]
     tasks = [work[index] for index in left]
     count = len(work) - len(left)
-    for place, answer in _dask(tasks, dask, function) if dask else work_off(tasks, function, max(1, processes)):
+    coming = work_off_on(dask, tasks, function) if dask else work_off(tasks, function, max(1, processes))
+    for place, answer in coming:
         index = left[place]
-        if isinstance(answer, Exception):
-            answer = {**_named(work[index]), "failure": str(answer)}
+        if isinstance(answer, LostError):
+            answers[index] = {**_named(work[index]), "not_played": str(answer), "failure": f"not played: {answer}"}
+            continue
         answers[index] = answer
         if file is not None:
             file.add(described[index], answer)
@@ -256,27 +269,3 @@ def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:
     digest = hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
     method = job.method if isinstance(job.method, str | None) else repr(job.method)
     return {**_named(job), "method": method, "digest": digest}
-
-
-def _dask(work: Sequence[Job], address: str, function: Callable[[Job], dict[str, Any]]) -> Iterator[tuple[int, Any]]:
-    try:
-        from dask.distributed import Client
-        from dask.distributed import as_completed as finished
-    except ImportError as error:
-        raise InputError("needs the package dask[distributed] (pip install 'ideal-robot[cluster]')",
-                         field="--dask") from error
-    try:
-        client = Client(address, timeout="10s")
-    except (OSError, ValueError, TimeoutError) as error:
-        raise InputError(f"no Dask scheduler answers ({error})", field="--dask", value=address) from error
-    with client:
-        # A task whose worker is lost goes to another one; Dask gives up after its own count of losses.
-        pending = {client.submit(function, job, pure=False, retries=2): index for index, job in enumerate(work)}
-        try:
-            for future in finished(list(pending)):
-                try:
-                    yield pending[future], future.result()
-                except Exception as error:  # whatever a cluster makes of a lost worker
-                    yield pending[future], RuntimeError(f"{type(error).__name__}: {error}")
-        finally:
-            client.cancel(list(pending))

@@ -17,6 +17,8 @@ ATTEMPTS = 3
 """How often a task is begun whose process is lost each time."""
 TASKS = 200
 """So many tasks a process does: a third of a megabyte of each run stays with the libraries until it ends."""
+_NO_MEMORY = 137
+"""Exit code of a process without memory, as if the system had ended it."""
 _LOOK = 0.5
 """How often a process looks whether its parent is still there [s]."""
 
@@ -30,7 +32,7 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
 
     Args:
         tasks: what ``function`` is called with.
-        function: of a module, so that every system can hand it to a process; must not raise.
+        function: of a module, so that every system can hand it to a process; must not raise but for want of memory.
         processes: how many at once.
 
     Returns:
@@ -110,7 +112,11 @@ def _serve(line: Connection, function: Callable[[Any], Any], parent: int) -> Non
             task = line.recv()
         except EOFError:
             return
-        line.send(function(task))
+        try:
+            line.send(function(task))
+        except MemoryError:
+            # Another process may have the memory that this one has not, with all that its tasks have left behind.
+            os._exit(_NO_MEMORY)
 
 
 def _end_with(parent: int) -> None:

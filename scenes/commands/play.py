@@ -136,7 +136,8 @@ def sweep(
 ) -> None:
     """Plays many runs and prints one table of their errors; a run that fails is a row, not the end.
 
-    Exit code 1 where no run succeeded.
+    A run whose process or worker was lost is not played: it stands in the table, not in the file of `--lines`, and
+    `--resume` plays it. Exit code 1 where runs were not played, or none succeeded.
 
     Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10 --lines runs.jsonl --resume`
     """
@@ -177,7 +178,11 @@ def sweep(
             write_json(json_file, {"runs": answers})
         if csv_file is not None:
             frame[shown].to_csv(csv_file, index=False)
-    if all(answer.get("failure") for answer in answers):
+    missing = sum("not_played" in answer for answer in answers)
+    if missing:
+        typer.echo(f"{missing} of {len(answers)} runs were not played; with --lines FILE and --resume the next sweep "
+                   "plays them alone", err=True)
+    if missing or all(answer.get("failure") for answer in answers):
         raise typer.Exit(1)
 
 

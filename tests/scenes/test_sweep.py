@@ -14,11 +14,12 @@ from typing import Any
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes import workers
+from scenes import cluster, workers
 from scenes.commands.common import numbers, whole_numbers
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
 
+ROOT = Path(__file__).resolve().parents[2]
 WORK = jobs(["line", "straight"], seeds=[1, 2])
 
 
@@ -153,6 +154,61 @@ def test_seeds_that_are_no_whole_numbers_are_refused(text: str) -> None:
     assert whole_numbers("1-3, 7", "--seeds") == [1, 2, 3, 7]
 
 
+def _no_memory(task: object) -> None:
+    raise MemoryError
+
+
+@pytest.mark.parametrize("function", [_always_killed, _no_memory])
+def test_what_was_not_played_is_not_believed_by_the_next_sweep(function: Any, tmp_path: Path) -> None:
+    lines = tmp_path / "lines.jsonl"
+    rows = sweep(WORK[:2], processes=2, function=function, file=SweepFile(lines, resume=True))
+    assert all("not_played" in row and row["failure"].startswith("not played: its process was lost") for row in rows)
+    assert not lines.exists()
+    rows = sweep(WORK[:2], processes=1, function=answer, file=SweepFile(lines, resume=True))
+    assert [row["failure"] for row in rows] == [None, None]
+    assert len(SweepFile(lines, resume=True).answers) == 2
+
+
+def test_a_cluster_without_workers_is_not_waited_for_for_ever(monkeypatch, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    monkeypatch.setattr(cluster, "PATIENCE", 1.0)
+    monkeypatch.setattr(cluster, "_ANSWERS", 0.2)
+    lines = tmp_path / "lines.jsonl"
+    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as nobody:
+        rows = sweep(WORK, dask=nobody.scheduler_address, function=answer, file=SweepFile(lines, resume=True))
+    assert [row["not_played"] for row in rows] == ["the cluster was without a worker for 1 s"] * 4
+    assert not lines.exists()
+
+
+def _waits(job: Job) -> dict[str, Any]:
+    time.sleep(0.0 if job.seed == 1 else 60.0)
+    return answer(job)
+
+
+@pytest.mark.slow
+def test_what_a_dead_scheduler_has_lost_is_played_by_the_next_sweep(tmp_path: Path) -> None:
+    pytest.importorskip("dask.distributed")
+    lines, told, dask = tmp_path / "lines.jsonl", tmp_path / "scheduler.json", [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                                  "--scheduler-file", str(told)], stderr=subprocess.DEVNULL)
+    worker = None
+    try:
+        while not told.exists():
+            time.sleep(0.1)
+        address = json.loads(told.read_text())["address"]
+        worker = subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+                                  stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(ROOT)})
+        rows = sweep(jobs(["line"], seeds=[1, 2, 3]), dask=address, function=_waits,
+                     file=SweepFile(lines, resume=True), done=lambda count: scheduler.kill())
+    finally:
+        scheduler.kill()
+        if worker is not None:
+            worker.kill()
+    assert rows[0]["failure"] is None
+    assert ["not_played" in row for row in rows] == [False, True, True]
+    assert len(SweepFile(lines, resume=True).answers) == 1
+
+
 @pytest.mark.slow
 def test_dask_goes_on_when_a_worker_is_killed(tmp_path: Path) -> None:
     distributed = pytest.importorskip("dask.distributed")
@@ -160,7 +216,7 @@ def test_dask_goes_on_when_a_worker_is_killed(tmp_path: Path) -> None:
     for folder in folders:
         folder.mkdir()
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        work = [Job("line", str(folder), None, None) for folder in folders]
+        work = [Job("line", folder, None, None) for folder in folders]
         rows = sweep(work, dask=cluster.scheduler_address, function=_killed_once_job)
     assert [row["failure"] for row in rows] == [None] * 4
 
