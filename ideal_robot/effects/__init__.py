@@ -12,7 +12,7 @@ from ideal_robot.effects.base import (
     Effect,
     EffectParameter,
 )
-from ideal_robot.effects.fitted import FittedEffect, effect_of
+from ideal_robot.effects.fitted import FittedEffect
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library, names, register, unregister
 from ideal_robot.effects.signals import Frames, Signals
@@ -30,7 +30,6 @@ __all__ = [
            "Frames",
            "LoopChange",
            "Signals",
-           "effect_of",
            "library",
            "names",
            "register",

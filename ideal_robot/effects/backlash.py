@@ -73,6 +73,8 @@ class BacklashByMotion(GearEffect):
     theta_units = ("rad",)
     coefficient_names = ("share",)
     coefficient_units = ("1",)
+    # The arm lags.
+    within = (0.0, np.inf)
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
@@ -89,10 +91,6 @@ class BacklashByMotion(GearEffect):
         """See ``GearEffect.bend``."""
         q = np.ascontiguousarray(signals.q[:, joint - 1])
         return np.asarray(q - play(q, theta[0]))
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The arm lags."""
-        return bool(coefficients[0] > 0.0)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. The play, crossed where the motion turns; the coefficient is a share of it."""
@@ -116,7 +114,10 @@ class BacklashInFlight(GearEffect):
     theta_units = ("rad", "N m")
     coefficient_names = ("share",)
     coefficient_units = ("1",)
+    # The inertia that is set free is that behind the gear, as well as it is known.
+    within = (0.4, 2.5)
     source = "M. Nordin, P.-O. Gutman, Automatica 38, 2002: free motion between the flanks"
+    nowhere = "how long the gap takes to be crossed depends on the motion"
     slow = 5.0
     """The motor's own jumps at the impacts are not taken for load."""
 
@@ -161,19 +162,11 @@ class BacklashInFlight(GearEffect):
         """Slow load with all of the constant torque ``(N,)`` [N m]: a fit knows their sum better than each."""
         return self.load(signals, joint) + _constant(signals, joint)
 
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The inertia that is set free is that behind the gear, as well as it is known."""
-        return bool(0.4 < coefficients[0] < 2.5)
-
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. Half the gap, as far as the inertia behind the gear is right."""
         share, sigma = float(coefficients[0]), theta_std[0] if theta_std else 0.0
         return [EffectParameter("half gap", share * theta[0],
                                 float(np.hypot(share * sigma, theta[0] * float(std[0]))), "rad")]
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Nowhere: it is no function of the load alone."""
-        return LoopChange(nowhere="how long the gap takes to be crossed depends on the motion")
 
 
 @jit()

@@ -152,6 +152,8 @@ class Effect(ABC):
         tail_alone: whether only the end of what it does lies in samples that count, so that a size and a theta that
             belong to one tail do not make each other certain.
         learned: whether it is a curve without a physical cause.
+        within: open interval in which physics has the first coefficient.
+        nowhere: why it does not act in the loop; empty where it does.
         discriminating_motion: for causes that are easily taken for this one, name and the motion that tells them
             apart. It is enough that one of the two says it.
         source: where the equation comes from.
@@ -181,6 +183,8 @@ class Effect(ABC):
     standstill: ClassVar[int] = 0
     tail_alone: ClassVar[bool] = False
     learned: ClassVar[bool] = False
+    within: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
+    nowhere: ClassVar[str] = ""
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = ()
     source: ClassVar[str] = ""
 
@@ -217,8 +221,8 @@ class Effect(ABC):
         yield from range(1, signals.n + 1)
 
     def usable(self, signals: Signals, joint: int) -> bool:
-        """Whether the signals it needs are there and the joint moves enough for it to show."""
-        return True
+        """Whether the signals it needs are there and the joint moves enough for it to show; a TCP needs the frames."""
+        return self.domain != TCP_POSITION or signals.frames is not None
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """Values of theta to start from, within the physical bounds; one empty tuple where there is no theta."""
@@ -301,7 +305,7 @@ class Effect(ABC):
         return None
 
     def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """Whether the coefficients have the sign and size physics allows.
+        """Whether the coefficients have the sign and size physics allows; by default, whether the first is ``within``.
 
         Args:
             coefficients: ``(m,)``, in ``coefficient_units``.
@@ -309,7 +313,7 @@ class Effect(ABC):
             signals: of the recording.
             joint: from 1; 0 for the whole arm.
         """
-        return True
+        return bool(self.within[0] < coefficients[0] < self.within[1])
 
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
         """Theta with which the coefficients ``(m,)`` are exact; by default as it is, for a physical one is fitted."""
@@ -333,15 +337,15 @@ class Effect(ABC):
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """What it changes in the loop: where it acts in the machine, or why it does not act.
 
-        By default a torque is asked of the motor as it stands; what shows elsewhere acts nowhere.
+        By default a torque is asked of the motor as it stands.
 
         Args:
             coefficients: ``(m,)``, in ``coefficient_units``.
             theta: nonlinear parameters, in ``theta_units``.
         """
-        if self.domain == MOTOR_TORQUE:
-            return LoopChange(torque=True)
-        return LoopChange(nowhere="the effect does not say where in the machine it acts")
+        if self.nowhere or self.domain != MOTOR_TORQUE:
+            return LoopChange(nowhere=self.nowhere or "the effect does not say where in the machine it acts")
+        return LoopChange(torque=True)
 
     def to_data(self) -> dict[str, Any]:
         """What a model file has to remember of it beside name, joint, channel and numbers."""

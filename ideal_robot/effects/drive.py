@@ -52,16 +52,14 @@ class DriveGain(Effect):
     name = "drive_gain"
     coefficient_names = ("relative error of the gain",)
     coefficient_units = ("1",)
+    # A gain is positive and not wrong by a factor of three.
+    within = (-0.7, 2.0)
     absorbed_by_base = True
     source = "[J] (15): drive gains"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.torque[:, joint - 1])
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. A gain is positive and not wrong by a factor of three."""
-        return bool(np.abs(coefficients[0]) < 2.0 and coefficients[0] > -0.7)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. The controller asks in units of what is read."""
@@ -152,6 +150,7 @@ class DeadTime(Effect):
     coefficient_names = ("delay",)
     coefficient_units = ("s",)
     source = "first-order expansion of a pure delay"
+    nowhere = "only the record is late: the arm moves as it did"
     longest: ClassVar[float] = 0.06
     held: ClassVar[tuple[float, float]] = (0.0, 0.0)
 
@@ -159,10 +158,6 @@ class DeadTime(Effect):
         """See ``Effect.plausible``. Milliseconds, not tenths of a second; not what a drive does."""
         low, high = self.held
         return bool(abs(coefficients[0]) < self.longest and not low < coefficients[0] < high)
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Nowhere: it is in the recording alone."""
-        return LoopChange(nowhere="only the record is late: the arm moves as it did")
 
 
 class LateTorque(DeadTime):
@@ -285,10 +280,6 @@ class LateMeasurement(DeadTime):
             yield from super().joints(signals)
         elif signals.n > 1 or self.domain == TCP_POSITION:
             yield 0
-
-    def usable(self, signals: Signals, joint: int) -> bool:
-        """At the TCP the frames have to be known."""
-        return self.domain != TCP_POSITION or signals.frames is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``, at the TCP ``(N, 3, 1)``."""

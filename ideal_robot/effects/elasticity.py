@@ -131,7 +131,7 @@ class JointElasticity(GearEffect):
         return LoopChange(further_compliance=coefficients[0], from_arm_angle=self.domain == ARM_POSITION)
 
 
-class GearResonance(JointElasticity):
+class GearResonance(GearEffect):
     """Seen in the motor torque: what the arm is late by behind a soft gear is the answer of an oscillator to its load.
 
         M d²y/dt² + d dy/dt + K y = tau_load(q),   q_a = q - y,
@@ -142,15 +142,20 @@ class GearResonance(JointElasticity):
     with the wrong sign there is no gear.
     """
 
+    name = JointElasticity.name
     theta_names = ("stiffness",)
     theta_units = ("N m/rad",)
     coefficient_names = ("share",)
     coefficient_units = ("1",)
+    # The inertia that is set free is that behind the gear, as well as it is known.
+    within = (0.4, 2.5)
     at_all_frequencies = True
+    source = JointElasticity.source
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """There has to be a load, and an inertia behind the gear."""
-        return super().usable(signals, joint) and len(signals.t) > 2 and _mean_inertia(signals, joint) > 0.0
+        loaded = float(np.std(signals.load[:, joint - 1])) > 0.0 and _mean_inertia(signals, joint) > 0.0
+        return super().usable(signals, joint) and loaded and len(signals.t) > 2
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
         """By the resonance."""
@@ -169,10 +174,6 @@ class GearResonance(JointElasticity):
         """See ``GearEffect.bend``."""
         inertia = signals.inertia_behind(joint)
         return np.asarray(swinging(signals.load[:, joint - 1] / inertia, inertia, signals.dt, theta[0]))
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The inertia that is set free is that behind the gear, as well as it is known."""
-        return bool(0.4 < coefficients[0] < 2.5)
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. The stiffness, no better than the inertia with which it swings is known."""

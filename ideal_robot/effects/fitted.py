@@ -83,8 +83,3 @@ class FittedEffect:
             parameters=tuple(map(EffectParameter.from_dict, values.get("parameters", ()))),
             evidence=dict(values.get("evidence", {})),
         )
-
-
-def effect_of(fitted: FittedEffect) -> Effect:
-    """The effect of the library behind a fitted one; see ``FittedEffect.effect``."""
-    return fitted.effect

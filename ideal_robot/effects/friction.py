@@ -84,6 +84,8 @@ class Degressive(LawTerm):
     theta_names = ("a_4",)
     theta_units = ("s/rad",)
     coefficient_names = ("a_3",)
+    # The characteristic bends downwards from a rise.
+    within = (0.0, np.inf)
     of_slow_motion = True
     standstill = 1
     discriminating_motion = (("viscous", "constant-velocity runs over the whole range of speeds"),)
@@ -99,10 +101,6 @@ class Degressive(LawTerm):
         top = _top_speed(signals, joint)
         return [(1.5 / top, 80.0 / top)]
 
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The characteristic bends downwards from a rise."""
-        return bool(coefficients[0] > 0.0)
-
 
 class Stribeck(LawTerm):
     """``tau = a_3 sign(qd) exp(-a_4 |qd|)`` with ``a_3 > 0`` ([G] (4), written for both directions).
@@ -115,6 +113,8 @@ class Stribeck(LawTerm):
     theta_names = ("v_s",)
     theta_units = ("rad/s",)
     coefficient_names = ("excess at standstill",)
+    # Friction is larger, not smaller, near standstill.
+    within = (0.0, np.inf)
     of_slow_motion = True
     standstill = -1
     discriminating_motion = (
@@ -135,10 +135,6 @@ class Stribeck(LawTerm):
     def friction(self, qd: Array, direction: Array, theta: Theta) -> Array:
         """See ``LawTerm.friction``. In units of ``v_s`` the law's ``a_4`` is one."""
         return self.law.columns(qd / theta[0], direction, np.ones(1))[self.term]
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Friction is larger, not smaller, near standstill."""
-        return bool(coefficients[0] > 0.0)
 
 
 class BellStribeck(Stribeck):
@@ -190,6 +186,8 @@ class LoadDependentFriction(Effect):
     theta_units = ("kg m²",)
     coefficient_names = ("friction per load",)
     coefficient_units = ("1",)
+    # More load, more friction; never as much as the load itself.
+    within = (0.0, 1.0)
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("coulomb", "the same strokes at postures of high and of low gravity load"),
     )
@@ -230,10 +228,6 @@ class LoadDependentFriction(Effect):
         # Files of earlier versions have no theta.
         before = theta[0] if theta else 0.0
         return np.asarray(signals.borne(joint) - before * signals.qdd[:, joint - 1])
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. More load, more friction; never as much as the load itself."""
-        return bool(0.0 < coefficients[0] < 1.0)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. Friction by load."""
@@ -284,6 +278,8 @@ class PreslidingHysteresis(Effect):
     theta_names = ("sigma",)
     theta_units = ("rad",)
     coefficient_names = ("hysteretic friction",)
+    # Friction opposes motion.
+    within = (0.0, np.inf)
     discriminating_motion = (
         ("degressive", _SPEED_OR_DISTANCE),
         ("stribeck", _SPEED_OR_DISTANCE),
@@ -306,10 +302,6 @@ class PreslidingHysteresis(Effect):
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         z = dahl(np.ascontiguousarray(signals.q[:, joint - 1]), theta[0])
         return signals.on_joint(joint, z - signals.sliding_direction(joint))
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Friction opposes motion."""
-        return bool(coefficients[0] > 0.0)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. Friction builds up over the displacement."""
@@ -360,6 +352,8 @@ class ThermalDrift(WarmingEffect):
     coefficient_names = ("change of viscous friction", "change of Coulomb friction")
     coefficient_units = ("N m s/rad", "N m")
     source = "[G] Figs 3, 12"
+    nowhere = ("how warm a gear is when a path begins cannot be told from the time since a "
+               "recording began; method adapted follows friction while the arm works")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 2)``."""
@@ -383,11 +377,6 @@ class ThermalDrift(WarmingEffect):
         units = ("N m s/(rad K)", "N m/K")
         return [EffectParameter(name, float(value), float(s), unit) for name, unit, value, s in
                 zip(self.coefficient_names, units, coefficients, std, strict=True)]
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Nowhere: the loop is not told how warm the gear is."""
-        return LoopChange(nowhere="how warm a gear is when a path begins cannot be told from the time since a "
-                                  "recording began; method adapted follows friction while the arm works")
 
 
 def _top_speed(signals: Signals, joint: int) -> float:

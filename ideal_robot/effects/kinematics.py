@@ -20,6 +20,8 @@ class ZeroError(Effect):
     name = "zero_error"
     coefficient_names = ("angle",)
     coefficient_units = ("rad",)
+    # Degrees, not another mounting.
+    within = (-0.2, 0.2)
     absorbed_by_base = True
     source = "derivative of [G] (5) by one angle"
 
@@ -34,10 +36,6 @@ class ZeroError(Effect):
         if signals.derivatives is None:
             return np.zeros((len(signals.t), signals.n, 1))
         return signals.derivatives.by(joint)[0][:, :, None]
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Degrees, not another mounting."""
-        return bool(abs(coefficients[0]) < 0.2)
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. The rigid body is at other angles, and so is the tool."""
@@ -60,10 +58,6 @@ class KinematicError(Effect):
     coefficient_names = ("a", "d", "alpha", "theta")
     coefficient_units = ("m", "m", "rad", "rad")
     source = "J. Denavit, R. S. Hartenberg 1955; first-order kinematic calibration"
-
-    def usable(self, signals: Signals, joint: int) -> bool:
-        """The frames have to be known."""
-        return signals.frames is not None
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, 3, 4)``."""
@@ -98,10 +92,8 @@ class ThermalGrowth(WarmingEffect):
     coefficient_names = ("strain",)
     coefficient_units = ("1",)
     source = "linear expansion, 12e-6/K for steel, 24e-6/K for aluminium"
-
-    def usable(self, signals: Signals, joint: int) -> bool:
-        """The frames have to be known."""
-        return signals.frames is not None
+    nowhere = ("how warm a link is when a path begins cannot be told from the time since a "
+               "recording began, and the positional interface gives no temperature")
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, 3, 1)``."""
@@ -116,8 +108,3 @@ class ThermalGrowth(WarmingEffect):
                 end = end - axis * signals.q[:, joint, None]
         warm = self.warmth(signals, joint, theta)
         return np.asarray(((end - frames.position[:, joint - 1]) * warm[:, None])[:, :, None])
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. Nowhere: the loop is not told how warm the link is."""
-        return LoopChange(nowhere="how warm a link is when a path begins cannot be told from the time since a "
-                                  "recording began, and the positional interface gives no temperature")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,23 +21,58 @@ _LEAST_WEIGHT = 0.02
 """Of a joint's largest torque, what gravity has to ask of it for a balancing spring to make sense."""
 
 
-class Payload(WholeArmEffect):
+class LinkLoad(Effect):
+    """Mass, first moments and inertias added to one link, [G] (5) with its columns; against a model known before.
+
+    A body away from the axis turns with it: without its inertia a load on the first links would be looked for further
+    out. On the last link it is a payload. Of the mass and the lever often the product alone shows, so the numbers are
+    reported as they are.
+    """
+
+    name = "link_load"
+    coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+    coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
+    absorbed_by_base = True
+    # Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
+    without_which_none: ClassVar[tuple[int, ...]] = (0, 1, 2, 3)
+    source = "[G] (5)"
+
+    def joints(self, signals: Signals) -> Iterator[int]:
+        """All links but the last."""
+        yield from range(1, signals.n)
+
+    def usable(self, signals: Signals, joint: int) -> bool:
+        """The regressor of the links has to be known."""
+        return signals.bodies is not None
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
+        if signals.bodies is None:
+            return np.zeros((len(signals.t), signals.n, 10))
+        return np.asarray(signals.bodies(joint))
+
+    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
+        """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
+        return bool(np.any(np.abs(coefficients) > 1e-9))
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """See ``Effect.loop_change``. A body on the link."""
+        return LoopChange(body=coefficients)
+
+
+class Payload(WholeArmEffect, LinkLoad):
     """Mass, first moments and inertias added to the last link, [G] (5) with that link's columns only.
 
     It acts on all joints, so it belongs to the whole arm (joint 0).
     """
 
     name = "payload"
-    coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
-    coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
-    absorbed_by_base = True
     # Moments without mass are no body but how gears, rotors or filters bend what a motion shows.
     without_which_none = (0,)
     # Its weight at a lever turns the wrist with gravity, which none of these do; its mass the strong joints show alone.
     enough_of_most = (1, 2, 3)
     # On the axis of the flange a body turns like the link before; tools are changed, links are not.
     sooner_than = ("link_load",)
-    source = "[G] (5)"
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """The regressor of the last link has to be known."""
@@ -63,49 +99,6 @@ class Payload(WholeArmEffect):
                                   float(np.hypot(std[i + 1] / m, coefficients[i + 1] * std[0] / m**2)), "m")
                   for i, axis in enumerate("xyz")]
         return [EffectParameter("mass", m, float(std[0]), "kg"), *centre]
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. A body on the last link."""
-        return LoopChange(body=coefficients)
-
-
-class LinkLoad(Effect):
-    """Mass, first moments and inertias added to one link, [G] (5) with its columns; against a model known before.
-
-    A body away from the axis turns with it: without its inertia a load on the first links would be looked for further
-    out. On the last link it is a payload. Of the mass and the lever often the product alone shows, so the numbers are
-    reported as they are.
-    """
-
-    name = "link_load"
-    coefficient_names = Payload.coefficient_names
-    coefficient_units = Payload.coefficient_units
-    absorbed_by_base = True
-    # Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
-    without_which_none = (0, 1, 2, 3)
-    source = "[G] (5)"
-
-    def joints(self, signals: Signals) -> Iterator[int]:
-        """All links but the last."""
-        yield from range(1, signals.n)
-
-    def usable(self, signals: Signals, joint: int) -> bool:
-        """The regressor of the links has to be known."""
-        return signals.bodies is not None
-
-    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
-        """See ``Effect.columns``. Shape ``(N, n, 10)``."""
-        if signals.bodies is None:
-            return np.zeros((len(signals.t), signals.n, 10))
-        return np.asarray(signals.bodies(joint))
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
-        return bool(np.any(np.abs(coefficients) > 1e-9))
-
-    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
-        """See ``Effect.loop_change``. A body on the link."""
-        return LoopChange(body=coefficients)
 
 
 class BaseTilt(WholeArmEffect):
@@ -169,16 +162,14 @@ class CableSpring(Effect):
     name = "cable_spring"
     coefficient_names = ("stiffness",)
     coefficient_units = ("N m/rad",)
+    # The motor works against the pull: a spring holds back, it does not push on.
+    within = (0.0, np.inf)
     of_angle_alone = True
     source = "hose packs and cables along the arm"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         return signals.on_joint(joint, signals.q[:, joint - 1])
-
-    def plausible(self, coefficients: Array, theta: Theta, signals: Signals, joint: int) -> bool:
-        """See ``Effect.plausible``. The motor works against the pull: a spring holds back, it does not push on."""
-        return bool(coefficients[0] > 0.0)
 
 
 class GravitySpring(Effect):

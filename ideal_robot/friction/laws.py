@@ -92,14 +92,7 @@ class FrictionModel(ABC):
 
     def regressor(self, qd: Array, load: Array | None = None, q: Array | None = None,
                   direction: Array | None = None) -> Array:
-        """Regressor ``(…, n, m)`` with respect to the ``m`` coefficients of each joint; arguments as in ``torque``.
-
-        Args:
-            qd: velocities ``(…, n)`` [rad/s].
-            load: torque that the gears transmit ``(…, n)`` [N m].
-            q: positions ``(…, n)`` [rad].
-            direction: of sliding ``(…, n)``, -1 … 1.
-        """
+        """See ``FrictionModel.torque``. Regressor ``(…, n, m)`` of the ``m`` coefficients of each joint."""
         return np.stack(self._columns(qd, load, q, direction), axis=-1)
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
@@ -311,14 +304,7 @@ class PerJointFriction:
 
     def torque(self, qd: Array, load: Array | None = None, q: Array | None = None,
                direction: Array | None = None) -> Array:
-        """Friction torque ``(…, n)`` [N m]; arguments as in ``FrictionModel.torque``.
-
-        Args:
-            qd: velocities ``(…, n)`` [rad/s].
-            load: torque that the gears transmit ``(…, n)`` [N m].
-            q: positions ``(…, n)`` [rad].
-            direction: of sliding ``(…, n)``, -1 … 1.
-        """
+        """See ``FrictionModel.torque``."""
         qd = np.asarray(qd, dtype=float)
         others = (load, q, direction)
         parts = [law.torque(qd[..., [j]], *(None if values is None else values[..., [j]] for values in others))

@@ -242,8 +242,8 @@ def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
     for j in range(model.n):
         sliding = np.abs(speed[:, j]) > 0.05 * np.max(np.abs(speed[:, j]))
         warmed = np.ptp(temperature[sliding, j]) >= _WARMTH if sliding.sum() > 50 else False
-        found.append(fit_warm_up(CubeRoot, speed[sliding, j], torque[sliding, j],
-                                 temperature=temperature[sliding, j]) if warmed else None)
+        found.append(fit_warm_up(CubeRoot, speed[sliding, j], torque[sliding, j], temperature[sliding, j])
+                     if warmed else None)
     return tuple(found)
 
 

@@ -14,7 +14,7 @@ from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.validation.refit import named_camera_effect
-from ideal_robot.effects import SENSOR, TCP_POSITION, FittedEffect, effect_of, library
+from ideal_robot.effects import SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -235,7 +235,7 @@ def test_model_file_keeps_them_and_torques_do_not_change(gantry_robot: Robot, tm
     loaded = Model.load(file)
     assert [(e.name, e.coefficients) for e in loaded.effects] == [(e.name, e.coefficients) for e in own]
     assert all(e.domain == SENSOR for e in loaded.effects)
-    assert [effect_of(e).name for e in loaded.effects] == list(SIZES)
+    assert [e.effect.name for e in loaded.effects] == list(SIZES)
     q = np.linspace(0.0, 0.5, 30).reshape(5, 6)
     np.testing.assert_allclose(loaded.inverse_dynamics(q, q, q), model.inverse_dynamics(q, q, q), rtol=1e-10)
 

@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.diagnosis.channels.arm import frames_along
-from ideal_robot.effects import Effect, FittedEffect, Signals, effect_of, library
+from ideal_robot.effects import Effect, FittedEffect, Signals, library
 from ideal_robot.effects.force import CONTACT_FORCE, MOMENTS
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -109,7 +109,7 @@ def test_effects_survive_their_file_and_leave_torques_alone(effect):
     fitted = FittedEffect(effect.name, joint, effect.channel(joint), (1e-3,) * m, (1e-4,) * m, theta,
                           (0.0,) * len(theta))
     again = FittedEffect.from_dict(json.loads(json.dumps(fitted.to_dict())))
-    assert type(effect_of(again)) is type(effect)
+    assert type(again.effect) is type(effect)
     assert again.domain == effect.domain
     np.testing.assert_array_equal(again.contribution(signals), fitted.contribution(signals))
     bare = Model.nominal(ROBOT)

@@ -15,7 +15,6 @@ from ideal_robot.effects import (
     Effect,
     FittedEffect,
     Signals,
-    effect_of,
     library,
     names,
     register,
@@ -75,7 +74,7 @@ class TestEffect:
         fitted = FittedEffect(effect.name, joint, effect.channel(joint), tuple(0.1 * (i + 1) for i in range(m)),
                               (0.01,) * m, theta, (0.0,) * len(theta))
         again = FittedEffect.from_dict(json.loads(json.dumps(fitted.to_dict())))
-        assert type(effect_of(again)) is type(effect)
+        assert type(again.effect) is type(effect)
         assert again.domain == effect.domain
         np.testing.assert_array_equal(again.contribution(signals), fitted.contribution(signals))
 
@@ -98,7 +97,7 @@ def test_every_name_of_the_list_is_there():
 
 def test_an_effect_of_another_version_is_named():
     with pytest.raises(InputError, match="known are"):
-        effect_of(FittedEffect("perpetual_motion", 1, "tau_1", (1.0,)))
+        _ = FittedEffect("perpetual_motion", 1, "tau_1", (1.0,)).effect
 
 
 def test_a_learned_term_goes_to_zero_outside_of_where_it_was_learned():
@@ -180,7 +179,7 @@ def test_an_effect_that_was_taken_out_is_unknown():
     effect = SquareOfPosition()
     register(effect)
     fitted = FittedEffect(effect.name, 1, "tau_1", (2.0,))
-    assert effect_of(fitted) is effect
+    assert fitted.effect is effect
     unregister(effect)
     with pytest.raises(InputError, match="known are"):
         fitted.contribution(motion())
