@@ -37,11 +37,12 @@ def along(tool_mm: float, first: float, last: float) -> NDArray[np.uint8]:
         last: that of the last one [m].
     """
     cell = set_up(load_scene("line").changed(tool_mm=tool_mm))
-    shape, kinematics = ArmShape(cell.robot), InverseKinematics(cell.robot)
-    frames, q, noise = [], cell.robot.home, np.random.default_rng(0)
-    with camera_of(cell) as camera, SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+    shape, kinematics = ArmShape(cell.known.robot), InverseKinematics(cell.known.robot)
+    frames, q, noise = [], cell.known.robot.home, np.random.default_rng(0)
+    start = cell.known.follower.q_start
+    with camera_of(cell) as camera, SimulatedArm(cell.known.robot, cell.world, cell.noise, start) as arm:
         for s in np.linspace(first, last, 3):
-            q = kinematics.search(cell.reference.pose(s), q)
+            q = kinematics.search(cell.known.reference.pose(s), q)
             arm.reset(q)
             frames.append(camera.frame(arm.truth.tcp, noise, (shape.at(arm.q_a), shape.radii), arm.q_a))
     return np.hstack(frames)

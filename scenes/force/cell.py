@@ -54,9 +54,13 @@ def true_sensor(table: SensorTable) -> ForceSensorSettings:
 
 
 @dataclass(kw_only=True)
-class Cell(Known):
-    """Everything of one run that is set up before anything moves: what the follower knows, and the world."""
+class Cell:
+    """Everything of one run that is set up before anything moves.
 
+    The follower is given ``known`` alone; the rest is the world.
+    """
+
+    known: Known
     world: World
     surface: HeightSurface
     geometry: Geometry
@@ -89,23 +93,23 @@ def set_up(scene: ForceScene) -> Cell:
     place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)
-    return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
-                reference=reference, profile=profile, camera=believed_camera(scene.camera, scene.calibration),
-                world=world, surface=true_surface(scene.surface), geometry=where,
+    known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), model=model_for(scene, robot),
+                  reference=reference, profile=profile, camera=believed_camera(scene.camera, scene.calibration))
+    return Cell(known=known, world=world, surface=true_surface(scene.surface), geometry=where,
                 sensor=ForceSensor(true_sensor(scene.sensor), sensor_noise), noise=noise,
                 camera_streams=(camera_noise, calibration))
 
 
 def calibrate_tool(cell: Cell) -> ToolLoad:
     """Bias and weight of the tool from the sensor in seven orientations, the arm resting in the air."""
-    home = cell.robot.home
+    home = cell.known.robot.home
     wrenches, rotations = [], []
-    fk = cell.robot.fk()
+    fk = cell.known.robot.fk()
     for turn, bend in ((0.0, 0.0), (0.0, 0.6), (0.0, -0.6), (0.8, 0.3), (1.6, 0.6), (-0.8, 0.4), (-1.6, -0.4)):
         q = home.copy()
         q[-3] += turn
         q[-2] += bend
-        with SimulatedArm(cell.robot, cell.world, cell.noise, q) as arm:
+        with SimulatedArm(cell.known.robot, cell.world, cell.noise, q) as arm:
             pose = arm.truth.tcp
         samples = [cell.sensor.sample(0.0, pose, np.zeros(3)).wrench for _ in range(100)]
         wrenches.append(np.mean(samples, axis=0))
@@ -115,16 +119,16 @@ def calibrate_tool(cell: Cell) -> ToolLoad:
 
 def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
     """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back ([L] 4.4)."""
-    follower = cell.follower(elasticity=1e6)
-    kinematics = InverseKinematics(cell.robot)
-    deflection = GearDeflection(cell.model, cell.world.t_ipo)
-    frames = cell.reference.frames(np.zeros(1))
-    up, start, rotation = frames.up[0], frames.position[0], cell.reference.rotation(0.0)
+    follower = cell.known.follower(elasticity=1e6)
+    kinematics = InverseKinematics(cell.known.robot)
+    deflection = GearDeflection(cell.known.model, cell.world.t_ipo)
+    frames = cell.known.reference.frames(np.zeros(1))
+    up, start, rotation = frames.up[0], frames.position[0], cell.known.reference.rotation(0.0)
     T, q = cell.world.t_ipo, follower.q_start
     height, speed = START_HEIGHT, -0.03
     stamps, forces, times, places = [], [], [], []
-    with SimulatedArm(cell.robot, cell.world, cell.noise, q) as arm:
-        contact = TipContact(arm, cell.surface, true_tip(cell.scene.tip))
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, q) as arm:
+        contact = TipContact(arm, cell.surface, true_tip(cell.known.scene.tip))
         state = None
         for k in range(int(6.0 / T)):
             height += speed * T
@@ -139,13 +143,13 @@ def calibrate_elasticity(cell: Cell, tool: ToolLoad) -> ContactElasticity:
             recent = float(np.mean(forces[-5:], axis=0) @ up) if forces else 0.0
             if speed < 0 and recent > 3.0:
                 speed = -0.01
-            if speed < 0 and recent > 1.6 * cell.scene.force:
+            if speed < 0 and recent > 1.6 * cell.known.scene.force:
                 speed = 0.01
             if speed > 0 and recent < 1.0:
                 break
     felt, way = np.array(forces), np.array(places)
     # The surface need not be square to the nominal normal: its own is where the force points.
-    normal = felt[felt @ up > 0.5 * cell.scene.force].mean(axis=0)
+    normal = felt[felt @ up > 0.5 * cell.known.scene.force].mean(axis=0)
     normal = normal / np.linalg.norm(normal)
     return identify_elasticity(np.interp(stamps, times, way @ normal), felt @ normal)
 
@@ -171,14 +175,14 @@ def friction_above(key: str) -> FrictionAtWork | None:
         return None
     cell = set_up(scene)
     try:
-        q_d = dry_run(cell.robot, cell.reference, cell.profile.top_speed, cell.q_start())
+        q_d = dry_run(cell.known.robot, cell.known.reference, cell.known.profile.top_speed, cell.known.q_start())
     except OutOfReachError:
         return None
-    with SimulatedArm(cell.robot, cell.world, cell.noise, q_d[0]) as arm:
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, q_d[0]) as arm:
         for q in q_d:
             arm.cycle(q)
         recording = arm.recording()
-    return friction_at_work(recording, loop_model(cell.model, cell.robot, delay=cell.delay))
+    return friction_at_work(recording, loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay))
 
 
 # The drawn line of a ``glue`` scene as the world has it: what the camera sees, and how far the tip is from it.
@@ -191,7 +195,7 @@ class GlueWorld:
     """
 
     def __init__(self, cell: Cell) -> None:
-        scene = cell.scene
+        scene = cell.known.scene
         noise, calibration = cell.camera_streams
         true = true_camera(believed_camera(scene.camera), scene.calibration, calibration)
         where = cell.geometry

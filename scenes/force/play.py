@@ -95,16 +95,17 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
     glue = GlueWorld(cell) if scene.task == "glue" else None
-    task = ForceTask(cell, method, gains, tool, elasticity, cell.camera_streams[0],
+    task = ForceTask(cell.known, method, gains, tool, elasticity, cell.camera_streams[0],
                      friction_shown(scene) if method.knows_model else None)
-    with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
         camera = None if glue is None else CarriedCamera(glue.rendered, arm, knock_of(scene.camera))
         task.connect(sensor, camera)
         started = time.perf_counter()
-        duration = cell.profile.duration
-        play_cycles(EquippedArm(arm, [sensor] if camera is None else [camera, sensor]), cell.robot, task, task.log,
+        duration = cell.known.profile.duration
+        carried = [sensor] if camera is None else [camera, sensor]
+        play_cycles(EquippedArm(arm, carried), cell.known.robot, task, task.log,
                     CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method.key), progress)
         wall = time.perf_counter() - started
         task.log.wrenches = sensor.samples
@@ -134,7 +135,7 @@ def _before(scene: ForceScene) -> ForceScene:
 def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, arm: SimulatedArm,
             contact: TipContact, wall: float) -> ForceResult:
     """Collects what a run leaves behind."""
-    scene, history, log = cell.scene, contact.history(), task.log
+    scene, history, log = cell.known.scene, contact.history(), task.log
     lateral: dict[str, Any] = {}
     series = (np.empty(0), np.empty(0))
     moving = [t for t, phase in zip(log.t, log.phase, strict=True) if phase == Phase.TRAVEL.value]
@@ -146,5 +147,5 @@ def _result(cell: Cell, method: str, task: ForceTask, glue: GlueWorld | None, ar
         scene=scene, method=method, figures=force_figures(scene, history, log),
         elasticity=(task.follower.settings.elasticity, task.elasticity.std, scene.tip.stiffness),
         tool={"mass": task.tool.mass, "force_residual_N": float(task.tool.residual[0])}, history=history, log=log,
-        recording=force_recording(arm, scene, method, task), urdf=cell.robot.urdf,
+        recording=force_recording(arm, scene, method, task), urdf=cell.known.robot.urdf,
         real_time_factor=arm.t / wall, lateral=lateral, lateral_series=series, failure=log.failure)

@@ -129,9 +129,13 @@ STRIPS = (0.05, 0.05)
 
 
 @dataclass(kw_only=True)
-class Cell(Known):
-    """Everything of one run that is set up before anything moves: what the follower knows, and the world."""
+class Cell:
+    """Everything of one run that is set up before anything moves.
 
+    The follower is given ``known`` alone; the rest is the world.
+    """
+
+    known: Known
     world: World
     geometry: Geometry
     line: DrawnLine
@@ -170,9 +174,10 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
         believed = hand_eye.camera
     reference, follower = line_follower(scene, robot, where.reference, believed,
                                         None if hand_eye is None else hand_eye.surface)
-    return Cell(scene=scene, robot=robot, delay=int(world.correction_delay), world=world, geometry=where, line=line,
-                true_camera=true, camera=believed, reference=reference, follower=follower, detector=detector,
-                noise=noise, camera_noise=camera_noise, relief=relief)
+    known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), camera=believed, reference=reference,
+                  follower=follower, detector=detector)
+    return Cell(known=known, world=world, geometry=where, line=line, true_camera=true, noise=noise,
+                camera_noise=camera_noise, relief=relief)
 
 
 def streams(scene: LineScene) -> list[np.random.Generator]:
@@ -201,12 +206,12 @@ class Prepared:
 
 def camera_of(cell: Cell) -> RenderedCamera:
     """The simulated camera of a scene, over its drawn surface and under its lamp."""
-    scene, settings = cell.scene, camera_settings(cell.scene.camera)
+    scene, settings = cell.known.scene, camera_settings(cell.known.scene.camera)
     lamp = lamp_over(scene, cell.geometry, streams(scene)[6])
     if scene.camera.renderer == "sampled":
         return RenderedCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp)
     return BulletCamera(cell.true_camera, cell.line, settings, cell.camera_noise, tool=True, lamp=lamp,
-                        arm=cell.robot if scene.tool_mm else None, relief=cell.relief, strips=STRIPS)
+                        arm=cell.known.robot if scene.tool_mm else None, relief=cell.relief, strips=STRIPS)
 
 
 def lamp_over(scene: LineScene, where: Geometry, rng: np.random.Generator) -> Lamp | None:
@@ -246,19 +251,20 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
     detection, hand_eye, reasons = DetectionSettings(), None, []
     moved: list[RobotState] = []
     recorded: Recording | None = None
-    span = span_of(scene, cell.reference)
-    model = model_for(scene, cell.robot, progress) if scene.calibration.by_moving else None
-    with SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm:
+    known = cell.known
+    span = span_of(scene, known.reference)
+    model = model_for(scene, known.robot, progress) if scene.calibration.by_moving else None
+    with SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm:
         try:
-            detection = look_at_line(cell.robot, cell.reference, cell.camera, arm, camera, span, streams(scene)[4])
+            detection = look_at_line(known.robot, known.reference, known.camera, arm, camera, span, streams(scene)[4])
         except SensingError as error:
             reasons.append(str(error))
         if model is not None:
             progress(0.0, "calibrating the camera")
             try:
-                hand_eye = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera,
+                hand_eye = calibrate_by_moving(known.robot, known.reference, known.camera, arm, camera,
                                                GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
-                                               cell.detector, moved)
+                                               known.detector, moved)
                 recorded = arm.recording()
             except (SceneError, SensingError) as error:
                 reasons.append(str(error))

@@ -36,13 +36,13 @@ def motion_about(cell: Cell) -> Recording:
     Raises:
         ExecutionError: the arm cannot play it.
     """
-    t_ipo = cell.robot.t_ipo
-    fast = training_motion(cell.follower.q_reference, t_ipo)
+    t_ipo = cell.known.robot.t_ipo
+    fast = training_motion(cell.known.follower.q_reference, t_ipo)
     at = np.arange(0.0, len(fast) - 1, 1.0 / 3.0)
     slow = np.column_stack([np.interp(at, np.arange(len(fast)), q) for q in fast.T])
     s = np.linspace(0.0, 1.0, 80)[:, None]
     back = fast[-1] + (slow[0] - fast[-1]) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
-    with SimulatedArm(cell.robot, cell.world, cell.noise, fast[0]) as arm:
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, fast[0]) as arm:
         played = play(arm, PassThrough(t_ipo), np.concatenate([fast, back, slow]))
         if played.error is not None:
             raise played.error

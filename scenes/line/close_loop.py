@@ -76,7 +76,7 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[st
     """
     seen_by = checked_measured(measured)
     cell = set_up(scene)
-    robot, model = cell.robot, model_for(scene, cell.robot)
+    robot, model = cell.known.robot, model_for(scene, cell.known.robot)
     with prepared(scene, progress) as shared, tempfile.TemporaryDirectory() as folder:
         def again(known: Model, own: Prepared = shared) -> LineResult:
             file = known.save(Path(folder) / "model.json")

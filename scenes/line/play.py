@@ -103,17 +103,17 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
 
 def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, shared: Prepared,
           sensors: Sequence[DeviationSensor], progress: Progress, pictures: bool) -> LineResult:
-    scene, follower = cell.scene, cell.follower
+    scene, follower = cell.known.scene, cell.known.follower
     log = LineLog()
-    with SimulatedArm(cell.robot, cell.world, cell.noise, follower.q_start) as arm:
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, follower.q_start) as arm:
         camera = CarriedCamera(shared.camera, arm, knock_of(scene.camera))
         mounted(sensors, LineWorld(arm, cell.line))
-        model = model_for(scene, cell.robot) if method.knows_model else None
+        model = model_for(scene, cell.known.robot) if method.knows_model else None
         if model is not None and method.adapts and shared.recorded is not None:
-            model = arm_of_its_type(shared.recorded, model, cell.robot)
-        task = LineTask(cell, method, camera, model, gains, log, sensors, shared.detection, shared.moved)
+            model = arm_of_its_type(shared.recorded, model, cell.known.robot)
+        task = LineTask(cell.known, method, camera, model, gains, log, sensors, shared.detection, shared.moved)
         started = time.perf_counter()
-        play_cycles(EquippedArm(arm, [camera]), cell.robot, task, log,
+        play_cycles(EquippedArm(arm, [camera]), cell.known.robot, task, log,
                     CycleSettings(scene.reference.acceleration, task.rest, task.longest, task.longest, method.key),
                     progress)
         wall = time.perf_counter() - started
@@ -121,14 +121,14 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
         shown = [(arm.tcp_at(t), arm.q_at(t), seen) for t, seen in log.shown] if pictures else []
-        recording = line_recording(arm, scene, method.key, log, cell.camera)
+        recording = line_recording(arm, scene, method.key, log, cell.known.camera)
     whole, error, followed_from = _control_error(cell, t, tcp, log.first_used)
     return LineResult(
         scene=scene, method=method.key, control_error=error, control_error_from_start=whole,
         path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
-        geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.robot.urdf,
+        geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.known.robot.urdf,
         shown=tuple(replace(seen, image=shared.camera.frame(pose, q=q)) for pose, q, seen in shown),
         world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.warning,
         s_reference=np.array(log.s), believed=np.array(log.believed),
@@ -154,7 +154,7 @@ def _path_errors(cell: Cell, log: LineLog, t: Array, tcp: Array) -> PathErrors |
     moving = np.flatnonzero(np.logical_or.reduce([np.abs(np.diff(column)) > 1e-7 for column in q_d.T]))
     if len(moving) < 8:
         return None
-    pose = cell.robot.fk()
+    pose = cell.known.robot.fk()
     part = slice(moving[0], moving[-1] + 1)
     x_d = np.empty((part.stop - part.start, 3))
     for i, q in enumerate(q_d[part]):

@@ -90,7 +90,7 @@ class ServedCell:
                  contact: Callable[[], TipContact] | None) -> None:
         self.cell, self.arm, self._line, self._new_contact = cell, arm, line, contact
         self.contact = contact() if contact is not None else None
-        self._bodies = ArmShape(cell.robot)
+        self._bodies = ArmShape(cell.known.robot)
         self.camera: tuple[str, int] | None = None
         self.force: tuple[str, int] | None = None
 
@@ -146,7 +146,7 @@ class ServedCell:
 
     def _pressed(self, contact: TipContact) -> dict[str, float]:
         """Normal force while the tip is on the surface and travels."""
-        history, wanted = contact.history(), float(self.cell.scene.force)  # type: ignore[union-attr]
+        history, wanted = contact.history(), float(self.cell.known.scene.force)  # type: ignore[union-attr]
         force, tip = history["normal"], history["tip"]
         figures = {"rms_error": float("nan"), "largest": float(force.max(initial=0.0))}
         touched = np.flatnonzero(force > 0.0)
@@ -178,13 +178,13 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
         raise InputError("only scenes of kind line and force have devices", field="scene", value=scene.kind)
     cell: LineCell | ForceCell = set_up_line(scene) if isinstance(scene, LineScene) else set_up_force(scene)
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence([scene.seed, 1]).spawn(4)]
-    start = cell.follower.q_start if isinstance(cell, LineCell) else cell.q_start()
+    start = cell.known.follower.q_start if isinstance(cell, LineCell) else cell.known.q_start()
     with ExitStack() as stack:
-        arm = stack.enter_context(SimulatedArm(cell.robot, cell.world, cell.noise, start))
+        arm = stack.enter_context(SimulatedArm(cell.known.robot, cell.world, cell.noise, start))
         outbox = Outbox(unkind, streams[0])
         stack.callback(outbox.close)
         line, drawn = _line_of(cell, scene)
-        contact = (lambda: TipContact(arm, cell.surface, true_tip(cell.scene.tip))
+        contact = (lambda: TipContact(arm, cell.surface, true_tip(cell.known.scene.tip))
                    ) if isinstance(cell, ForceCell) else None
         served = ServedCell(cell, arm, line, contact)
         carried: list[Carried] = []
@@ -208,7 +208,7 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
                 carried.append(force)
             served_arm = (ServedRtde if places.rtde else ServedArm)(
                 arm, places.arm, relative=places.relative, unkind=unkind, drift=-0.5 * unkind.drift, rng=streams[2],
-                carried=tuple(carried), sign=Axes.of(cell.robot).sign, anew=served.anew)
+                carried=tuple(carried), sign=Axes.of(cell.known.robot).sign, anew=served.anew)
         except (OSError, OverflowError) as error:
             raise InputError(f"cannot listen there ({error})", field="host:port", value=places.host) from error
         yield served, served_arm
@@ -223,7 +223,7 @@ def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple
         lamp = lamp_over(scene, cell.geometry, line_streams(scene)[6])  # type: ignore[arg-type]
         return cell.line, LiveCamera(cell.true_camera, cell.line, settings, cell.camera_noise, lamp=lamp,
                                      relief=cell.relief, tool=table.renderer == "bullet")
-    if cell.scene.task != "glue":
+    if cell.known.scene.task != "glue":
         return None, None
     noise, calibration = cell.camera_streams
     where = cell.geometry

@@ -61,10 +61,10 @@ def test_a_dry_run_above_the_path_tells_friction_where_the_job_works() -> None:
     scene = load_scene("force_wave")
     cell, found = set_up(scene), friction_shown(scene)
     assert found is not None
-    loop = loop_model(cell.model, cell.robot, delay=cell.delay)
-    gain = draw_specimen(cell.robot, cell.world).drive_gain
+    loop = loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay)
+    gain = draw_specimen(cell.known.robot, cell.world).drive_gain
     speeds, carry = np.array([0.005, 0.01, 0.03, 0.06, 0.1]), [0, 1, 2, 4]
-    true = steady_friction(cell.world, cell.robot.n, np.tile(speeds[:, None], cell.robot.n)) / gain
+    true = steady_friction(cell.world, cell.known.robot.n, np.tile(speeds[:, None], cell.known.robot.n)) / gain
 
     def off(known: LoopModel) -> float:
         table = [np.interp(speeds, v, torque) for v, torque in zip(known.friction_velocity.T,

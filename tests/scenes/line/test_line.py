@@ -283,10 +283,11 @@ def cell_of(**changes: object) -> Cell:
 
 
 def calibrated(cell: Cell, deflection: GearDeflection | None = None) -> HandEye:
-    middle = 0.5 * cell.reference.length
-    with (SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm,
+    middle = 0.5 * cell.known.reference.length
+    with (SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, CameraSettings(resolution=0.0005), cell.camera_noise) as camera):
-        return calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, camera, deflection, middle,
+        return calibrate_by_moving(cell.known.robot, cell.known.reference, cell.known.camera, arm, camera, deflection,
+                                   middle,
                                    DetectionSettings(), EdgePairs())
 
 
@@ -300,9 +301,9 @@ def measuring_error(cell: Cell, believed: CameraModel) -> Array:
 
 def test_a_camera_mounted_by_hand_measures_to_thirty_micrometres_afterwards() -> None:
     cell = cell_of(seed=3)
-    deflection = GearDeflection(model_for(cell.scene, cell.robot), cell.world.t_ipo)
+    deflection = GearDeflection(model_for(cell.known.scene, cell.known.robot), cell.world.t_ipo)
     result = calibrated(cell, deflection)
-    assert np.abs(measuring_error(cell, cell.camera)).mean() > 0.5e-3
+    assert np.abs(measuring_error(cell, cell.known.camera)).mean() > 0.5e-3
     assert np.abs(measuring_error(cell, result.camera)).mean() < 3e-5
     assert result.residual_after < 1e-4 < result.residual_before
 

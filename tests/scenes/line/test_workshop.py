@@ -163,12 +163,12 @@ def test_the_model_of_the_very_arm_stays_where_its_links_swing_behind_their_gear
     scene = load_scene("line").changed(world={"base": "bench", "payload_mass": tool, "payload_com": (0.0, 0.0, -0.08)},
                                        model="shipped")
     cell = set_up(scene)
-    model = model_for(scene, cell.robot)
+    model = model_for(scene, cell.known.robot)
     with prepared(scene) as shared:
         assert shared.recorded is not None
-        assert arm_of_its_type(shared.recorded, model, cell.robot) is model
+        assert arm_of_its_type(shared.recorded, model, cell.known.robot) is model
         rigid = replace(model, stiffness=None)
-        assert arm_of_its_type(shared.recorded, rigid, cell.robot) is not rigid
+        assert arm_of_its_type(shared.recorded, rigid, cell.known.robot) is not rigid
 
 
 @pytest.mark.slow

@@ -81,10 +81,10 @@ def test_no_shadow_and_no_mirror_image_fall_on_the_arm_in_the_picture() -> None:
 
 def along(cell: Cell) -> Sequence[tuple[Array, pin.SE3]]:
     """Angles and TCP every 50 mm of the reference."""
-    kinematics, pose, q = InverseKinematics(cell.robot), cell.robot.fk(), cell.robot.home
+    kinematics, pose, q = InverseKinematics(cell.known.robot), cell.known.robot.fk(), cell.known.robot.home
     found: list[tuple[Array, pin.SE3]] = []
-    for s in np.arange(0.0, cell.reference.length, 0.05):
-        q = kinematics.search(cell.reference.pose(s), q)
+    for s in np.arange(0.0, cell.known.reference.length, 0.05):
+        q = kinematics.search(cell.known.reference.pose(s), q)
         found.append((q, pose(q)))
     return found
 
@@ -93,14 +93,14 @@ def along(cell: Cell) -> Sequence[tuple[Array, pin.SE3]]:
 def test_behind_a_tool_of_300_mm_no_link_comes_into_view_on_any_line(name: str) -> None:
     cell = set_up(load_scene(name).changed(tool_mm=300.0))
     line = DrawnLine.from_plane_points(np.array([[0.0, 0.0], [0.1, 0.0]]), cell.geometry.plane)
-    with BulletCamera(cell.true_camera, line, QUIET, np.random.default_rng(0), arm=cell.robot) as camera:
+    with BulletCamera(cell.true_camera, line, QUIET, np.random.default_rng(0), arm=cell.known.robot) as camera:
         assert not any(covered_by_arm(camera, q, pose).any() for q, pose in along(cell))
 
 
 def test_without_a_tool_the_wrist_would_be_all_that_the_camera_sees() -> None:
     """Why the arm is in the picture only with a tool: the default cell has camera and wrist in the same place."""
     cell = set_up(load_scene("line"))
-    with BulletCamera(cell.true_camera, cell.line, QUIET, np.random.default_rng(0), arm=cell.robot) as camera:
+    with BulletCamera(cell.true_camera, cell.line, QUIET, np.random.default_rng(0), arm=cell.known.robot) as camera:
         assert np.mean([covered_by_arm(camera, q, pose) for q, pose in along(cell)]) > 0.7
 
 
