@@ -22,7 +22,7 @@ from scenes.scene_files.force_scene import Assumed, CameraTrouble, Emergency, Fo
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
-from sim.equipped_arm import CarriedCamera, CarriedForceSensor, EquippedArm
+from sim.equipped_arm import Carried, CarriedCamera, CarriedForceSensor, EquippedArm
 
 # The recording of a force scene: what the controller logged, what was desired, what the sensors said.
 
@@ -104,7 +104,7 @@ def play(scene: ForceScene, method: Any, gains: tuple[float, float] | None = Non
         task.connect(sensor, camera)
         started = time.perf_counter()
         duration = cell.known.profile.duration
-        carried = [sensor] if camera is None else [camera, sensor]
+        carried: list[Carried] = [sensor] if camera is None else [camera, sensor]
         play_cycles(EquippedArm(arm, carried), cell.known.robot, task, task.log,
                     CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, method.key), progress)
         wall = time.perf_counter() - started
