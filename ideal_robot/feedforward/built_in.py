@@ -18,8 +18,8 @@ from ideal_robot.feedforward.precorrection import Precorrection
 from ideal_robot.feedforward.training import LinearInverse, train
 from ideal_robot.loop.impulse_response import LinearLoop
 
-N_D = 30
-"""Horizon of a method that may choose."""
+HORIZON = 0.36
+"""Horizon of a method that may choose [s]."""
 
 
 def _corrected(setting: Setting, feedforward: Feedforward) -> Feedforward:
@@ -30,7 +30,7 @@ def _corrected(setting: Setting, feedforward: Feedforward) -> Feedforward:
 def _linear(setting: Setting) -> Feedforward:
     robot, q_d = setting.robot, setting.path()
     loop = LinearLoop.of(setting.loop(), np.median(q_d, axis=0))
-    return _corrected(setting, LinearInverse(loop, setting.horizon(N_D), limits=(robot.q_min, robot.q_max)))
+    return _corrected(setting, LinearInverse(loop, setting.horizon(HORIZON), limits=(robot.q_min, robot.q_max)))
 
 
 def _linear_printed(setting: Setting) -> Feedforward:
@@ -38,7 +38,7 @@ def _linear_printed(setting: Setting) -> Feedforward:
     motion = setting.plays().sinusoids(setting.path())
     answer = motion - setting.plays().play(PassThrough(robot.t_ipo), motion).errors()
     loop = LinearLoop.identify(motion, answer, robot.t_ipo)
-    return LinearInverse(loop, setting.horizon(N_D), limits=(robot.q_min, robot.q_max))
+    return LinearInverse(loop, setting.horizon(HORIZON), limits=(robot.q_min, robot.q_max))
 
 
 def _trained_printed(setting: Setting) -> Feedforward:
@@ -54,7 +54,7 @@ def _trained(setting: Setting) -> Feedforward:
 
 
 def _ideal(setting: Setting) -> IdealRobot:
-    return IdealRobot(setting.loop(), setting.horizon(N_D))
+    return IdealRobot(setting.loop(), setting.horizon(HORIZON))
 
 
 def _precorrected(setting: Setting) -> Feedforward:

@@ -164,9 +164,9 @@ class Setting:
     progress: Progress = silent
     friction: FrictionAtWork | None = None
 
-    def horizon(self, preferred: int) -> int:
-        """Length of the horizon: the one that will be given, else the method's preferred one."""
-        return preferred if self.n_d is None else self.n_d
+    def horizon(self, preferred: float) -> int:
+        """Rows of the horizon: as many as will be given, else the method's preferred time [s] in cycles."""
+        return round(preferred / self.robot.t_ipo) if self.n_d is None else self.n_d
 
     def identified(self) -> Model:
         """The model.

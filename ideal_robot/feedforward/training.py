@@ -28,6 +28,10 @@ _STILL = 2e-3
 """Speed at which the sign terms have turned over [rad/s]; a bare sign would chatter on the noise of a resting path."""
 
 
+REVERSAL = (0.288, 0.06)
+"""How long after and before a reversal its sign counts [s]: the controller's integrator needs some 0.3 s to settle."""
+
+
 @dataclass(frozen=True)
 class Lags:
     """Which neighbours in time the sums run over.
@@ -37,16 +41,21 @@ class Lags:
 
     Attributes:
         past, ahead: desired positions of so many cycles before and after now, ``m_1 = -past`` and ``m = ahead``.
-        sign_past, sign_ahead: signs of velocity likewise; both 0 for [G] (12).
+        sign_past, sign_ahead: signs of velocity likewise, over ``REVERSAL`` seconds; both 0 for [G] (12).
         torque_past, torque_ahead: rigid-body torques likewise, used only where a chain is given.
     """
 
     past: int = 1
     ahead: int = 2
-    sign_past: int = 24
-    sign_ahead: int = 5
+    sign_past: int = 0
+    sign_ahead: int = 0
     torque_past: int = 0
     torque_ahead: int = 2
+
+    @classmethod
+    def at(cls, t_ipo: float) -> Lags:
+        """Those of [G] (13) at a cycle of ``t_ipo`` [s]."""
+        return cls(sign_past=round(REVERSAL[0] / t_ipo), sign_ahead=round(REVERSAL[1] / t_ipo))
 
     @property
     def before(self) -> int:
@@ -117,7 +126,7 @@ def train(paths: Sequence[tuple[Array, Array]], t_ipo: float, *, lags: Lags | No
     Raises:
         InputError: no path, or commands and desired positions of different shape.
     """
-    lags = Lags() if lags is None else lags
+    lags = Lags.at(t_ipo) if lags is None else lags
     if not paths or any(q_d.shape != q_c.shape for q_d, q_c in paths):
         raise InputError("expected at least one pair of desired positions and commands of the same shape",
                          field="paths", value=[(q_d.shape, q_c.shape) for q_d, q_c in paths])

@@ -88,8 +88,8 @@ def set_up(scene: ForceScene) -> Cell:
     Raises:
         InputError: path out of reach, unreachable speed, a value that makes no sense.
     """
-    robot = Robot.load(scene.robot)
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
+    robot = world.with_cycles(Robot.load(scene.robot))
     place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -159,9 +159,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
     """
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
-    # A controller's cycle times are no secret: they stand in its manual.
-    robot = replace(scene.arm, t_ipo=world.t_ipo, t_position=world.t_position,
-                    t_velocity=world.t_velocity)
+    robot = world.with_cycles(scene.arm)
     place, noise, camera_noise, calibration, _, wear, _, bend = streams(scene)
     where = geometry(scene, place)
     line, relief = drawn_line(scene, where, wear), bent_surface(scene, where, bend)

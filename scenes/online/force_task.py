@@ -45,8 +45,8 @@ from sensing.force.wrench import ForceSensor, WrenchFilter
 
 # What is known of a force scene before anything moves, by whoever follows the surface: nothing of the world.
 
-N_D = 20
-"""Desired positions handed to the ideal robot [cycles]."""
+HORIZON = 0.24
+"""How far ahead the ideal robot is given desired positions [s]."""
 POSITION_NOISE = 5e-6
 """Standard deviation of the estimated tip position from cycle to cycle [m]; with more, stiff contacts lag."""
 DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
@@ -79,6 +79,11 @@ class Known:
     profile: SpeedProfile
     camera: CameraModel
 
+    @property
+    def n_d(self) -> int:
+        """Desired positions over the horizon, one a cycle."""
+        return round(HORIZON / self.robot.t_ipo)
+
     def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
@@ -89,7 +94,7 @@ class Known:
             with suppress(InputError):  # a path too short to reach its speed so gently begins as it can
                 gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
                 profile = SpeedProfile.plan(self.robot, self.reference, gentle)
-        return SurfaceFollower(self.robot, self.reference, profile, N_D, settings, fusion=fusion,
+        return SurfaceFollower(self.robot, self.reference, profile, self.n_d, settings, fusion=fusion,
                                lateral=fusion is not None, start_height=START_HEIGHT,
                                force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
 
@@ -102,7 +107,7 @@ class Known:
         q_start = InverseKinematics(self.robot).search(start, self.robot.home)
         settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
                                    length=float(scene.line.length or 0.5))
-        return ContourFollower(self.robot, start, -out, up, side, q_start, N_D, settings)
+        return ContourFollower(self.robot, start, -out, up, side, q_start, self.n_d, settings)
 
     def q_start(self) -> Array:
         """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""
@@ -149,7 +154,7 @@ def glue_fusion(cell: Known) -> DeviationFilter:
     assumed = cell.scene.assumed
     camera = (sight.yaw, sight.stamp, sight.scale if assumed.distance_estimated else KNOWN)
     force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
-    ahead = (N_D + 6) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
+    ahead = (cell.n_d + 6) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
     model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
                           rotation=0.05, shape=0.01, length=0.1)
     return DeviationFilter(model, biases={"camera": camera, "force": force}, confirm=CONFIRM)
@@ -258,14 +263,12 @@ class ForceTask:
         friction: as the dry run has shown it; the model's if None.
     """
 
-    n_d = N_D
-
     def __init__(self, cell: Known, method: SceneMethod, gains: tuple[float, float] | None, tool: ToolLoad,
                  elasticity: ContactElasticity, rng: np.random.Generator,
                  friction: FrictionAtWork | None = None) -> None:
         known = ForceErrors.of(cell.model.effects if method.knows_model else ())
         tool = replace(tool, bias=tool.bias + known.wrench)
-        self.cell, self.method, self.tool, self.elasticity = cell, method, tool, elasticity
+        self.cell, self.method, self.tool, self.elasticity, self.n_d = cell, method, tool, elasticity, cell.n_d
         self.assumed_stiffness = assumed = known.stiffness(cell.scene.assumed.elasticity_ratio * elasticity.stiffness)
         self.vision: GlueCamera | None = None
         self._direct: DirectForceFeedback | None = None
@@ -281,7 +284,7 @@ class ForceTask:
         self._stop = StopConditions(cell.robot, cell.scene.emergency.limits())
         self._filter, self._tare = WrenchFilter(WINDOW), Tare()
         model = cell.model if method.knows_model else None
-        self.feedforward = method.following(Setting(cell.robot, model, N_D, cell.delay, friction=friction))
+        self.feedforward = method.following(Setting(cell.robot, model, self.n_d, cell.delay, friction=friction))
         # Where the gears are not known, commands and motor angles share the same error: q_a ≈ q.
         self._geometry = CorrectedArm(cell.robot, () if model is None else model.effects)
         self._kinematics = InverseKinematics(cell.robot)
@@ -289,7 +292,7 @@ class ForceTask:
                                                        self._kinematics.torque)
         self._state = self.feedforward.init(self.q_start)
         self.log = ForceLog()
-        self._torque = np.zeros((N_D, cell.robot.n))
+        self._torque = np.zeros((self.n_d, cell.robot.n))
         self._sensor: ForceSensor
         self._camera: Camera | None = None
 

@@ -23,8 +23,8 @@ from scenes.result import Progress, silent
 from scenes.scene_files.path_scene import JointPath, PathScene, joint_path
 from sim.arm.world import World
 
-N_D = 30
-"""Desired positions handed to the ideal robot [cycles]."""
+HORIZON = 0.36
+"""How far ahead the ideal robot is given desired positions [s]."""
 DELAY = "_delay"
 """Behind a method's key: the standard path planner's delay is in force."""
 
@@ -79,7 +79,8 @@ class PathCell:
             InputError: no such method.
         """
         wanted = method if isinstance(method, SceneMethod) else SceneMethod(method)
-        setting = Setting(self.robot, self.model, N_D, self.delay, self.path.q_d, practice=self.practice,
+        setting = Setting(self.robot, self.model, round(HORIZON / self.robot.t_ipo), self.delay, self.path.q_d,
+                          practice=self.practice,
                           progress=progress)
         return wanted.feedforward(setting)
 
@@ -130,7 +131,7 @@ def set_up(scene: PathScene, *, delay: bool, model: Model | None = None) -> Path
     Raises:
         InputError: path out of reach, no model, a value of the world that makes no sense.
     """
-    robot = Robot.load(scene.robot)
     world = World.from_table(scene.robot, {**scene.arm_world, "correction_delay": delay}, scene.source)
+    robot = world.with_cycles(Robot.load(scene.robot))
     return PathCell(robot, world, model or model_for(scene, robot), joint_path(scene, robot, world.t_ipo),
                     scene.learn_from, scene.seed)

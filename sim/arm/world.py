@@ -312,6 +312,10 @@ class World:
             inertia_tolerance=0.0, drive_gain_error=0.0, payload_mass=0.0, external_position_noise=0.0,
             external_rotation_noise=0.0)
 
+    def with_cycles(self, robot: Robot) -> Robot:
+        """The robot with the cycles of this world's controller, which are no secret: they stand in its manual."""
+        return dataclasses.replace(robot, t_ipo=self.t_ipo, t_position=self.t_position, t_velocity=self.t_velocity)
+
     @classmethod
     def from_table(cls, robot_name: str, table: dict[str, Any], file: str | None = None) -> World:
         """The default world changed by a scene's ``[world]`` table; ``ideal = true`` starts from the ideal one.

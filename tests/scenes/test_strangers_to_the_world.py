@@ -40,7 +40,7 @@ class Guard:
 
 def attributes(known: type) -> set[str]:
     return {field.name for field in dataclasses.fields(known)} | {
-        name for name, value in vars(known).items() if callable(value) and not name.startswith("_")}
+        name for name in vars(known) if not name.startswith("_")}
 
 
 @pytest.mark.parametrize(("name", "changes", "module", "task", "known"), [
