@@ -1,7 +1,7 @@
 """Every key of every kind of scene: for the documentation, for editors (JSON Schema), and for a commented first file.
 
 What a key means is the sentence that stands under it in the scene's class; it is read from the source, so that no
-second list can differ from the first. ``python -m scenes.schema > docs/scene_keys.md`` writes the page anew.
+second list can differ from the first. ``python -m scenes.schema docs`` writes the pages anew.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ import inspect
 import itertools
 import json
 import re
+import sys
 import textwrap
 from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import Any, get_args
 
 import pydantic
@@ -109,7 +111,7 @@ def commented_scene(name: str, kind: str, example: str) -> str:
         example: text of a shipped scene of that kind.
     """
     given = re.sub(r'^title = .*$', f"title = {json.dumps(name, ensure_ascii=False)}", example, flags=re.M)
-    lines = ["# Play it: ideal-robot run FILE. Every key there is stands below; behind a # it has that value anyway.",
+    lines = ["# Play it: ideal-robot run FILE. Every key of this kind of scene is here; a key behind # has the value shown.",
              given.rstrip()]
     present = set(re.findall(r"^([a-z_]+) *=", given, flags=re.M))
     top = [key for key in scene_keys(kind) if not key.table and key.name not in present | {"name", "kind", "world"}]
@@ -135,17 +137,21 @@ def commented_scene(name: str, kind: str, example: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def keys_page() -> str:
-    """The page of all keys, in Markdown."""
-    parts = ["# Keys of scene files", "A scene is a TOML file; `ideal-robot new NAME --kind line` writes a commented "
-             "one, `ideal-robot list keys --kind line --json FILE` a JSON Schema for editors. This page is made from "
-             "the program's own checks.", ""]
-    for kind in KINDS.names():
-        about = (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0]
-        parts += [f"## {kind}", about, "", _table(scene_keys(kind))]
-    parts += ["## world", "What is simulated, in every kind of scene. Defaults are the robot's.", "",
-              _table(world_keys())]
-    return "\n".join(parts) + "\n"
+def keys_pages() -> dict[str, str]:
+    """The pages of all keys, in Markdown: one by kind of scene, one of the world, and one that leads to them."""
+    about = {kind: (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0] for kind in KINDS.names()}
+    pages = {f"scene_keys/{kind}.md": f"# Keys of {kind} scenes\n\n{about[kind]}\n\n{_table(scene_keys(kind))}"
+             for kind in about}
+    pages["scene_keys/world.md"] = ("# Keys of the simulated world\n\nThe table `[world]` of every kind of scene. Defaults "
+                                    f"are the robot's.\n\n{_table(world_keys())}")
+    about["world"] = "What is simulated, in every kind of scene."
+    rows = [f"| [{name}](scene_keys/{name}.md) | {text} |" for name, text in about.items()]
+    pages["scene_keys.md"] = "\n".join([
+        "# Keys of scene files", "",
+        "A scene is a TOML file. `ideal-robot new NAME --kind line` writes one with all keys as comments; `ideal-robot list "
+        "keys --kind line --json FILE` writes a JSON Schema for editors. These pages are generated from the program's own "
+        "checks.", "", "| page | scene |", "| --- | --- |", *rows, ""])
+    return pages
 
 
 def _table(keys: tuple[Key, ...]) -> str:
@@ -246,4 +252,7 @@ def _comment(key: Key) -> str:
 
 
 if __name__ == "__main__":
-    print(keys_page(), end="")
+    for _name, _text in keys_pages().items():
+        _page = Path(sys.argv[1]) / _name
+        _page.parent.mkdir(exist_ok=True)
+        _page.write_text(_text, encoding="utf-8")

@@ -14,6 +14,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
 FOLDERS = (*PACKAGES, "benchmarks", "docs", "examples", "tests")
+MOST_WORDS = 3500
+"""A page at most: some twenty minutes of reading."""
 DATA = {"toml", "json", "html", "urdf", "md", "py"}
 """What a dotted name may end with that is a file."""
 
@@ -90,6 +92,11 @@ def missing_in(text: str, folder: Path) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_what_a_page_names_exists(page: Path) -> None:
     assert missing_in(page.read_text(encoding="utf-8"), page.parent) == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_can_be_read_at_one_sitting(page: Path) -> None:
+    assert len(page.read_text(encoding="utf-8").split()) <= MOST_WORDS
 
 
 def test_what_is_not_there_is_noticed() -> None:

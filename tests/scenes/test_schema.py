@@ -19,7 +19,7 @@ from scenes.commands.files import new
 from scenes.kind import KINDS
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape
-from scenes.schema import commented_scene, json_schema, keys_page, scene_keys, world_keys
+from scenes.schema import commented_scene, json_schema, keys_pages, scene_keys, world_keys
 
 EXAMPLES = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1"}
 
@@ -62,14 +62,13 @@ def test_every_commented_default_is_accepted(kind: str, tmp_path: Path) -> None:
     assert made.model_dump(exclude={"name", "title"}) == shipped.model_dump(exclude={"name", "title"})
 
 
-def test_the_page_names_every_kind_and_key() -> None:
-    page = keys_page()
-    written = Path(__file__).resolve().parents[2] / "docs" / "scene_keys.md"
-    assert written.read_text(encoding="utf-8") == page, "python -m scenes.schema > docs/scene_keys.md"
+def test_the_pages_name_every_kind_and_key() -> None:
+    pages = keys_pages()
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    for name, text in pages.items():
+        assert (docs / name).read_text(encoding="utf-8") == text, "python -m scenes.schema docs"
     for kind in KINDS.names():
-        assert f"## {kind}" in page
-        for key in scene_keys(kind):
-            assert f"| `{key.name}` |" in page
+        assert all(f"| `{key.name}` |" in pages[f"scene_keys/{kind}.md"] for key in scene_keys(kind))
     assert all(key.meaning for key in world_keys() if key.name != "robot"), \
         [key.name for key in world_keys() if not key.meaning]
 
