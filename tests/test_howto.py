@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import re
 import shlex
@@ -13,7 +12,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from scenes.cli import VERBS
+from scenes.cli import function_of
 
 ROOT = Path(__file__).resolve().parents[1]
 INDEX = ROOT / "docs" / "howto" / "index.md"
@@ -24,7 +23,7 @@ BLOCK = re.compile(r"```(sh|python)\n(.*?)```", re.DOTALL)
 def options_of(verb: str) -> set[str]:
     """All options of a verb, as its own parser has them."""
     app = typer.Typer()
-    app.command()(importlib.import_module(f"scenes.commands.{VERBS[verb]}").command)
+    app.command()(function_of(verb))
     return {option for one in typer.main.get_command(app).params for option in (*one.opts, *one.secondary_opts)}
 
 
