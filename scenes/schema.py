@@ -111,7 +111,7 @@ def commented_scene(name: str, kind: str, example: str) -> str:
         example: text of a shipped scene of that kind.
     """
     given = re.sub(r'^title = .*$', f"title = {json.dumps(name, ensure_ascii=False)}", example, flags=re.M)
-    lines = ["# Play it: ideal-robot run FILE. Every key of this kind of scene is here; a key behind # has the value shown.",
+    lines = ["# Play it: ideal-robot run FILE. Every key of such a scene is here; one behind # has the value shown.",
              given.rstrip()]
     present = set(re.findall(r"^([a-z_]+) *=", given, flags=re.M))
     top = [key for key in scene_keys(kind) if not key.table and key.name not in present | {"name", "kind", "world"}]
@@ -142,15 +142,15 @@ def keys_pages() -> dict[str, str]:
     about = {kind: (inspect.getdoc(KINDS.get(kind).scene) or "").partition("\n")[0] for kind in KINDS.names()}
     pages = {f"scene_keys/{kind}.md": f"# Keys of {kind} scenes\n\n{about[kind]}\n\n{_table(scene_keys(kind))}"
              for kind in about}
-    pages["scene_keys/world.md"] = ("# Keys of the simulated world\n\nThe table `[world]` of every kind of scene. Defaults "
-                                    f"are the robot's.\n\n{_table(world_keys())}")
+    pages["scene_keys/world.md"] = ("# Keys of the simulated world\n\nThe table `[world]` of every kind of scene. "
+                                    f"Defaults are the robot's.\n\n{_table(world_keys())}")
     about["world"] = "What is simulated, in every kind of scene."
     rows = [f"| [{name}](scene_keys/{name}.md) | {text} |" for name, text in about.items()]
     pages["scene_keys.md"] = "\n".join([
         "# Keys of scene files", "",
-        "A scene is a TOML file. `ideal-robot new NAME --kind line` writes one with all keys as comments; `ideal-robot list "
-        "keys --kind line --json FILE` writes a JSON Schema for editors. These pages are generated from the program's own "
-        "checks.", "", "| page | scene |", "| --- | --- |", *rows, ""])
+        "A scene is a TOML file. `ideal-robot new NAME --kind line` writes one with all keys as comments; "
+        "`ideal-robot list keys --kind line --json FILE` writes a JSON Schema for editors. These pages are generated "
+        "from the program's own checks.", "", "| page | scene |", "| --- | --- |", *rows, ""])
     return pages
 
 
