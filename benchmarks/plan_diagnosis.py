@@ -23,12 +23,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Open, plan_diagnosis
-from ideal_robot.diagnosis.asking.comparison import Comparison, compared
 from ideal_robot.diagnosis.next_motion.motion import Kind, Part, Parts
 from ideal_robot.diagnosis.next_motion.questions import Named
 from ideal_robot.effects import MOTOR_TORQUE, library
 from ideal_robot.identification.excitation import MotionSpace, Workspace
 from ideal_robot.robots.robot import Robot
+from tests.ideal_robot.diagnosis.comparison import Comparison, compared
 from trials.report import arm_of, write_tables
 from trials.rivals import RivalTrial, draw_rivals, limited, motion_of
 

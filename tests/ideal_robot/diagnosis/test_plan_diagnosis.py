@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from ideal_robot.diagnosis import Open, plan_diagnosis, read_questions
-from ideal_robot.diagnosis.asking.comparison import compared
 from ideal_robot.diagnosis.next_motion.motion import require_within_limits
 from ideal_robot.diagnosis.next_motion.plan import planned_pair
 from ideal_robot.diagnosis.next_motion.questions import Asked, Named
@@ -21,6 +20,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from tests.ideal_robot.diagnosis.comparison import compared
 from trials.report import arm_of
 from trials.rivals import draw_rivals, limited, motion_of
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from ideal_robot.elasticity.clamped_signals import clamped_signals, lowpass, synchronise
 from ideal_robot.elasticity.observer import ArmObserver, GearDeflection
-from ideal_robot.elasticity.observer_adaptation import adapt_observer
 from ideal_robot.elasticity.stiffness import least_squares
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -150,30 +147,3 @@ def test_without_stiffness_the_motors_are_the_arm() -> None:
     observer = ArmObserver(Model.nominal(robot), 0.012)
     q = np.tile(robot.home, (5, 1)) + 0.01 * np.arange(5)[:, None]
     np.testing.assert_array_equal(observer.angles(q)[1:], q[1:])
-
-
-def test_two_measured_directions_adapt_the_observer() -> None:
-    """[L] 3.3, [7]: a wrong stiffness is found from two of six degrees of freedom, off line."""
-    robot, world = Robot.load("kr6"), World.default("kr6")
-    frequency = 2 * np.pi * np.array([0.9, 1.1, 1.3, 1.5, 1.7, 1.9])
-    with SimulatedArm(robot, world, np.random.default_rng(0)) as arm:
-        for k in range(250):
-            swing = np.array([0.12, 0.08, 0.08, 0.1, 0.1, 0.1]) * np.sin(frequency * 0.012 * k)
-            arm.cycle(robot.home + swing * (1 - np.exp(-((0.012 * k / 0.3) ** 2))))
-        recording = arm.recording(external=True)
-    true = np.column_stack([recording.columns[f"qa_{i + 1}"] for i in range(6)])[::6]
-    partial = Recording({name: np.array(values) for name, values in recording.columns.items() if name not in "xq"
-                         and not name.startswith("qa")}, recording.meta)
-    model = Model.load(shipped_model("kr6"))
-    assert model.stiffness is not None
-    wrong = replace(model, stiffness=np.array(model.stiffness) * np.array([0.75, 1.3, 0.75, 1.0, 1.0, 1.0]))
-    assert "x" not in partial.columns
-    adapted = adapt_observer(partial, robot, wrong)
-    assert adapted.residual_after < 0.6 * adapted.residual_before
-    first = ArmObserver(wrong, 0.012).angles(partial.joints("q")[::6])
-    for before, after in ((first[40:], adapted.q_a[40:]),):
-        assert np.std((after - true[40:])[:, :3]) < 0.6 * np.std((before - true[40:])[:, :3])
-    truth = world.per_joint("stiffness", 6)
-    assert abs(adapted.model.stiffness[1] / truth[1] - 1) < 0.15  # type: ignore[index]
-    with pytest.raises(InputError, match="at least one of x, y, z"):
-        adapt_observer(Recording({"t": partial.t}), robot, wrong)

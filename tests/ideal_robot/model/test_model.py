@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ideal_robot.elasticity.observer_adaptation import adapt_observer
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.precorrection import Precorrection
@@ -76,9 +75,8 @@ RECORDING = Recording.from_arrays(np.arange(200) * 0.012, q=np.zeros((200, 6)), 
 
 @pytest.mark.parametrize("meet", [
     IdealRobot.of, Precorrection, loop_model, lambda model, robot: feedforward("ideal", model, robot),
-    lambda model, robot: adapt_observer(RECORDING, robot, model),
     lambda model, robot: fit_ripple([RECORDING], model, robot),
-], ids=["ideal", "precorrection", "loop", "registry", "observer", "ripple"])
+], ids=["ideal", "precorrection", "loop", "registry", "ripple"])
 def test_a_model_of_another_arm_is_refused(meet: Callable[[Model, Robot], object]) -> None:
     with pytest.raises(InputError, match="sits elsewhere than that of") as caught:
         meet(KR15, KR6)

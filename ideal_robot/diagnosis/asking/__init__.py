@@ -1,1 +1,0 @@
-"""What a diagnosis could not tell, and the motion that would."""
