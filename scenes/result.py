@@ -153,7 +153,7 @@ MOST = 100_000
 
 
 def step(count: int) -> int:
-    """Every so manieth of ``count`` rows is shown; 1 for all but long series."""
+    """Stride at which ``count`` rows are shown; 1 for all but long series."""
     return max(1, -(-count // MOST))
 
 

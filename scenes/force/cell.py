@@ -49,7 +49,7 @@ def true_tip(table: TipTable) -> Tip:
 
 
 def true_sensor(table: SensorTable) -> ForceSensorSettings:
-    """The force sensor and the tool that hangs on it."""
+    """The force sensor and the tool that it carries."""
     return ForceSensorSettings(**table.model_dump())
 
 

@@ -43,7 +43,7 @@ class TipTable(Table):
 
 
 class SensorTable(Table):
-    """The force sensor and the tool that hangs on it."""
+    """The force sensor and the tool that it carries."""
 
     rate: float = pydantic.Field(default=250.0, ge=0.1, le=10_000)
     latency: float = pydantic.Field(default=0.02, ge=0, le=1)

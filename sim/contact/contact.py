@@ -195,7 +195,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 @dataclass(frozen=True)
 class ForceSensorSettings:
-    """Truth of the sensor and of the tool that hangs on it.
+    """Truth of the sensor and of the tool that it carries.
 
     Attributes:
         rate: [Hz].

@@ -103,7 +103,7 @@ def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions
 
 _SLOW = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
-filter's cut-off, friction hangs on a direction that the filter has blurred, and those samples do not count."""
+filter's cut-off, the filter has blurred the direction on which friction depends, and those samples do not count."""
 _BRISTLES = 0.003
 """Travel since a reversal or rest that does not count [rad or m]: three times the millimetre or milliradian over which
 the bristles of a drive yield."""

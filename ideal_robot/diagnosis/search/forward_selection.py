@@ -220,8 +220,8 @@ class Search:
     def _with_needed_form(self) -> bool:
         """Exchanges two laws of a joint's angle where the one with more parameters is needed beside the other, or not.
 
-        What friction, lags and gears leave hangs on the motion; what all blocks alike leave over the angle alone beside
-        the simpler law, with everything else in the model, is that its form is another. Without that it is the law.
+        Residuals of friction, lags and gears depend on the motion and differ between blocks. A residual over the angle
+        that is alike in all blocks says that the law's form is wrong. Without one the simpler law stays.
 
         Returns:
             Whether any was exchanged.

@@ -127,7 +127,8 @@ class Scoring:
         asked, slowly = self.smallest_share(s.candidate, own), 0.0
         if s.share < asked:
             slowly = self.share_slowly(s, own)
-        # Of what vibrations hide, as much of what it takes away in the whole band as is asked of it in the lower half.
+        # Vibrations may hide a slow effect. It is measured in the lower half of the band, and the share that is asked
+        # for there is scaled to the whole band.
         return asked if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s.candidate, own) / slowly
 
     def _is_large_here(self, s: Scored, replaced: Choice | None) -> bool:
