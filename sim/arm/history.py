@@ -50,7 +50,7 @@ class History(RowLog):
         return {"t": rows[:, 0], **{name: rows[:, 1 + i * n: 1 + (i + 1) * n] for i, name in enumerate(LOGGED)}}
 
     def parts(self, every: int = 1) -> Iterator[tuple[int, dict[str, Array]]]:
-        """Rows at a stride of ``every``, block by block: number of the first one among them, and the block's ``columns``."""
+        """Rows at a stride of ``every``, block by block: number of the first of them, and the block's ``columns``."""
         for first, rows in self.blocks():
             start = -first % every
             if start < len(rows):
