@@ -1,4 +1,4 @@
-"""Pages of the documentation site that are made from the code: the API, room by room.
+"""Pages of the documentation site that are made from the code: what a user imports, and all modules, room by room.
 
 A hook of MkDocs (``mkdocs.yml``); nothing is written into the source folder.
 """
@@ -10,18 +10,44 @@ from typing import Any
 
 from mkdocs.structure.files import File, Files
 
+import ideal_robot
+import scenes
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
+DOORS = (
+    ("ir", "import ideal_robot as ir", "Robots, recordings, models, diagnoses and corrected paths.",
+     {name: f"ideal_robot.{place.replace(':', '.')}" for name, place in ideal_robot._PLACES.items()}),
+    ("scenes", "from scenes import load_scene, run_scene", "Scenes from Python, for scripts and regression tests.",
+     {name: f"{module}.{name}" for name, module in scenes._WHERE.items()}),
+)
+"""Prefix, import, summary, and names at the door with the place behind each."""
+FIRST = ("Robot", "Recording", "identify", "diagnose", "precorrect", "load_scene", "run_scene")
+"""What most scripts begin with."""
 
 
 def on_files(files: Files, config: Any) -> Files:
     """Adds the generated pages."""
+    files.append(File.generated(config, "api/index.md", content=doors()))
     for room, modules in rooms().items():
         summary = (ROOT / room.replace(".", "/") / "__init__.py").read_text(encoding="utf-8").strip("\"\n ")
         first = summary.partition("\n")[0].strip('"') if summary.startswith(tuple("ABCDEFGHIJKLMNOPQRSTUVWXYZ")) else ""
         text = "\n\n".join([f"# {room}", first, *(f"::: {module}" for module in modules)])
-        files.append(File.generated(config, f"api/{room}.md", content=text))
+        files.append(File.generated(config, f"api/modules/{room}.md", content=text))
     return files
+
+
+def doors() -> str:
+    """The page of what a user imports, those that most scripts begin with first."""
+    parts = ["# What scripts use", "Everything here is public and keeps its name. Results print themselves, and have "
+             "`to_dict()` and `plot()`. `examples/` has scripts of ten lines; *Modules* has what is behind them."]
+    for prefix, statement, summary, places in DOORS:
+        parts += [f"## {statement}", summary]
+        for name in sorted(places, key=lambda name: (FIRST.index(name) if name in FIRST else len(FIRST), name.lower())):
+            heading = f"{prefix}.{name}" if prefix == "ir" else name
+            parts.append(f"::: {places[name]}\n    options:\n      heading: {heading}\n      "
+                         f"toc_label: {heading}\n      heading_level: 3")
+    return "\n\n".join(parts)
 
 
 def rooms() -> dict[str, list[str]]:

@@ -15,6 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import nbformat
 import pytest
@@ -108,6 +109,20 @@ def test_every_command_works_as_printed(arm: str, tmp_path: Path) -> None:
     # Seen on the simulated arm, which is not the model.
     for before, after in zip(figures["uncorrected"], figures["corrected"], strict=True):
         assert after < 0.1 * before
+    if arm == "kr6":
+        assert_table_of_diagnosis(json.loads((tmp_path / "diagnose.json").read_text(encoding="utf-8")))
+
+
+def assert_table_of_diagnosis(made: dict[str, Any]) -> None:
+    """The tutorial's table of what was found is what its command finds: names, and errors to two per cent."""
+    named = {one["joint"]: one["effect"].replace("_", " ") for one in made["effects"]}
+    named |= {one["joint"]: "`unknown`" for one in made["unknown"]}
+    errors = {one["channel"]: one for one in made["channels"]}
+    rows = re.findall(r"^\| (\d) \| ([^|:]+)[^|]*" + 3 * r"\| ([\d.]+) N m " + r"\|$", PAGE, flags=re.MULTILINE)
+    assert {int(joint): name.strip() for joint, name, *_ in rows} == named
+    for joint, _, *said in rows:
+        found = [errors[f"tau_{joint}"][key] for key in ("rms_before", "rms_after", "noise_floor")]
+        assert [float(one) for one in said] == pytest.approx(found, rel=0.02, abs=0.005)
 
 
 # The documentation site is built without a warning, and holds tutorial, scene keys and API.
@@ -120,9 +135,14 @@ def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     assert "WARNING" not in done.stderr
     pages = {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("index.html")}
-    assert {"index.html", "tutorial/index.html", "scene_keys/index.html"} <= pages
-    api = (tmp_path / "site" / "api" / "ideal_robot.friction" / "index.html").read_text(encoding="utf-8")
-    assert re.search(r'id="ideal_robot\.friction\.laws\.Arctan"', api)
+    assert {"index.html", "tutorial/index.html", "scene_keys/index.html", "howto/index.html"} <= pages
+    api = tmp_path / "site" / "api"
+    modules = (api / "modules" / "ideal_robot.friction" / "index.html").read_text(encoding="utf-8")
+    assert re.search(r'id="ideal_robot\.friction\.laws\.Arctan"', modules)
+    # What a user needs stands on one page; what only the program needs does not.
+    door = (api / "index.html").read_text(encoding="utf-8")
+    assert all(re.search(rf'id="[\w.]+\.{name}"', door) for name in ("Robot.load", "precorrect", "run_scene"))
+    assert "MAX_BYTES" not in door + modules
     # Nothing is fetched from elsewhere when a page is read.
     first = (tmp_path / "site" / "index.html").read_text(encoding="utf-8")
     assert not re.search(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', first)
