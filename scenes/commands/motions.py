@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from scenes.commands.options import DriveData, JsonPlan, RobotName, SearchSeed
+
+if TYPE_CHECKING:
+    from ideal_robot.diagnosis import DiagnosisPlan
 
 
 def plan_identification(
@@ -99,7 +102,6 @@ def plan_diagnosis(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import WRITTEN, Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import show_table
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.terminal import progress_bar
@@ -127,6 +129,13 @@ def plan_diagnosis(
                 plan.path().write(motion_file)
             if json_file is not None:
                 write_json(json_file, {**plan.to_dict(), "motion": str(out) if plan.useful else None})
+    _show_planned(plan, out)
+
+
+def _show_planned(plan: DiagnosisPlan, out: Path) -> None:
+    """How far each pair of causes is told apart, what no motion can tell, and where the motion is."""
+    from scenes.commands.common import show_table
+
     if plan.pairs:
         show_table("what is to be told apart: standard deviations between the two, and share of its own",
                    ["cause", "or", "recorded σ", "own %", "planned σ", "own %", "told apart"],

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from scenes.commands.options import Horizon, Individual, JsonFigures, SceneName, Seed, Speed, WorldName
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def run(
@@ -141,14 +144,12 @@ def sweep(
 
     Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10 --lines runs.jsonl --resume`
     """
-    import pandas as pd
-
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import numbers, show_table, whole_numbers
+    from scenes.commands.common import numbers, whole_numbers
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.sweep import FIGURES, SweepFile, jobs, sweep
+    from scenes.sweep import SweepFile, jobs, sweep
     from scenes.terminal import progress_bar
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
@@ -161,10 +162,32 @@ def sweep(
     with progress_bar(f"{len(work)} runs") as progress:
         answers = sweep(work, processes=processes, dask=dask, file=file,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
+    table = _show_swept(answers, with_arm=bool(individuals))
+    # Shown first: what no disk takes is read at least.
+    with whole_files(json, csv) as (json_file, csv_file):
+        if json_file is not None:
+            write_json(json_file, {"runs": answers})
+        if csv_file is not None:
+            table.to_csv(csv_file, index=False)
+    missing = sum("not_played" in answer for answer in answers)
+    if missing:
+        typer.echo(f"{missing} of {len(answers)} runs were not played; with --lines FILE and --resume the next sweep "
+                   "plays them alone", err=True)
+    if missing or all(answer.get("failure") for answer in answers):
+        raise typer.Exit(1)
+
+
+def _show_swept(answers: list[dict[str, Any]], *, with_arm: bool) -> pd.DataFrame:
+    """Prints every run and the largest figures of each kind of run; returns the table of the runs."""
+    import pandas as pd
+
+    from scenes.commands.common import show_table
+    from scenes.sweep import FIGURES
+
     frame = pd.json_normalize(answers)
     names = {key: title for key, title in FIGURES.items() if key in frame}
     frame = frame.rename(columns=names)
-    shown = ["scene", "method", *(["individual"] if individuals else []), "seed", *names.values(), "failure"]
+    shown = ["scene", "method", *(["individual"] if with_arm else []), "seed", *names.values(), "failure"]
     kinds = [key for key in ("scene", "method", "m/s") if key in frame]
     figures = [title for title in names.values() if title not in ("m/s",)]
     worst = frame.groupby(kinds, sort=False, dropna=False)[figures].max().reset_index()
@@ -172,18 +195,7 @@ def sweep(
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
     rows = [[*row, int(count)] for row, count in zip(worst.astype(object).to_numpy().tolist(), counts, strict=True)]
     show_table("largest of each kind of run", [*kinds, *figures, "runs"], rows)
-    # Shown first: what no disk takes is read at least.
-    with whole_files(json, csv) as (json_file, csv_file):
-        if json_file is not None:
-            write_json(json_file, {"runs": answers})
-        if csv_file is not None:
-            frame[shown].to_csv(csv_file, index=False)
-    missing = sum("not_played" in answer for answer in answers)
-    if missing:
-        typer.echo(f"{missing} of {len(answers)} runs were not played; with --lines FILE and --resume the next sweep "
-                   "plays them alone", err=True)
-    if missing or all(answer.get("failure") for answer in answers):
-        raise typer.Exit(1)
+    return frame[shown]
 
 
 def close_loop(

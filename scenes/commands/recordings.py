@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,11 @@ from scenes.commands.options import (
     completed,
     method_help,
 )
+
+if TYPE_CHECKING:
+    from ideal_robot.diagnosis import Diagnosis
+    from ideal_robot.identification.whole_model import IdentificationResult
+    from ideal_robot.robots.robot import Robot
 
 SHARES = {"reading": 0.45, "drawing": 0.55}
 """Measured shares of the time: identification without the controllers' own cycles, and its page."""
@@ -58,7 +63,6 @@ def identify(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import show_table
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -83,16 +87,22 @@ def identify(
                 analysis.model.save(model_file)
             if urdf_file is not None:
                 analysis.model.export_urdf(urdf_file)
+    _show_identified(analysis, arm, content["recordings"])
+    typer.echo(f"report: {page}")
+
+
+def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: list[dict[str, Any]]) -> None:
+    """Errors of each recording, the parameters with their uncertainty, the friction laws, warnings."""
+    from scenes.commands.common import show_table
+
     show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
-               [[r["source"], r["role"], *r["residual_std_percent"]]
-                for r in content["recordings"]])
+               [[r["source"], r["role"], *r["residual_std_percent"]] for r in recordings])
     show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
                [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in analysis.model.parameters])
     show_table("friction laws", ["joint", "law"],
                [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)
-    typer.echo(f"report: {page}")
 
 
 SHARES_OF_DIAGNOSIS = {"reading": 0.7, "drawing": 0.3}
@@ -125,8 +135,7 @@ def diagnose(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import show_table
-    from scenes.diagnosis.page import diagnosis_page, summary, unexplained, unused
+    from scenes.diagnosis.page import diagnosis_page, summary
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.terminal import progress_bar
@@ -147,6 +156,16 @@ def diagnose(
                 write_json(json_file, found.to_dict())
             if model_file is not None and found.model is not None:
                 found.model.save(model_file)
+    _show_diagnosed(found)
+    typer.echo(summary(found))
+    typer.echo(f"report: {page}")
+
+
+def _show_diagnosed(found: Diagnosis) -> None:
+    """Errors of each channel, what was added, and what was found but not added or left open, with the reasons."""
+    from scenes.commands.common import show_table
+    from scenes.diagnosis.page import unexplained, unused
+
     show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
                ["channel", "before", "refitted", "after", "noise", "unit", "samples that counted %"],
                [[c.channel, c.rms_before, c.rms_refit, c.rms_after, c.noise_floor, c.unit, 100.0 * c.counted]
@@ -168,8 +187,6 @@ def diagnose(
         typer.echo(f"warning: {loud}", err=True)
     if found.unused:
         typer.echo(f"not used: {unused(found)}")
-    typer.echo(summary(found))
-    typer.echo(f"report: {page}")
 
 
 def stiffness(
