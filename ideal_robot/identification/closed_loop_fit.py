@@ -1,4 +1,4 @@
-"""The joint controllers at their own cycles, from commands, motor angles and torques of one recording.
+"""The closed loop of each joint from recordings with commands: the controller's cascade, and impulse responses.
 
 [G] 5.2.2 identifies the controller at the interpolation cycle and has to live with inputs that are not constant in it.
 A recording at the position loop's cycle allows better: the cascade
@@ -30,8 +30,6 @@ from ideal_robot.signals.recording import Recording
 
 _ORDER = 2
 """Stages of the command low-pass that are fitted; a single one comes out as two shorter ones just as well."""
-
-
 _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
 _EDGE = 50
@@ -75,7 +73,8 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     for i in range(n):
         if np.ptp(q[:, i]) < 0.02:
             raise InputError("the joint hardly moves", file=recording.source, field=f"q_{i + 1}")
-        values[:, i], error[i] = _fit_joint(q_c[:, i], q[:, i], tau[:, i], cycle, robot.t_velocity)
+        joint = _JointCascade(q_c[:, i], q[:, i], tau[:, i], cycle, robot.t_velocity)
+        values[:, i], error[i] = _fit_joint(joint)
     k_v, k_ff, k_p, k_i, t_low, t_filter, _ = values
     controller = ControllerModel(
         t_cycle=robot.t_position, k_p=k_p * k_v, k_d=k_p * k_ff, k_1=k_p * (k_ff - 1.0), k_2=k_p * t_filter,
@@ -83,68 +82,89 @@ def fit_controller(recording: Recording, robot: Robot) -> ControllerFit:
     return ControllerFit(controller, t_filter, error)
 
 
-def _fit_joint(q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float) -> tuple[Array, float]:
-    """Gains, time constants and offset of one joint, and the relative error [%]."""
-    t_end = cycle * (len(q) - 1)
-    fine = np.arange(0.0, t_end + 1e-9, t_velocity)
-    every = round(cycle / t_velocity)
-    # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
-    angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
-    low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
+class _JointCascade:
+    """The cascade of one joint: its torque as a linear form of products of gains, for any two time constants.
 
-    def smoothed(x: Array) -> Array:
-        return np.asarray(filtfilt(*low_pass, x, axis=0)[_EDGE:-_EDGE])
+    Attributes:
+        q_c, q: commands and motor angles at the recording's cycle ``(N,)`` [rad].
+        tau: the torque below ``_CUTOFF``, without the ends ``(M,)`` [N m].
+        scale: standard deviation of that torque [N m].
+        angle: motor angles every ``t_velocity`` [rad].
+        cycle, t_velocity: cycles of the recording and of the velocity loop [s].
+    """
 
-    tau = smoothed(tau)
-    scale = float(np.std(tau))
+    def __init__(self, q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float) -> None:
+        self.q_c, self.q, self.cycle, self.t_velocity = q_c, q, cycle, t_velocity
+        self._low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
+        # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
+        fine = np.arange(0.0, cycle * (len(q) - 1) + 1e-9, t_velocity)
+        self.angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
+        self.tau = self._smoothed(tau)
+        self.scale = float(np.std(self.tau))
 
-    def columns(times: Array) -> Array:
+    def _smoothed(self, x: Array) -> Array:
+        return np.asarray(filtfilt(*self._low_pass, x, axis=0)[_EDGE:-_EDGE])
+
+    def columns(self, times: Array) -> Array:
+        """What the products of gains multiply ``(M, 6)``, at time constants of command and velocity ``(2,)`` [s]."""
         low, velocity = times
-        r = _low_passed(q_c, cycle, abs(low))
-        rate = np.concatenate([[0.0], np.diff(r)]) / cycle
-        speed = _differentiated(angle, t_velocity, abs(velocity))
-        turned = np.cumsum(speed) * t_velocity
+        r = _low_passed(self.q_c, self.cycle, abs(low))
+        rate = np.concatenate([[0.0], np.diff(r)]) / self.cycle
+        speed = _differentiated(self.angle, self.t_velocity, abs(velocity))
+        turned = np.cumsum(speed) * self.t_velocity
+        every = round(self.cycle / self.t_velocity)
         # The integrator adds up what the position loop holds over its cycle, the present step included.
-        share = t_velocity / cycle
-        gap = r - q
-        held = cycle * (np.concatenate([[0.0], np.cumsum(gap)[:-1]]) + share * gap)
-        moved = np.concatenate([[0.0], r[:-1] - r[0]]) + share * cycle * rate
-        return smoothed(np.column_stack([gap, rate, -speed[::every], held, moved, -turned[::every]]))
+        share = self.t_velocity / self.cycle
+        gap = r - self.q
+        held = self.cycle * (np.concatenate([[0.0], np.cumsum(gap)[:-1]]) + share * gap)
+        moved = np.concatenate([[0.0], r[:-1] - r[0]]) + share * self.cycle * rate
+        return self._smoothed(np.column_stack([gap, rate, -speed[::every], held, moved, -turned[::every]]))
 
+    @staticmethod
     def torque(H: Array, gains: Array) -> Array:
+        """Torque ``(M,)`` [N m] of columns and gains ``k_v, k_ff, k_p, k_i``, up to a constant."""
         k_v, k_ff, k_p, k_i = gains
         return np.asarray(H @ np.array([k_p * k_v, k_p * k_ff, k_p, k_i * k_v, k_i * k_ff, k_i]))
 
-    def difference(H: Array, gains: Array) -> Array:
-        left = tau - torque(H, gains)
-        return np.asarray((left - left.mean()) / scale)
+    def difference(self, H: Array, gains: Array) -> Array:
+        """Measured less modelled torque about its mean, in units of ``scale`` ``(M,)``."""
+        left = self.tau - self.torque(H, gains)
+        return np.asarray((left - left.mean()) / self.scale)
 
-    # A lag of half a millisecond adds up to hundreds of newton metres in the integrator: the low-pass must be about
-    # right before a search for the gains can succeed. Without the ties between them the gains are linear, and the ties
-    # then tell which low-pass fits.
-    best: tuple[float, Array, float] | None = None
-    for low in cycle * np.arange(0.0, 4.01, 0.5):
-        H = columns(np.array([low, 2 * t_velocity]))
-        a = np.linalg.lstsq(np.column_stack([H, np.ones(len(H))]), tau, rcond=None)[0]
-        k_i = max(a[5], 1e-9)
-        start = np.array([max(a[3] / k_i, 0.1), a[4] / k_i, max(a[2], 1e-9), k_i])
-        unit = np.maximum(np.abs(start), 1e-3)
-        found = least_squares(lambda x, H=H, unit=unit: difference(H, x * unit), start / unit, max_nfev=12)
-        if best is None or found.cost < best[0]:
-            best = float(found.cost), found.x * unit, float(low)
-    assert best is not None
-    start = np.concatenate([best[1], [best[2] + 1e-4, 2 * t_velocity]])
+    def first_guess(self) -> Array:
+        """Gains and time constants ``(6,)`` from which the search succeeds.
+
+        A lag of half a millisecond adds up to hundreds of newton metres in the integrator: the low-pass must be about
+        right before a search for the gains can succeed. Without the ties between them the gains are linear, and the
+        ties then tell which low-pass fits.
+        """
+        best: tuple[float, Array, float] | None = None
+        for low in self.cycle * np.arange(0.0, 4.01, 0.5):
+            H = self.columns(np.array([low, 2 * self.t_velocity]))
+            a = np.linalg.lstsq(np.column_stack([H, np.ones(len(H))]), self.tau, rcond=None)[0]
+            k_i = max(a[5], 1e-9)
+            start = np.array([max(a[3] / k_i, 0.1), a[4] / k_i, max(a[2], 1e-9), k_i])
+            unit = np.maximum(np.abs(start), 1e-3)
+            found = least_squares(lambda x, H=H, unit=unit: self.difference(H, x * unit), start / unit, max_nfev=12)
+            if best is None or found.cost < best[0]:
+                best = float(found.cost), found.x * unit, float(low)
+        assert best is not None
+        return np.concatenate([best[1], [best[2] + 1e-4, 2 * self.t_velocity]])
+
+
+def _fit_joint(joint: _JointCascade) -> tuple[Array, float]:
+    """Gains, time constants and offset of one joint, and the relative error [%]."""
+    start = joint.first_guess()
     unit = np.maximum(np.abs(start), 1e-3)
 
     def residual(x: Array) -> Array:
-        return difference(columns(x[4:] * unit[4:]), x[:4] * unit[:4])
+        return joint.difference(joint.columns(x[4:] * unit[4:]), x[:4] * unit[:4])
 
-    found = least_squares(residual, start / unit, x_scale="jac", max_nfev=60)
-    gains = found.x * unit
+    gains = least_squares(residual, start / unit, x_scale="jac", max_nfev=60).x * unit
     gains[4:] = np.abs(gains[4:])
-    modelled = torque(columns(gains[4:]), gains[:4])
-    offset = float(np.mean(tau - modelled))
-    error = 100.0 * float(np.linalg.norm(tau - modelled - offset) / np.linalg.norm(tau - tau.mean()))
+    left = joint.tau - joint.torque(joint.columns(gains[4:]), gains[:4])
+    offset = float(np.mean(left))
+    error = 100.0 * float(np.linalg.norm(left - offset) / np.linalg.norm(joint.tau - joint.tau.mean()))
     return np.append(gains, offset), error
 
 
@@ -161,15 +181,6 @@ def _differentiated(x: Array, cycle: float, time: float) -> Array:
     speed = np.concatenate([[0.0], np.diff(x)]) / cycle
     return np.asarray(lfilter([1 - a], [1, -a], speed))
 
-
-# Decoupled linear models of each joint's closed loop, [G] (7): impulse responses from one simple trajectory.
-#
-#     q(k) = Σ g(l) q_d(k - l) ,  l = m_d … m
-#
-# Sinusoids excite few frequencies and friction leaves residuals that no linear response explains, so plain least
-# squares would fit wild coefficients to them. Both estimators of [G] are here: least squares extended by rows that say
-# that the response is smooth, dies out and has static gain one, and the information filter (inverse-covariance Kalman
-# filter, Maybeck 1979), which starts from the same knowledge and goes on with every sample.
 
 METHODS = ("extended_ls", "information_filter")
 
@@ -195,7 +206,11 @@ class LinearLoopFit:
 
 def identify_linear_loop(recordings: Sequence[Recording], t_cycle: float, *, lags: int = 25,
                          method: str = "extended_ls") -> LinearLoopFit:
-    """Identifies the impulse response of each joint; the relative degree is found from the data.
+    """Identifies each joint's impulse response, ``q(k) = Σ g(l) q_d(k - l)`` with ``l = m_d … m``, [G] (7).
+
+    The relative degree ``m_d`` is found from the data. Sinusoids excite few frequencies, and friction leaves residuals
+    that no linear response explains: plain least squares fits wild coefficients to them. So both estimators of [G]
+    start from the same knowledge: the response is smooth, dies out and has static gain one.
 
     Args:
         recordings: with ``q_c_i`` (or ``q_d_i``) and ``q_i``, starting at rest.
@@ -270,7 +285,7 @@ def _extended_ls(X: Array, y: Array, noise: float) -> tuple[Array, Array]:
 
 
 def _information_filter(X: Array, y: Array, noise: float) -> tuple[Array, Array]:
-    """The filter takes the knowledge first, then the samples one by one as they come."""
+    """The inverse-covariance Kalman filter (Maybeck 1979): first the knowledge, then sample by sample."""
     estimate = InformationFilter(X.shape[1])
     for H, z, sigma in _knowledge(X.shape[1]):
         estimate.update(H, z, sigma)

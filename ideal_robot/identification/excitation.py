@@ -17,7 +17,6 @@ from ideal_robot.dynamics import base_parameters, full_regressor
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot, spread_postures
 
-# Where an arm may go while it moves on its own: above the floor and off its base column.
 
 @dataclass(frozen=True)
 class Workspace:
@@ -173,13 +172,18 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         raise InputError("no motion within position and workspace limits was found; relax the workspace",
                          field="workspace")
     for _ in range(refinements):
-        step = np.zeros((2, harmonics, robot.n))
-        step[rng.integers(2), rng.integers(harmonics), rng.integers(robot.n)] = rng.normal(scale=0.5)
-        size = np.abs(np.stack([best.a, best.b])).max(axis=(0, 1))
-        motion = scaled(np.stack([best.a, best.b]) + step * size, best.centre)
+        motion = scaled(_changed(best, rng), best.centre)
         if motion is not None and motion.condition_number < best.condition_number:
             best = motion
     return best
+
+
+def _changed(motion: FourierMotion, rng: np.random.Generator) -> Array:
+    """The coefficients ``(2, harmonics, n)`` of a motion, a single one changed at random."""
+    coefficients = np.stack([motion.a, motion.b])
+    step = np.zeros(coefficients.shape)
+    step[tuple(rng.integers(size) for size in coefficients.shape)] = rng.normal(scale=0.5)
+    return np.asarray(coefficients + step * np.abs(coefficients).max(axis=(0, 1)))
 
 
 class MotionSpace:

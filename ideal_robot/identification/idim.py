@@ -17,7 +17,7 @@ from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.dynamics.base_parameters import Consistency
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked, excitation_warnings, require_motion
-from ideal_robot.identification.joint_fit import JointProblem
+from ideal_robot.identification.joint_fit import JointFit, JointProblem
 from ideal_robot.identification.weighted_least_squares import Solution, prior_of
 from ideal_robot.model.model import Model
 from ideal_robot.model.prediction import Prediction
@@ -29,8 +29,6 @@ from ideal_robot.signals.error_budget import ErrorBudget, error_budget
 from ideal_robot.signals.preprocess import FilteredSignals, decimated, evenly_sampled
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.sampling import on_its_clock
-
-# The filters with which an arm's recordings predict each other best, for identification and diagnosis alike.
 
 _PROBE = 8.0
 """Cut-off at which the size of the torque and of the acceleration is looked at beforehand [Hz]."""
@@ -139,31 +137,51 @@ def identify(recordings: Sequence[Recording], robot: Robot, *, validation: Seque
     prior = prior_of(robot, base, signals, amperes=amperes)
     budgets = [error_budget(r, s) for r, s in zip(usable, signals, strict=True)]
     fit = JointProblem(robot, base, prior, signals, budgets).fit(friction)
+    kept = {"cutoff": signals[0].cutoff, "cutoff_decimation": signals[0].cutoff_decimation,
+            **(_described(filters) if filters is not None else {})}
+    model = _model_of(fit, robot, base, usable, kept, budgets)
+    warnings += excitation_warnings(model, fit.solution, fit.wrong_sign)
+    estimation = tuple(model.predict(r) for r in usable)
+    held_out = tuple(model.predict(r) for r in unseen)
+    model = with_errors(model, estimation, held_out, warnings)
+    return Identification(model, fit.solution, estimation, held_out, fit.scores, fit.consistency, tuple(warnings),
+                          tuple(usable), tuple(unseen))
+
+
+def _model_of(fit: JointFit, robot: Robot, base: BaseParameters, recordings: Sequence[Recording],
+              filters: dict[str, Any], budgets: Sequence[ErrorBudget]) -> Model:
+    """The model of a fit, with where it comes from."""
     solution = fit.solution
     # Of a joint without a torque nothing is known: all of what is logged there is noise to the model.
-    logged = np.std(np.concatenate([r.joints("tau") for r in usable]), axis=0)
+    logged = np.std(np.concatenate([r.joints("tau") for r in recordings]), axis=0)
     noise = np.where(fit.counted > 0.0, solution.noise_std, logged)
-    model = Model(
+    return Model(
         robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, solution.value[: base.count],
         fit.friction, solution.covariance, fit.consistency.full, noise,
         provenance={
             "method": "joint",
-            "recordings": [{"source": r.source, "hash": r.hash} for r in usable],
-            "filters": {"cutoff": signals[0].cutoff, "cutoff_decimation": signals[0].cutoff_decimation,
-                        **(_described(filters) if filters is not None else {})},
+            "recordings": [{"source": r.source, "hash": r.hash} for r in recordings],
+            "filters": filters,
             "condition_number": solution.condition_number,
             "samples_counted_percent": (100.0 * fit.counted).tolist(),
             "position_error": _errors(budgets),
         },
     )
-    warnings += excitation_warnings(model, solution, fit.wrong_sign)
-    estimation = tuple(model.predict(r) for r in usable)
-    held_out = tuple(model.predict(r) for r in unseen)
-    model = replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
+
+
+def with_errors(model: Model, estimation: Sequence[Prediction], held_out: Sequence[Prediction],
+                warnings: list[str]) -> Model:
+    """The model with its warnings and relative errors noted in its provenance.
+
+    Args:
+        model: the identified model.
+        estimation: its predictions of the recordings it is fitted to.
+        held_out: its predictions of the recordings it has not seen.
+        warnings: named warnings, each ``name: sentence``.
+    """
+    return replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
         "estimation": relative_error(estimation).tolist(),
         "validation": relative_error(held_out).tolist() if held_out else []}})
-    return Identification(model, solution, estimation, held_out, fit.scores, fit.consistency, tuple(warnings),
-                          tuple(usable), tuple(unseen))
 
 
 def relative_error(predictions: Sequence[Prediction]) -> Array:

@@ -20,7 +20,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.friction import FrictionModel, PerJointFriction, law_of
 from ideal_robot.identification.checks import checked, excitation_warnings
 from ideal_robot.identification.friction_runs import FrictionFit, choose_law, fit_law
-from ideal_robot.identification.idim import Identification, relative_error
+from ideal_robot.identification.idim import Identification, with_errors
 from ideal_robot.identification.weighted_least_squares import Solution
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -28,11 +28,6 @@ from ideal_robot.signals.channels import alone, runs
 from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
 from ideal_robot.signals.recording import Recording
 
-# Step 1 of the two-step identification, [G] 3.1.2: what single-axis moves measure at an operating point.
-#
-# The gravitational torque is the mean of forward and backward motion at constant velocity. The moment of inertia comes
-# from motion with high acceleration, gravity compensated, with a simple friction model. Each is a linear form of the
-# base parameters.
 
 @dataclass(frozen=True)
 class Measurement:
@@ -226,26 +221,27 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     estimation = tuple(model.predict(r) for r in usable)
     noise = np.sqrt(np.mean(np.concatenate([p.measured - p.tau for p in estimation]) ** 2, axis=0))
     model = replace(model, noise_std=noise)
-    # Of what the measurements can show; the rest is named as not excited.
-    W = np.array([m.row / m.std for m in measurements])[:, ~unexcited]
-    s = np.linalg.svd(W, compute_uv=False)
-    scaled = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-12), compute_uv=False)
-    solution = Solution(np.concatenate([values, np.zeros(len(joint_covariance) - base.count)]), joint_covariance,
-                        np.sqrt(np.diag(joint_covariance)), noise, float(s[0] / max(s[-1], 1e-300)),
-                        float(scaled[0] / max(scaled[-1], 1e-300)),
-                        np.concatenate([unexcited, np.zeros(len(joint_covariance) - base.count, dtype=bool)]),
-                        residual[:, None])
+    solution = _statistics(measurements, values, joint_covariance, unexcited, residual, noise)
     warnings += [f"{text} (validation)" for text in more]
     warnings += excitation_warnings(model, solution)
     held_out = tuple(model.predict(r) for r in unseen)
-    model = replace(model, provenance={**model.provenance, "warnings": warnings, "relative_error_percent": {
-        "estimation": relative_error(estimation).tolist(),
-        "validation": relative_error(held_out).tolist() if held_out else []}})
-    duration = float(sum(r.t[-1] - r.t[0] for r in usable))
+    model = with_errors(model, estimation, held_out, warnings)
     scores = tuple({fit.law.label: fit.held_out_rms} for fit in fits)
     return (Identification(model, solution, estimation, held_out, scores, consistency, tuple(warnings), tuple(usable),
                            tuple(unseen)),
-            TwoStep(tuple(measurements), points, duration))
+            TwoStep(tuple(measurements), points, float(sum(r.t[-1] - r.t[0] for r in usable))))
+
+
+def _statistics(measurements: Sequence[Measurement], values: Array, covariance: Array, unexcited: np.ndarray,
+                residual: Array, noise: Array) -> Solution:
+    """The solution of the second step; its condition numbers leave out what no measurement shows."""
+    W = np.array([m.row / m.std for m in measurements])[:, ~unexcited]
+    s = np.linalg.svd(W, compute_uv=False)
+    scaled = np.linalg.svd(W / np.maximum(np.linalg.norm(W, axis=0), 1e-12), compute_uv=False)
+    friction = len(covariance) - len(values)
+    return Solution(np.concatenate([values, np.zeros(friction)]), covariance, np.sqrt(np.diag(covariance)), noise,
+                    float(s[0] / max(s[-1], 1e-300)), float(scaled[0] / max(scaled[-1], 1e-300)),
+                    np.concatenate([unexcited, np.zeros(friction, dtype=bool)]), residual[:, None])
 
 
 def _joined(covariance: Array, fits: Sequence[FrictionFit], laws: Sequence[FrictionModel]) -> Array:

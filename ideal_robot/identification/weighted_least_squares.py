@@ -79,13 +79,12 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
     y = np.where(live, y, 0.0)
     W = W * live[:, None]
     count, n, size = W.shape
-    scale_y = np.maximum(np.std(y, axis=0), 1e-12)
-    noise = scale_y
-    known = np.zeros((size, size)) if information is None else information
+    noise = scale_y = np.maximum(np.std(y, axis=0), 1e-12)
     bounded = np.zeros(size, dtype=bool) if nonnegative is None else nonnegative
     at_bound = np.zeros(size, dtype=bool)
     extra = np.zeros_like(y) if variance is None else variance
-    channels, root = _Channels(W, y - W @ start, alike=variance is None), _root(known)
+    channels = _Channels(W, y - W @ start, alike=variance is None)
+    root = _root(np.zeros((size, size)) if information is None else information)
     for _ in range(iterations):
         std = np.sqrt(noise**2 + extra)
         value, inverse, conditions, unexcited = _solve(channels.weighted(std), root)
@@ -101,13 +100,19 @@ def weighted_least_squares(W: Array, y: Array, start: Array, *, iterations: int 
     covariance = inverse
     if correlated:
         std = np.sqrt(noise**2 + extra)
-        inflation = _correlation_inflation(W / std[:, :, None], residual / std, inverse, segments)
-        covariance = inverse * np.outer(inflation, inflation)
-        if regions:
-            scaled = W / std[:, :, None], residual / std
-            covariance = covariance + _between_regions(*scaled, inverse, covariance, regions)
+        covariance = _widened(inverse, W / std[:, :, None], residual / std, segments, regions)
     return Solution(value, covariance, std_white, np.where(live, np.sqrt(level), 0.0), *conditions, unexcited,
                     np.where(live, residual, np.nan), at_bound)
+
+
+def _widened(inverse: Array, W: Array, residual: Array, segments: Array | None,
+             regions: Sequence[np.ndarray]) -> Array:
+    """The covariance for residuals that are correlated in time and differ between regions; all weighted."""
+    inflation = _correlation_inflation(W, residual, inverse, segments)
+    covariance = inverse * np.outer(inflation, inflation)
+    if regions:
+        covariance = covariance + _between_regions(W, residual, inverse, covariance, regions)
+    return covariance
 
 
 def _bounded(value: Array, inverse: Array, start: Array, bounded: np.ndarray, unexcited: np.ndarray,

@@ -176,27 +176,14 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
                           cutoff_decimation=cutoff_decimation)
     else:
         result, two_step = identify_two_step(recordings, robot, validation=validation, friction=friction)
-    warnings, missing = [*shortened, *result.warnings], []
+    warnings = [*shortened, *result.warnings]
     steps.begin("controller")
-    controller, loop, model = None, None, result.model
-    with_command = [r for r in result.recordings if r.has("q_c")]
-    if with_command:
-        controller, model = _with_controller(with_command, without_integrator, robot, model, warnings, cascade)
-        loop = _linear_loop(with_command, robot, warnings)
-        if controller is None:
-            missing.append("controller: the commands do not determine it, see the warning no-controller")
-        if loop is None:
-            missing.append("linear loop: the commands do not determine it, see the warning no-linear-loop")
-    else:
-        missing.append("controller, linear loop: commands q_c_1 to "
-                       f"q_c_{robot.n} are needed; without a controller the model cannot correct a path")
-    with_arm = [r for r in result.recordings if r.has("qa")]
-    if with_arm:
-        stiffness, damping = stiffness_from_arm(with_arm, model)
-        model = dataclasses.replace(model, stiffness=stiffness, damping=damping)
-    else:
-        missing.append(f"stiffness, damping: measured arm angles qa_1 to qa_{robot.n} are needed, or recordings of the "
-                       "clamped arm (analyse_stiffness); gears count as rigid")
+    commanded = [r for r in result.recordings if r.has("q_c")]
+    controller, model = _with_controller(commanded, without_integrator, robot, result.model, warnings, cascade)
+    loop = _linear_loop(commanded, robot, warnings)
+    missing = _missing_of_the_loop(controller, loop, commanded, robot)
+    model, unknown = _with_stiffness(model, [r for r in result.recordings if r.has("qa")])
+    missing += unknown
     return IdentificationResult(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings),
                                 tuple(missing), loop, _warm_up(model, result))
 
@@ -247,7 +234,32 @@ def _warm_up(model: Model, result: Identification) -> tuple[WarmUp | None, ...]:
     return tuple(found)
 
 
+def _missing_of_the_loop(controller: ControllerIdentification | None, loop: LinearLoopFit | None,
+                         commanded: Sequence[Recording], robot: Robot) -> list[str]:
+    """What the recordings with commands do not tell of controllers and closed loop."""
+    if not commanded:
+        return [f"controller, linear loop: commands q_c_1 to q_c_{robot.n} are needed; without a controller the model "
+                "cannot correct a path"]
+    missing = []
+    if controller is None:
+        missing.append("controller: the commands do not determine it, see the warning no-controller")
+    if loop is None:
+        missing.append("linear loop: the commands do not determine it, see the warning no-linear-loop")
+    return missing
+
+
+def _with_stiffness(model: Model, recordings: Sequence[Recording]) -> tuple[Model, list[str]]:
+    """The model with stiffness and damping from measured arm angles; without recordings of them, what is missing."""
+    if not recordings:
+        return model, [f"stiffness, damping: measured arm angles qa_1 to qa_{model.n} are needed, or recordings of the "
+                       "clamped arm (analyse_stiffness); gears count as rigid"]
+    stiffness, damping = stiffness_from_arm(recordings, model)
+    return dataclasses.replace(model, stiffness=stiffness, damping=damping), []
+
+
 def _linear_loop(recordings: Sequence[Recording], robot: Robot, warnings: list[str]) -> LinearLoopFit | None:
+    if not recordings:
+        return None
     try:
         return identify_linear_loop(recordings, robot.t_ipo)
     except InputError as error:
@@ -259,6 +271,8 @@ def _with_controller(recordings: Sequence[Recording], without_integrator: Sequen
                      model: Model, warnings: list[str], cascade: bool,
                      ) -> tuple[ControllerIdentification | None, Model]:
     """The controllers at the interpolation cycle, and for the model, where wanted, those at their own cycles."""
+    if not recordings:
+        return None, model
     try:
         found = identify_controller(recordings, robot.t_ipo, without_integrator)
     except InputError as error:
