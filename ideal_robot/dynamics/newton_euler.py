@@ -132,27 +132,15 @@ def joint_frames(chain: Chain, q: Array, R: Array, p: Array) -> None:
                               + chain.rotation[i, r, 2] * turn[2, c])
 
 
-@jit()
-def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, tau: Array) -> None:
-    """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau (n,)`` [N m].
-
-    ``gravity`` scales the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
-
-    Args:
-        chain: the arm's rigid bodies.
-        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``.
-        p: position of each joint's frame in the one before it ``(n, 3)`` [m].
-        qd: joint velocities ``(n,)`` [rad/s].
-        qdd: joint accelerations ``(n,)`` [rad/s²].
-        gravity: factor on the chain's gravity.
-        tau: result ``(n,)`` [N m], written to.
-    """
-    n = len(qd)
-    force, moment = np.empty((n, 3)), np.empty((n, 3))
+@jit(inline="always")
+def _wrenches_on_bodies(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float,
+                        wrench: tuple[Array, Array]) -> None:
+    """Force on each body and moment about its frame's origin, from the base to the last link."""
+    force, moment = wrench
     # Numbers by themselves rather than vectors: the compiler keeps them in registers.
     w0, w1, w2, d0, d1, d2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     a0, a1, a2 = -gravity * chain.gravity[0], -gravity * chain.gravity[1], -gravity * chain.gravity[2]
-    for i in range(n):
+    for i in range(len(qd)):
         E, r0, r1, r2 = R[i], p[i, 0], p[i, 1], p[i, 2]
         # Acceleration of the frame's origin: a + ẇ × p + w × (w × p).
         y0, y1, y2 = w1 * r2 - w2 * r1, w2 * r0 - w0 * r2, w0 * r1 - w1 * r0
@@ -191,7 +179,14 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
         moment[i, 0] = (J[0, 0] * d0 + J[0, 1] * d1 + J[0, 2] * d2) + (w1 * x2 - w2 * x1) + (c1 * f2 - c2 * f1)
         moment[i, 1] = (J[1, 0] * d0 + J[1, 1] * d1 + J[1, 2] * d2) + (w2 * x0 - w0 * x2) + (c2 * f0 - c0 * f2)
         moment[i, 2] = (J[2, 0] * d0 + J[2, 1] * d1 + J[2, 2] * d2) + (w0 * x1 - w1 * x0) + (c0 * f1 - c1 * f0)
-    for i in range(n - 1, -1, -1):
+
+
+@jit(inline="always")
+def _torques_of_wrenches(chain: Chain, R: Array, p: Array, qdd: Array, wrench: tuple[Array, Array],
+                         tau: Array) -> None:
+    """Joint torques, from the last link to the base; each joint carries the bodies behind it."""
+    force, moment = wrench
+    for i in range(len(qdd) - 1, -1, -1):
         load = force[i] if chain.prismatic[i] > 0.5 else moment[i]
         tau[i] = (chain.axis[i, 0] * load[0] + chain.axis[i, 1] * load[1] + chain.axis[i, 2] * load[2]
                   + chain.armature[i] * qdd[i])
@@ -207,6 +202,26 @@ def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: 
             moment[i - 1, 0] += (E[0, 0] * x0 + E[0, 1] * x1 + E[0, 2] * x2) + (r1 * y2 - r2 * y1)
             moment[i - 1, 1] += (E[1, 0] * x0 + E[1, 1] * x1 + E[1, 2] * x2) + (r2 * y0 - r0 * y2)
             moment[i - 1, 2] += (E[2, 0] * x0 + E[2, 1] * x1 + E[2, 2] * x2) + (r0 * y1 - r1 * y0)
+
+
+@jit()
+def torque_at(chain: Chain, R: Array, p: Array, qd: Array, qdd: Array, gravity: float, tau: Array) -> None:
+    """Joint torques at the posture whose frames are ``R``, ``p`` ([G] (5)), written to ``tau (n,)`` [N m].
+
+    ``gravity`` scales the chain's gravity: 1 for all of (5), 0 for the columns of the mass matrix.
+
+    Args:
+        chain: the arm's rigid bodies.
+        R: rotation of each joint's frame in the one before it ``(n, 3, 3)``.
+        p: position of each joint's frame in the one before it ``(n, 3)`` [m].
+        qd: joint velocities ``(n,)`` [rad/s].
+        qdd: joint accelerations ``(n,)`` [rad/s²].
+        gravity: factor on the chain's gravity.
+        tau: result ``(n,)`` [N m], written to.
+    """
+    wrench = np.empty((len(qd), 3)), np.empty((len(qd), 3))
+    _wrenches_on_bodies(chain, R, p, qd, qdd, gravity, wrench)
+    _torques_of_wrenches(chain, R, p, qdd, wrench, tau)
 
 
 @jit()

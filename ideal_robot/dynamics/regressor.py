@@ -1,7 +1,8 @@
 """The rigid body as a linear form of its parameters: torque = A(q, qd, qdd) p, [G] (5) and (6).
 
 Parameters are Pinocchio's ten per link, all links joined to a joint by fixed joints merged:
-m [kg], mx my mz [kg m], Ixx Ixy Iyy Ixz Iyz Izz [kg m²] about the joint frame's origin and axes.
+m [kg], mx my mz [kg m], Ixx Ixy Iyy Ixz Iyz Izz [kg m²] about the joint frame's origin and axes. The regressor is
+compiled, which is about five times as fast as a call of Pinocchio a sample; Pinocchio is the reference of its test.
 """
 
 from __future__ import annotations
@@ -15,18 +16,56 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, _cross, _turned_back, chain_of, inverse_dynamics, joint_frames
 from ideal_robot.jit import jit
 
-# The regressor of a serial chain's joint torques, compiled: [G] (5) as a linear form of ten parameters a link.
-#
-# About five times as fast as a call of Pinocchio a sample; Pinocchio is the reference (a test compares them).
+
+@jit(inline="always")
+def _axes_seen_behind(chain: Chain, i: int, R: Array, p: Array, z: Array, v: Array, x: Array) -> None:
+    """Axes ``z``, ``v`` of the joints up to i as body i's frame sees them, from those seen by the body before it."""
+    for j in range(i):
+        _cross(z[j], p[i], x)
+        for r in range(3):
+            x[r] += v[j, r]
+        _turned_back(R[i], x, v[j])
+        for r in range(3):
+            x[r] = z[j, r]
+        _turned_back(R[i], x, z[j])
+    slides = chain.prismatic[i] > 0.5
+    for r in range(3):
+        z[i, r] = 0.0 if slides else chain.axis[i, r]
+        v[i, r] = chain.axis[i, r] if slides else 0.0
+
+
+@jit(inline="always")
+def _link_columns(z: Array, v: Array, w: Array, wd: Array, a: Array, row: Array) -> None:
+    """What a body's ten parameters add to a joint's torque, written to ``row (10,)``.
+
+    With the body's angular velocity ω and the acceleration a of its frame's origin against gravity, and u = z × ω, the
+    column of the mass is vᵀa, those of the first moments a × z + v × ω̇ + ω (vᵀω) - v (ωᵀω), that of I_ab
+    z_a ω̇_b + u_a ω_b, symmetric in a and b.
+    """
+    w0, w1, w2, d0, d1, d2 = w[0], w[1], w[2], wd[0], wd[1], wd[2]
+    a0, a1, a2 = a[0], a[1], a[2]
+    ww = w0 * w0 + w1 * w1 + w2 * w2
+    z0, z1, z2, v0, v1, v2 = z[0], z[1], z[2], v[0], v[1], v[2]
+    u0, u1, u2 = z1 * w2 - z2 * w1, z2 * w0 - z0 * w2, z0 * w1 - z1 * w0
+    vw = v0 * w0 + v1 * w1 + v2 * w2
+    row[0] = v0 * a0 + v1 * a1 + v2 * a2
+    row[1] = a1 * z2 - a2 * z1 + v1 * d2 - v2 * d1 + w0 * vw - v0 * ww
+    row[2] = a2 * z0 - a0 * z2 + v2 * d0 - v0 * d2 + w1 * vw - v1 * ww
+    row[3] = a0 * z1 - a1 * z0 + v0 * d1 - v1 * d0 + w2 * vw - v2 * ww
+    row[4] = z0 * d0 + u0 * w0
+    row[5] = z0 * d1 + z1 * d0 + u0 * w1 + u1 * w0
+    row[6] = z1 * d1 + u1 * w1
+    row[7] = z0 * d2 + z2 * d0 + u0 * w2 + u2 * w0
+    row[8] = z1 * d2 + z2 * d1 + u1 * w2 + u2 * w1
+    row[9] = z2 * d2 + u2 * w2
+
 
 @jit()
 def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, result: Array) -> None:
     """Columns of the regressor, written to ``result (n, P, N)``: samples last, as filters along time want them.
 
     The torque about joint j's axis z that body i's wrench (f, m) makes is zᵀm + vᵀf, with v = z × (way from j to i); a
-    sliding joint has z = 0 and its axis for v. With the body's angular velocity ω and the acceleration a of its frame's
-    origin against gravity, and u = z × ω, the column of the mass is vᵀa, those of the first moments
-    a × z + v × ω̇ + ω (vᵀω) - v (ωᵀω), that of I_ab z_a ω̇_b + u_a ω_b, symmetric in a and b.
+    sliding joint has z = 0 and its axis for v.
 
     Args:
         chain: kinematics and gravity; its inertias do not matter.
@@ -40,8 +79,7 @@ def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, re
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
     w, wd, a = np.empty(3), np.empty(3), np.empty(3)
     x, y, s = np.empty(3), np.empty(3), np.empty(3)
-    z, v = np.empty((n, 3)), np.empty((n, 3))
-    row = np.empty(10)
+    z, v, row = np.empty((n, 3)), np.empty((n, 3)), np.empty(10)
     for k in range(N):
         joint_frames(chain, q[k], R, p)
         for r in range(3):
@@ -60,42 +98,15 @@ def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, re
                 a[r], w[r], wd[r] = x[r], y[r], s[r]
             axis = chain.axis[i]
             _cross(w, axis, x)
-            slides = chain.prismatic[i] > 0.5
             for r in range(3):
-                if slides:
+                if chain.prismatic[i] > 0.5:
                     a[r] += 2.0 * x[r] * qd[k, i] + axis[r] * qdd[k, i]
                 else:
                     wd[r] += x[r] * qd[k, i] + axis[r] * qdd[k, i]
                     w[r] += axis[r] * qd[k, i]
-            # The axes before it, seen from this frame.
-            for j in range(i):
-                _cross(z[j], p[i], x)
-                for r in range(3):
-                    x[r] += v[j, r]
-                _turned_back(R[i], x, v[j])
-                for r in range(3):
-                    x[r] = z[j, r]
-                _turned_back(R[i], x, z[j])
-            for r in range(3):
-                z[i, r] = 0.0 if slides else axis[r]
-                v[i, r] = axis[r] if slides else 0.0
-            w0, w1, w2, d0, d1, d2 = w[0], w[1], w[2], wd[0], wd[1], wd[2]
-            a0, a1, a2 = a[0], a[1], a[2]
-            ww = w0 * w0 + w1 * w1 + w2 * w2
+            _axes_seen_behind(chain, i, R, p, z, v, x)
             for j in range(i + 1):
-                z0, z1, z2, v0, v1, v2 = z[j, 0], z[j, 1], z[j, 2], v[j, 0], v[j, 1], v[j, 2]
-                u0, u1, u2 = z1 * w2 - z2 * w1, z2 * w0 - z0 * w2, z0 * w1 - z1 * w0
-                vw = v0 * w0 + v1 * w1 + v2 * w2
-                row[0] = v0 * a0 + v1 * a1 + v2 * a2
-                row[1] = a1 * z2 - a2 * z1 + v1 * d2 - v2 * d1 + w0 * vw - v0 * ww
-                row[2] = a2 * z0 - a0 * z2 + v2 * d0 - v0 * d2 + w1 * vw - v1 * ww
-                row[3] = a0 * z1 - a1 * z0 + v0 * d1 - v1 * d0 + w2 * vw - v2 * ww
-                row[4] = z0 * d0 + u0 * w0
-                row[5] = z0 * d1 + z1 * d0 + u0 * w1 + u1 * w0
-                row[6] = z1 * d1 + u1 * w1
-                row[7] = z0 * d2 + z2 * d0 + u0 * w2 + u2 * w0
-                row[8] = z1 * d2 + z2 * d1 + u1 * w2 + u2 * w1
-                row[9] = z2 * d2 + u2 * w2
+                _link_columns(z[j], v[j], w, wd, a, row)
                 for c in range(10):
                     at = place[10 * i + c]
                     if at >= 0:

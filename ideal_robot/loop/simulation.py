@@ -172,11 +172,9 @@ def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: A
 def _play(chain: Chain, drives: Drives, reference: Array, external: Array, further: Array, state: _Motion, out: Array,
           t_position: float, dt: float, steps_ipo: int, start: int, stop: int) -> None:
     n = len(state.q_m)
-    stiffness, damping, k_p, k_i = drives.stiffness, drives.damping, drives.k_p, drives.k_i
     substeps = round(t_position / dt)
-    q_a, v_a, q_m, v_m, tau, load = state.q_a, state.v_a, state.q_m, state.v_m, state.tau, state.load
+    q_a, v_a, q_m, v_m = state.q_a, state.v_a, state.q_m, state.v_m
     v_ref, bias, acceleration = np.zeros(n), np.empty(n), np.empty(n)
-    slope, give = np.ones(n), np.ones(n)
     R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
     for step in range(start, stop):
         cycle = step // steps_ipo
@@ -188,55 +186,68 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
         mass_matrix(chain, R, p, M)
         for i in range(n):
             # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
-            M[i, i] += 0.5 * dt * damping[i] + 0.25 * dt * dt * stiffness[i]
+            M[i, i] += 0.5 * dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
         L = np.linalg.cholesky(M)
         for sub in range(substeps):
             if sub > 0:
                 joint_frames(chain, q_a, R, p)
             torque_at(chain, R, p, v_a, zero, 1.0, bias)
             for i in range(n):
-                # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
-                speed = (q_m[i] - state.previous[i]) / dt
-                state.previous[i] = q_m[i]
-                state.filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - state.filtered[i])
-                u = v_ref[i] - state.filtered[i]
-                wanted = k_p[i] * u + state.integral[i] + k_i[i] * u * dt
-                tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
-                if wanted == tau[i]:
-                    state.integral[i] += k_i[i] * u * dt
-                ahead, rise, _ = unevenness(drives.uneven, i, q_m[i])
-                slope[i] = 1.0 + rise
-                twist = q_m[i] + ahead - q_a[i]
-                gap = drives.half_gap[i]
-                give[i] = 1.0
-                if gap > 0.0:
-                    give[i] = 0.0 if abs(twist) <= gap else 1.0
-                    twist -= min(max(twist, -gap), gap)
-                load[i] = stiffness[i] * twist + give[i] * damping[i] * (slope[i] * v_m[i] - v_a[i])
-                net = ((tau[i] - further[i]) / drives.gain[i] - drives.offset[i] - slope[i] * load[i]
-                       - ripple_torque(drives.ripple, i, q_m[i]))
-                side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
-                friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
-                            + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
-                                               v_m[i] if v_m[i] != 0.0 else net))
-                v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
-                acceleration[i] = (load[i] - bias[i] + external[cycle, i]
-                                   + give[i] * 0.5 * dt * stiffness[i] * (slope[i] * v_m[i] - v_a[i]))
-            # (M + dt/2 D + dt²/4 K) a = load half a step on - bias, by the Cholesky factor of this position cycle.
-            for i in range(n):
-                for j in range(i):
-                    acceleration[i] -= L[i, j] * acceleration[j]
-                acceleration[i] /= L[i, i]
-            for i in range(n - 1, -1, -1):
-                for j in range(i + 1, n):
-                    acceleration[i] -= L[j, i] * acceleration[j]
-                acceleration[i] /= L[i, i]
+                give = _motor_step(drives, state, i, v_ref[i], further[i], dt)
+                acceleration[i] = state.load[i] - bias[i] + external[cycle, i] + give
+            _solve_cholesky(L, acceleration)
             for i in range(n):
                 v_a[i] += acceleration[i] * dt
                 q_a[i] += (v_a[i] - 0.5 * acceleration[i] * dt) * dt
                 q_m[i] += v_m[i] * dt
         if (step + 1) % steps_ipo == 0:
-            out[0, cycle + 1], out[1, cycle + 1], out[2, cycle + 1] = q_a, q_m, tau
+            out[0, cycle + 1], out[1, cycle + 1], out[2, cycle + 1] = q_a, q_m, state.tau
+
+
+@jit(inline="always")
+def _motor_step(drives: Drives, state: _Motion, i: int, v_ref: float, further: float, dt: float) -> float:
+    """One step of a joint's velocity loop, gear and rotor; returns what the gear's load changes by in half a step."""
+    q_m, v_m, tau, load = state.q_m, state.v_m, state.tau, state.load
+    # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
+    speed = (q_m[i] - state.previous[i]) / dt
+    state.previous[i] = q_m[i]
+    state.filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - state.filtered[i])
+    u = v_ref - state.filtered[i]
+    wanted = drives.k_p[i] * u + state.integral[i] + drives.k_i[i] * u * dt
+    tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
+    if wanted == tau[i]:
+        state.integral[i] += drives.k_i[i] * u * dt
+    ahead, rise, _ = unevenness(drives.uneven, i, q_m[i])
+    slope = 1.0 + rise
+    twist = q_m[i] + ahead - state.q_a[i]
+    gap = drives.half_gap[i]
+    give = 1.0
+    if gap > 0.0:
+        give = 0.0 if abs(twist) <= gap else 1.0
+        twist -= min(max(twist, -gap), gap)
+    load[i] = drives.stiffness[i] * twist + give * drives.damping[i] * (slope * v_m[i] - state.v_a[i])
+    net = ((tau[i] - further) / drives.gain[i] - drives.offset[i] - slope * load[i]
+           - ripple_torque(drives.ripple, i, q_m[i]))
+    side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
+    friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
+                + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
+                                   v_m[i] if v_m[i] != 0.0 else net))
+    v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
+    return give * 0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - state.v_a[i])
+
+
+@jit(inline="always")
+def _solve_cholesky(L: Array, x: Array) -> None:
+    """Solves ``L Lᵀ x = b`` in place: (M + dt/2 D + dt²/4 K) a = load half a step on - bias."""
+    n = len(x)
+    for i in range(n):
+        for j in range(i):
+            x[i] -= L[i, j] * x[j]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for j in range(i + 1, n):
+            x[i] -= L[j, i] * x[j]
+        x[i] /= L[i, i]
 
 
 @jit()
