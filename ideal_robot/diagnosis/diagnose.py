@@ -28,7 +28,6 @@ from ideal_robot.signals.channels import channel_findings, dead_joints
 from ideal_robot.signals.recording import Recording, expect
 from ideal_robot.signals.sampling import shortened
 
-# From the findings to the answer.
 
 def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
     """The answer after all stages."""
@@ -132,6 +131,33 @@ STAGES = {
 """Heading, and what is done: a function of the case and of what was found before."""
 
 
+def _usable(recording: Recording, validate: Recording | None,
+            robot: Robot) -> tuple[Recording, Recording | None, list[str]]:
+    """The recordings as they can be used, and warnings."""
+    recording, warnings = shortened(recording)
+    (recording,), more = checked([recording], robot)
+    warnings = warnings + more
+    if validate is not None:
+        expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
+        validate, shorter = shortened(validate)
+        (validate,), more = checked([validate], robot)
+        warnings += shorter + more
+    return recording, validate, warnings
+
+
+def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
+    """What is known before any search; without the validation recording where nothing predicts it."""
+    found = stages.prepared(case, tuple(warnings))
+    missed = () if case.validate is None or case.given is not None else unlike(case, found, case.validate)
+    if not missed:
+        return case, found
+    case = replace(case, validate=None)
+    return case, stages.prepared(case, (
+        *warnings, "validation-not-predicted: with the parameters of the recording alone the error of the other one is "
+        f"larger than what it varies by in {', '.join(missed)}; it decides and reports nothing, blocks of the "
+        "recording kept apart do (give --model, or a recording that moves as widely as the other)"))
+
+
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
              options: Options | None = None, seed: int = 0, progress: Progress = silent,
              only: Only | None = None, cutoff: float | None = None) -> Diagnosis:
@@ -160,29 +186,13 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         model.require_arm(robot)
     # Torques made of currents without known gains are in amperes: then joints must not share inertias.
     amperes = not recording.has("tau") and bool(np.all(robot.drive_gain == 1.0)) and robot.n > 1
-    recording, shorter = shortened(recording)
-    (recording,), warnings = checked([recording], robot)
-    warnings = shorter + warnings
-    if validate is not None:
-        expect(validate, Recording, "validate", "give one recording; diagnose once for each where there are several")
-        validate, shorter = shortened(validate)
-        (validate,), more = checked([validate], robot)
-        warnings += shorter + more
+    recording, validate, warnings = _usable(recording, validate, robot)
     known = [finding for one in (recording, validate) if one is not None for finding in channel_findings(one)]
     warnings += [finding.warning for finding in known]
     case = Case(recording, robot, model, validate, options or Options(), np.random.default_rng(seed), progress,
                 shared=model is not None or not amperes, only=only, dead=tuple(dead_joints(tuple(known))),
                 cutoff=cutoff)
-    found = stages.prepared(case, tuple(warnings))
-    if validate is not None and model is None:
-        missed = unlike(case, found, validate)
-        if missed:
-            warnings.append("validation-not-predicted: with the parameters of the recording alone the error of the "
-                            f"other one is larger than what it varies by in {', '.join(missed)}; it decides and "
-                            "reports nothing, blocks of the recording kept apart do (give --model, or a recording "
-                            "that moves as widely as the other)")
-            case = replace(case, validate=None)
-            found = stages.prepared(case, tuple(warnings))
+    case, found = _prepared(case, warnings)
     if len(found.problem.regression.undecided) == robot.n:
         return undecided(case, stages.sensors_alone(case, found))
     for heading, stage in STAGES.items():

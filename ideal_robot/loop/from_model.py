@@ -15,10 +15,9 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 
-# Found effects in the identified loop: each says where it acts and by how much (``Effect.loop_change``).
 
 def with_effects(loop: LoopModel, effects: tuple[FittedEffect, ...]) -> LoopModel:
-    """The loop with the effects added that act in it."""
+    """The loop with the effects added that act in it: each says where and by how much (``Effect.loop_change``)."""
     torque, load, bend = loop.friction_torque.copy(), loop.friction_load.copy(), loop.friction_bend.copy()
     driven = loop.friction_driven.copy()
     offset, rotor, gain = loop.offset.copy(), loop.rotor_inertia.copy(), loop.gain.copy()
@@ -98,9 +97,6 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
                          field="controller")
     n, laws = model.n, model.friction.laws
     grid = velocity_grid(robot.v_max)
-    # At speed 0 the table holds the limit from above: what the joint has to overcome.
-    speeds = np.maximum(grid, 1e-9)
-    unloaded = np.stack([model.friction.torque(speeds), -model.friction.torque(-speeds)])
     k_v, k_ff, k_p, k_i = cascade_gains(controller)
     whole = round(controller.delay / robot.t_ipo) if delay is None else delay
     # What the delay has beyond whole cycles, and the low-pass, make the command filter.
@@ -111,7 +107,7 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
         chain=chain,
         rotor_inertia=rotor_inertia,
         friction_velocity=grid,
-        friction_torque=np.maximum(unloaded, 0.0),
+        friction_torque=_unloaded_friction(model, grid),
         friction_load=np.array([law.coefficients[-1, 0] if law.loaded else 0.0 for law in laws]),
         friction_bend=np.array([law.shape[-1, 0] if law.presliding else 0.0 for law in laws]),
         offset=np.array(model.offset),
@@ -131,6 +127,14 @@ def loop_model(model: Model, robot: Robot, *, delay: int | None = None) -> LoopM
     loop = with_effects(loop, model.effects)
     chain, rotor_inertia = with_rotors(loop.chain, loop.rotor_inertia, robot.q_min, robot.q_max)
     return loop.replace(chain=chain, rotor_inertia=rotor_inertia)
+
+
+def _unloaded_friction(model: Model, grid: Array) -> Array:
+    """What friction brakes with at the speeds ``grid (m, n)``, forward and backward ``(2, m, n)`` [N m]."""
+    # At speed 0 the table holds the limit from above: what the joint has to overcome.
+    speeds = np.maximum(grid, 1e-9)
+    unloaded = np.stack([model.friction.torque(speeds), -model.friction.torque(-speeds)])
+    return np.maximum(unloaded, 0.0)
 
 
 def _elastic(model: Model, rotor_inertia: Array) -> Array:

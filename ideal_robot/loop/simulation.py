@@ -187,7 +187,7 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
         for i in range(n):
             # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
             M[i, i] += 0.5 * dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
-        L = np.linalg.cholesky(M)
+        L: Array = np.linalg.cholesky(M)
         for sub in range(substeps):
             if sub > 0:
                 joint_frames(chain, q_a, R, p)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.dynamics import BaseParameters
 from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
 from ideal_robot.model.parametrisation import ControllerModel
@@ -27,22 +28,16 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     Raises:
         InputError: names the key, what was expected and what was found.
     """
-    for key, text in (("robot.name", model.robot_name), ("robot.urdf", model.urdf),
-                      ("robot.urdf_hash", model.urdf_hash)):
-        if not isinstance(text, str):
-            raise InputError("expected a text", file=file, field=key)
-    if not model.robot_name.isprintable() or len(model.robot_name) > 200:
-        raise InputError("expected one printable line", file=file, field="robot.name", value=model.robot_name[:40])
+    _texts(model, file)
     n, b = int(model.kinematics.nv), len(model.base.independent)
     p = _SYMBOLS * n
-    friction = model.friction
+    friction, base = model.friction, model.base
     if friction.n != n:
         raise InputError(f"expected the laws of {n} joints, got {friction.n}", file=file, field="friction")
     for j, law in enumerate(friction.laws):
         if not (np.all(np.isfinite(law.coefficients)) and np.all(np.isfinite(law.shape))):
             raise InputError("expected finite numbers", file=file, field=f"friction.{j}")
     count = b + sum(law.coefficients.size + law.shape.size for law in friction.laws)
-    base = model.base
     for key, array, shape, finite in (
         ("base.values", model.base_values, (b,), True), ("base.grouping", base.grouping, (b, p), True),
         ("covariance", model.covariance, (count, count), False), ("consistent", model.consistent, (p,), True),
@@ -51,6 +46,27 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
     ):
         if array is not None:
             _array(array, shape, key, file, finite=finite)
+    _base(base, n, file)
+    if model.stiffness is not None and np.any(model.stiffness <= 0):
+        raise InputError("expected positive numbers", file=file, field="stiffness")
+    if model.damping is not None and np.any(model.damping < 0):
+        raise InputError("expected numbers that are not negative", file=file, field="damping")
+    if model.controller is not None:
+        _controller(model.controller, n, file)
+    _effects(model, n, file)
+
+
+def _texts(model: Any, file: Path | str | None) -> None:
+    for key, text in (("robot.name", model.robot_name), ("robot.urdf", model.urdf),
+                      ("robot.urdf_hash", model.urdf_hash)):
+        if not isinstance(text, str):
+            raise InputError("expected a text", file=file, field=key)
+    if not model.robot_name.isprintable() or len(model.robot_name) > 200:
+        raise InputError("expected one printable line", file=file, field="robot.name", value=model.robot_name[:40])
+
+
+def _base(base: BaseParameters, n: int, file: Path | str | None) -> None:
+    b, p = len(base.independent), _SYMBOLS * n
     for key, names, length in (("base.full_names", base.full_names, p), ("base.full_units", base.full_units, p),
                                ("base.gravitational", base.gravitational, b)):
         if len(names) != length:
@@ -66,13 +82,6 @@ def require_consistent(model: Any, file: Path | str | None = None) -> None:
         if not (joint.isascii() and joint.isdigit() and 1 <= int(joint) <= n):
             raise InputError("expected names such as Izz_3", file=file, field="base.full_names",
                              value=base.full_names[i][:40])
-    if model.stiffness is not None and np.any(model.stiffness <= 0):
-        raise InputError("expected positive numbers", file=file, field="stiffness")
-    if model.damping is not None and np.any(model.damping < 0):
-        raise InputError("expected numbers that are not negative", file=file, field="damping")
-    if model.controller is not None:
-        _controller(model.controller, n, file)
-    _effects(model, n, file)
 
 
 def _array(array: np.ndarray, shape: tuple[int, ...], key: str, file: Path | str | None, *, finite: bool) -> None:

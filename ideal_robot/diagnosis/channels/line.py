@@ -139,21 +139,29 @@ def line_regression(recording: Recording, robot: Robot, torque: Regression,
     basis = basis[:, sizes > 1e-6 * sizes[0]]
     seen_points = _SeenPoints(times, from_axis(points[rows], _axis(recording, points)), rotation[number[rows]], normal,
                               -np.sum(normal * moved, axis=1), basis)
-    extra = seen_points.signals()
     residual = seen_points.beside(d[rows])
-    s0 = torque.signals
+    signals = _signals_at(times, torque, begin, seen_points.signals())
+    noise_floor = np.array([_finding_noise(residual, number[rows])])
+    y, constant = residual[:, None], np.ones((len(residual), 1, 1))
+    return LineRegression(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
+                          torque.filtered, {}, noise_floor, torque.prismatic, SENSOR, field=number[rows])
+
+
+def _signals_at(times: Array, torque: Regression, begin: float, extra: dict[str, Array]) -> Signals:
+    """The signals of the torque regression at the points' times ``(N,)`` [s] since ``begin``, with what is seen."""
+    s = torque.signals
     grid = torque.filtered.t - begin
 
     def at(values: Array) -> Array:
         return np.column_stack([np.interp(times, grid, column) for column in values.T])
 
-    signals = Signals(times, at(s0.q), at(s0.qd), at(s0.qdd), at(s0.load), at(s0.torque), at(s0.friction), extra=extra)
-    # What differs between points next to each other in one field is the noise of finding them.
-    jumps = np.diff(residual, 2)[number[rows][2:] == number[rows][:-2]]
-    noise_floor = np.array([np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0) if len(jumps) else 0.0])
-    y, constant = residual[:, None], np.ones((len(residual), 1, 1))
-    return LineRegression(times, ("line",), ("m",), y, y, constant, np.ones(y.shape, dtype=bool), signals,
-                          torque.filtered, {}, noise_floor, torque.prismatic, SENSOR, field=number[rows])
+    return Signals(times, at(s.q), at(s.qd), at(s.qdd), at(s.load), at(s.torque), at(s.friction), extra=extra)
+
+
+def _finding_noise(residual: Array, number: np.ndarray) -> float:
+    """Noise of finding points [m]: what differs between those next to each other in one field."""
+    jumps = np.diff(residual, 2)[number[2:] == number[:-2]]
+    return float(np.median(np.abs(jumps)) / 0.6745 / np.sqrt(6.0)) if len(jumps) else 0.0
 
 
 def line_blocks(made: LineRegression, held_out: bool) -> Blocks:

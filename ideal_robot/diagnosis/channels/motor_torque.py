@@ -71,11 +71,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
         InputError: see ``preprocess``.
     """
     n = robot.n
-    rate = (len(recording.t) - 1) / max(float(recording.t[-1] - recording.t[0]), 1e-9)
-    duration = len(recording.t) / rate
-    cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
-    band = min(BAND * cutoff / CUTOFF, 0.5 * ROWS / (n * duration), 0.5 * rate)
-    recorded = preprocess(without_spikes(recording), cutoff=cutoff, cutoff_decimation=band)
+    recorded = _filtered(recording, cutoff)
     filtered = _differentiated(recorded if _measures_more(recording) else _thinned(recorded))
     q, qd, qdd = filtered.q, filtered.qd, filtered.qdd
     t = filtered.t - filtered.t[0]
@@ -94,12 +90,7 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
     load = inverse_dynamics(chain_of(model._exact_model), q, qd, qdd)
     W = sensitivity(robot.pinocchio, model.base, model.friction, q, qd, qdd, load)
     W = filtered.decimate(W)
-    moving, undecided = moving_samples(t, q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
-    apart = apart_from_reversals(q, qd, moving, NEAR_REVERSAL * CUTOFF / cutoff, filtered.dt)
-    use = apart[:: filtered.factor][filtered.keep]
-    use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
-    undecided = {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
-                    for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
+    use, undecided = _counting_rows(recording, filtered, noise_velocity, robot)
     measured = filtered.decimate(filtered.tau)
     prismatic = tuple(bool(slides) for slides in robot.prismatic)
     units = tuple("N" if slides else "N m" for slides in prismatic)
@@ -107,6 +98,27 @@ def torque_regression(recording: Recording, robot: Robot, model: Model, *, cutof
                       measured, measured, W, use, signals, filtered, undecided, noise_above_band(recorded), prismatic)
     made = with_reversal_width(made, model, noise_velocity if reversal_width is None else reversal_width)
     return made if shared else replace(made, W=_own_copies(made.W))
+
+
+def _filtered(recording: Recording, cutoff: float | None) -> FilteredSignals:
+    """The recording behind both filters, with no more rows than ``ROWS``."""
+    rate = (len(recording.t) - 1) / max(float(recording.t[-1] - recording.t[0]), 1e-9)
+    duration = len(recording.t) / rate
+    cutoff = min(CUTOFF, 0.25 * rate) if cutoff is None else cutoff
+    band = min(BAND * cutoff / CUTOFF, 0.5 * ROWS / (recording.n * duration), 0.5 * rate)
+    return preprocess(without_spikes(recording), cutoff=cutoff, cutoff_decimation=band)
+
+
+def _counting_rows(recording: Recording, filtered: FilteredSignals, noise_velocity: Array,
+                   robot: Robot) -> tuple[np.ndarray, dict[int, str]]:
+    """Which rows ``(M, n)`` count: away from ends, pauses, reversals and limits; and why a joint has none."""
+    q, qd = filtered.q, filtered.qd
+    moving, undecided = moving_samples(filtered.t - filtered.t[0], q, qd, noise_velocity, 1.0 / filtered.cutoff, robot)
+    apart = apart_from_reversals(q, qd, moving, NEAR_REVERSAL * CUTOFF / filtered.cutoff, filtered.dt)
+    use = apart[:: filtered.factor][filtered.keep]
+    use &= apart_from_ends(filtered)[:, None] & ~_clipped(recording, filtered)
+    return use, {**{int(j) + 1: "no sample is left away from ends, pauses, reversals and limits of the drive"
+                    for j in np.flatnonzero(~use.any(axis=0))}, **undecided}
 
 
 def without_dead_channels(made: Regression, dead: Sequence[int]) -> Regression:

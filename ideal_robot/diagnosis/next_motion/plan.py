@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -163,6 +163,25 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     if len(found.problem.regression.undecided) < robot.n:
         found = stages.baseline(case, found)
     problems = dict(_problems(case, found))
+    asked, not_asked = _asked_of(questions, problems, robot, options)
+    if not asked:
+        return DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, not_asked)
+    room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
+    foresight = Foresight(case, found.start, found.problem.regression, found.reversal_width)
+    q_c = _best_motion(asked, foresight, room, longest, progress)
+    progress(0.95, "what it will tell")
+    planned = _told(asked, foresight, q_c)
+    own = [products_of(one.pair, problems[one.domain].regression) for one in asked]
+    pairs_found = tuple(planned_pair(one, separation_of(one.pair, before), separation_of(one.pair, after), recording)
+                        for one, before, after in zip(asked, own, planned, strict=True))
+    still = foresight.regression(q_c, MOTOR_TORQUE).undecided
+    return DiagnosisPlan(pairs_found, q_c, robot.t_ipo, not_asked,
+                         tuple(joint for joint in questions.undecided if joint in still))
+
+
+def _asked_of(questions: Open, problems: Mapping[Domain, Problem], robot: Robot,
+              options: Options) -> tuple[list[Asked], tuple[str, ...]]:
+    """Pairs and joints that a motion may tell, and what no motion of the joints can answer."""
     asked: list[Asked] = []
     not_asked: list[str] = []
     for problem in problems.values():
@@ -175,21 +194,25 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
                   for one in questions.found
                   if one.rivals and not any(e.name == one.name and e.channel_prefix == one.prefix
                                             and e.domain in problems for e in library())]
-    nothing = DiagnosisPlan((), np.zeros((0, robot.n)), robot.t_ipo, tuple(not_asked))
-    if not asked:
-        return nothing
-    start = np.clip(recording.joints("q")[0], robot.q_min, robot.q_max)
-    room = (workspace or Workspace.of(robot)).widened(robot, recording.joints("q"))
-    foresight = Foresight(case, found.start, found.problem.regression, found.reversal_width)
-    least = [smallest_share(one.pair, options if one.domain == MOTOR_TORQUE else options.finer()) for one in asked]
-    domains = tuple(dict.fromkeys(one.domain for one in asked))
+    return asked, tuple(not_asked)
 
-    def products(q_c: Array) -> list[Products]:
-        made = {domain: foresight.regression(q_c, domain) for domain in domains}
-        return [products_of(one.pair, made[one.domain]) for one in asked]
+
+def _told(asked: Sequence[Asked], foresight: Foresight, q_c: Array) -> list[Products]:
+    """What a motion ``(N, n)`` [rad] tells of each pair."""
+    made = {domain: foresight.regression(q_c, domain) for domain in dict.fromkeys(one.domain for one in asked)}
+    return [products_of(one.pair, made[one.domain]) for one in asked]
+
+
+def _best_motion(asked: Sequence[Asked], foresight: Foresight, room: Workspace, longest: float,
+                 progress: Progress) -> Array:
+    """The commands ``(N, n)`` [rad] that tell the pairs best, within the arm's limits and the room."""
+    case = foresight.case
+    robot, options = case.robot, case.options
+    start = np.clip(case.recording.joints("q")[0], robot.q_min, robot.q_max)
+    least = [smallest_share(one.pair, options if one.domain == MOTOR_TORQUE else options.finer()) for one in asked]
 
     def told(part: Part) -> list[Products]:
-        return products(played(part, robot.t_ipo))
+        return _told(asked, foresight, played(part, robot.t_ipo))
 
     def worth(several: Sequence[list[Products]]) -> float:
         margins = np.array([separation_of(one.pair, _sum(own)).margin(asks)
@@ -201,14 +224,7 @@ def plan_diagnosis(recording: Recording, robot: Robot, questions: Open, *, model
     parts = search.best(told, worth, 1.0 + 0.1 * _PLENTY, lambda share, word: progress(0.05 + 0.85 * share, word))
     q_c = parts.commands()
     require_within_limits(robot, q_c, room)
-    progress(0.95, "what it will tell")
-    planned = products(q_c)
-    own = [products_of(one.pair, problems[one.domain].regression) for one in asked]
-    pairs_found = tuple(planned_pair(one, separation_of(one.pair, before), separation_of(one.pair, after), recording)
-                        for one, before, after in zip(asked, own, planned, strict=True))
-    still = foresight.regression(q_c, MOTOR_TORQUE).undecided
-    return DiagnosisPlan(pairs_found, q_c, robot.t_ipo, tuple(not_asked),
-                         tuple(joint for joint in questions.undecided if joint in still))
+    return q_c
 
 
 def _problems(case: Case, found: Findings) -> Iterator[tuple[Domain, Problem]]:
