@@ -187,7 +187,7 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
         for i in range(n):
             # Implicit midpoint for the gear springs: light wrists on stiff gears stay stable at this step.
             M[i, i] += 0.5 * dt * drives.damping[i] + 0.25 * dt * dt * drives.stiffness[i]
-        L: Array = np.linalg.cholesky(M)
+        L = np.linalg.cholesky(M)
         for sub in range(substeps):
             if sub > 0:
                 joint_frames(chain, q_a, R, p)
@@ -237,7 +237,7 @@ def _motor_step(drives: Drives, state: _Motion, i: int, v_ref: float, further: f
 
 
 @jit(inline="always")
-def _solve_cholesky(L: Array, x: Array) -> None:
+def _solve_cholesky(L: np.ndarray, x: Array) -> None:
     """Solves ``L Lᵀ x = b`` in place: (M + dt/2 D + dt²/4 K) a = load half a step on - bias."""
     n = len(x)
     for i in range(n):

@@ -206,7 +206,7 @@ def test_a_solver_that_panics_is_a_result_with_a_reason(monkeypatch: pytest.Monk
         def solve(self) -> None:
             raise PanicException("Eigval error: Eigen(1)")
 
-    monkeypatch.setattr("ideal_robot.dynamics.base_parameters.clarabel.DefaultSolver", Panics)
+    monkeypatch.setattr("clarabel.DefaultSolver", Panics)
     model, full = arm()
     base = base_parameters(model)
     with pytest.raises(IdealRobotError, match="Eigval error"):
