@@ -21,10 +21,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.feedforward.ideal import IdealRobot
 from scenes import load_scene
+from scenes.closing.result import Closing
 from scenes.methods import IDEAL
 from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import closed
-from scenes.path.close_loop_result import CloseLoopResult
 from scenes.scene_files.path_scene import PathScene
 
 Formula = Callable[[Array, Array, Array], Array]
@@ -138,7 +138,7 @@ def oracle_of(cell: PathCell, cause: Outside) -> IdealRobot:
 
 
 def close_outside(scene: PathScene, cell: PathCell, cause: Outside, *, measured: str = "tcp",
-                  rounds: int = 3) -> CloseLoopResult:
+                  rounds: int = 3) -> Closing:
     """Closes a cell whose arm has the cause.
 
     Args:
@@ -185,7 +185,7 @@ def main() -> None:
             continue
         begun = time.process_time()
         result = close_outside(scene, cell, cause, measured=given.measured, rounds=given.rounds)
-        errors = [1e3 * e.aligned.E_car for e in (result.before, result.after, result.oracle)]
+        errors = [1e3 * e.aligned.E_car for e in result.errors.values()]
         taken = "; ".join(step.tried for step in result.steps if step.taken) or "nothing"
         print(f"| {cause.name} | {errors[0]:.3f} | {errors[1]:.3f} | {errors[2]:.3f} | {taken} | "
               f"{time.process_time() - begun:.0f} |", flush=True)

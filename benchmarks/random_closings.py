@@ -26,10 +26,10 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
+from scenes.closing.result import Closing
 from scenes.models import model_for
 from scenes.path.cell import PathCell, set_up
 from scenes.path.close_loop import closed
-from scenes.path.close_loop_result import CloseLoopResult
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
 from sim.arm.world import World
@@ -133,7 +133,7 @@ def _closed_path(rng: np.random.Generator, kind: str, measured: str, individuals
 
 
 def _closed(rng: np.random.Generator, kind: str, scene: PathScene, cell: PathCell, robot: Robot, measured: str,
-            rounds: int) -> tuple[CloseLoopResult, Any]:
+            rounds: int) -> tuple[Closing, Any]:
     if kind == "none":
         return closed(scene, cell, (), measured=measured, rounds_at_most=rounds), {}
     if kind == "outside":

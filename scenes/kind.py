@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from ideal_robot.arrays import Array
 from ideal_robot.registry import Registry
-from scenes.result import CompareResult, LoopResult, RunResult
+from scenes.result import CompareResult, RunResult
 from scenes.scene_files.scene import Scene
+
+if TYPE_CHECKING:
+    from scenes.closing.result import Closing
 
 
 class Play(Protocol):
@@ -49,7 +52,7 @@ class Compare(Protocol):
 class CloseLoop(Protocol):
     """Plays a scene, diagnoses what its model misses, and plays it again with what was found."""
 
-    def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> LoopResult:
+    def __call__(self, scene: Any, *, measured: str = ..., out: Any = None, progress: Any = ...) -> Closing:
         """Plays, diagnoses, extends the model and plays again.
 
         Args:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ideal_robot.errors import InputError
 from scenes.kind import KINDS, kind_of
-from scenes.result import CompareResult, LoopResult, Progress, RunResult, silent
+from scenes.result import CompareResult, Progress, RunResult, silent
 from scenes.scene_files.scene import Scene
+
+if TYPE_CHECKING:
+    from scenes.closing.result import Closing
 
 
 def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,
@@ -53,7 +56,7 @@ def compare_scene(scene: Scene, *, methods: Sequence[Any] | None = None, out: Pa
 
 
 def close_scene(scene: Scene, *, measured: str = "tcp", out: Path | None = None,
-                progress: Progress = silent) -> LoopResult:
+                progress: Progress = silent) -> Closing:
     """Plays a scene, finds what its model misses, extends the model and plays it again.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,7 @@ from ideal_robot.progress import Progress, part_of, silent
 from ideal_robot.results import Summarised, html_table, in_lines, plain, shown_cell
 from ideal_robot.row_log import let_go
 
-if TYPE_CHECKING:
-    from ideal_robot.diagnosis import Diagnosis
-
-__all__ = ["CompareResult", "LoopResult", "Progress", "RunResult", "part_of", "silent"]
+__all__ = ["CompareResult", "Progress", "RunResult", "part_of", "silent"]
 
 
 class RunResult(Protocol):
@@ -56,42 +53,6 @@ class CompareResult(Protocol):
 
     def table(self) -> tuple[list[str], list[list[Any]]]:
         """Column titles and rows, one row a method."""
-        ...
-
-
-class LoopResult(Protocol):
-    """One turn of run, diagnose, extend, run again."""
-
-    @property
-    def report(self) -> Path | None:
-        """The HTML page, where one was asked for."""
-        ...
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Titles of the table's columns."""
-        ...
-
-    @property
-    def tried_by(self) -> str:
-        """Title of the ladder's error: by which figure, with unit, a change of the model is judged."""
-        ...
-
-    @property
-    def diagnosis(self) -> Diagnosis | None:
-        """What was found; None where what is missing was known."""
-        ...
-
-    def json(self) -> dict[str, Any]:
-        """The content of ``--json``."""
-        ...
-
-    def table(self) -> list[list[Any]]:
-        """One row a model: before, after, and with the truth."""
-        ...
-
-    def ladder(self) -> list[list[Any]]:
-        """One row a change of the model that was tried: round, what, stays, measured error in mm, why not."""
         ...
 
 

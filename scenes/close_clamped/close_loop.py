@@ -1,18 +1,22 @@
-"""Model without stiffness → clamped recordings ([J]) → stiffness → model → path: one command, no tracker.
+"""From a clamped flange to a path: an arm without any device on its arm side learns what its gears give.
 
-For comparison the same with the stiffness that an external device's arm angles give on a motion in the same world,
-and with the true one.
+Model without stiffness → clamped recordings ([J]) → stiffness → model → path: one command, no tracker. What decides is
+how far the motors of each clamped recording shift beyond what the stiffness of the other ones explains: no play of the
+path tells, as without a device on the arm's side its motors show nothing of what gears give. For comparison the same
+with the stiffness that an external device's arm angles give on a motion in the same world, and with the true one.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.clamped_signals import WRENCH
+from ideal_robot.elasticity.stiffness import Method, identify_joint, joint_loads
 from ideal_robot.elasticity.stiffness_analysis import StiffnessAnalysis, analyse_stiffness
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
@@ -21,23 +25,24 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.play import configurations, record
-from scenes.close_clamped.page import write_close_clamped
-from scenes.close_clamped.result import CloseClampedResult
 from scenes.close_clamped.scene import CloseClampedScene
+from scenes.closing.loop import Form, Found, Group, Subject, close
+from scenes.closing.result import SHARES, Closing
 from scenes.methods import IDEAL
-from scenes.metrics import PathErrors
 from scenes.path.cell import PathCell, set_up, training_path
+from scenes.path.close_loop import WORDS, played
+from scenes.path.result import Play
+from scenes.report.page import Report
 from scenes.result import Progress, silent
 from scenes.scene_files.clamped_scene import ClampedScene
 from sim.contact.clamp_world import ClampWorld
 
-SHARES = {"before": 0.14, "clamping the flange": 0.13, "stiffness": 0.11, "after": 0.13,
-          "with a tracker, and with the truth": 0.29, "report": 0.2}
-"""Measured shares of the time."""
+SOURCES = {"before": "none", "after": "clamped flange", "tracker": "arm angles of a tracker", "oracle": "true"}
+"""Where each play's stiffness is from."""
 
 
 def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path | None = None,
-               progress: Progress = silent) -> CloseClampedResult:
+               progress: Progress = silent) -> Closing:
     """Clamps the flange, identifies the gears' stiffness and plays the path with it.
 
     Args:
@@ -53,36 +58,81 @@ def close_loop(scene: CloseClampedScene, *, measured: str = "motor", out: Path |
     if measured not in ("motor", "tcp"):
         raise InputError("expected motor (angles and currents alone) or tcp (the wrench at the clamp too)",
                          field="measured", value=measured)
-    cell = set_up(scene, delay=False)
-    truth = cell.world.per_joint("stiffness", cell.robot.n)
+    cell, job = set_up(scene, delay=False), Steps(progress, SHARES)
     without = dataclasses.replace(cell.model, stiffness=None, damping=None)
-    job = Steps(progress, SHARES)
+    clamp = _Clamp(scene, cell, cast(Method, "wrench" if measured == "tcp" else "motor"))
     job.begin("before")
-    before = _played(cell, without)
-    job.begin("clamping the flange")
-    rng = np.random.default_rng(scene.seed)
-    clamped = ClampedScene(name=scene.name, kind="clamped", title=scene.title, robot=scene.robot, seed=scene.seed,
-                           clamp=scene.clamp)
-    world = dataclasses.replace(ClampWorld.default(cell.robot), stiffness=np.array(truth))
-    recordings, _ = record(clamped, cell.robot, world, configurations(clamped, cell.robot, rng), rng)
-    if measured == "motor":
-        recordings = [_without_wrench(one) for one in recordings]
-    job.begin("stiffness")
-    analysis = analyse_stiffness(recordings, cell.robot)
-    found = stiffness_of(analysis, cell.robot.n)
-    extended = dataclasses.replace(without, stiffness=found)
-    job.begin("after")
-    after = _played(cell, extended)
-    job.begin("with a tracker, and with the truth")
+    before = clamp.play(without)
+    done = close(clamp, without, before, rounds=1, out=out, progress=job.part("rounds"))
+    job.begin("oracle", "with a tracker, and with the truth")
     moved = cell.play(PassThrough(cell.world.t_ipo), path=training_path(cell.path, cell.world.t_ipo)).recording
     by_tracker, damping = stiffness_from_arm([moved], cell.model)
-    tracker = _played(cell, dataclasses.replace(without, stiffness=by_tracker, damping=damping))
-    oracle = _played(cell, dataclasses.replace(without, stiffness=np.array(truth)))
-    result = CloseClampedResult(scene, before, after, tracker, oracle,
-                                {"after": found, "tracker": by_tracker, "oracle": np.array(truth)}, analysis,
-                                measured)
+    runs = {"before": before, "after": done.run,
+            "tracker": clamp.play(dataclasses.replace(without, stiffness=by_tracker, damping=damping)),
+            "oracle": clamp.play(dataclasses.replace(without, stiffness=clamp.true))}
     job.begin("report")
-    return result if out is None else write_close_clamped(result, extended, recordings, out)
+    plays = {name: played(SOURCES[name], run.errors) for name, run in runs.items()}
+    clamp.stiffness |= {"tracker": by_tracker, "oracle": clamp.true}
+    more = {"E_car_aligned_mm": {name: one.error for name, one in plays.items()}, "measured": measured,
+            "after_over_tracker": plays["after"].error / plays["tracker"].error, "clamped": clamp.analysis.to_dict(),
+            "stiffness": {name: [float(k) if np.isfinite(k) else None for k in values]
+                          for name, values in clamp.stiffness.items()}}
+    words = dataclasses.replace(
+        WORDS, judged="shift of clamped motors mrad", as_it_was="no stiffness",
+        columns=("stiffness", *WORDS.columns[1:]),
+        decides="Shift of the motors in each clamped recording that the other ones' stiffness leaves unexplained.")
+    recordings = {f"clamped_{number}.parquet": one for number, one in enumerate(clamp.recordings, start=1)}
+    return Closing(scene, (), plays, done, words, recordings, more, clamp.section).written(out)
+
+
+class _Clamp(Subject[Play]):
+    """A path, and the arm that plays it and can be clamped."""
+
+    unit = "mrad"
+    analysis: StiffnessAnalysis
+    recordings: list[Recording]
+
+    def __init__(self, scene: CloseClampedScene, cell: PathCell, method: Method) -> None:
+        self.true = np.array(cell.world.per_joint("stiffness", cell.robot.n))
+        self.stiffness: dict[str, Array] = {}
+        self._scene, self._cell, self._robot, self._method = scene, cell, cell.robot, method
+
+    def play(self, model: Model) -> Play:
+        again = dataclasses.replace(self._cell, model=model)
+        return again.play(again.feedforward(IDEAL))
+
+    def find(self, model: Model, run: Play, progress: Progress) -> Found:
+        scene, rng = self._scene, np.random.default_rng(self._scene.seed)
+        clamped = ClampedScene(name=scene.name, kind="clamped", title=scene.title, robot=scene.robot, seed=scene.seed,
+                               clamp=scene.clamp)
+        world = dataclasses.replace(ClampWorld.default(self._robot), stiffness=self.true)
+        recordings, _ = record(clamped, self._robot, world, configurations(clamped, self._robot, rng), rng)
+        self.recordings = [_without_wrench(one) for one in recordings] if self._method == "motor" else recordings
+        self.analysis = analyse_stiffness(self.recordings, self._robot)
+        stiffness = self.stiffness["after"] = stiffness_of(self.analysis, self._robot.n)
+        form = Form("stiffness of all joints", lambda model, _: dataclasses.replace(model, stiffness=stiffness))
+        return Found(None, self.recordings[0], (Group((form,)),))
+
+    def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
+        without, with_it = list[Array](), list[Array]()
+        for joint in range(1, self._robot.n + 1):
+            loads = joint_loads(self.analysis.signals, self._robot, self._method, joint)
+            for own in loads if len(loads) > 1 else []:
+                others = identify_joint([one for one in loads if one is not own], joint, self._method)
+                shift, torque = own.q_m - own.q_m.mean(), own.tau - own.tau.mean()
+                without.append(shift)
+                with_it.append(shift - torque / others.stiffness)
+        return [(np.concatenate(without), np.concatenate(with_it))]
+
+    def section(self, page: Report) -> None:
+        said = {(one.joint, one.method): one.stiffness for one in self.analysis.joints}
+        page.heading("Stiffness")
+        page.table(["joint", "clamp, motor", "clamp, wrench", "taken", "tracker", "true N m/rad"],
+                   [[j + 1, said.get((j + 1, "motor")), said.get((j + 1, "wrench")),
+                     *(float(values[j]) for values in self.stiffness.values())] for j in range(self._robot.n)],
+                   "[J] (15)-(17); of the two methods the one with the narrower interval is taken.")
+        for warning in self.analysis.warnings:
+            page.warning(warning)
 
 
 def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
@@ -111,8 +161,3 @@ def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
 def _without_wrench(recording: Recording) -> Recording:
     columns = {name: values for name, values in recording.columns.items() if name not in (*WRENCH, "t_wrench")}
     return dataclasses.replace(recording, columns=columns)
-
-
-def _played(cell: PathCell, model: Model) -> PathErrors:
-    again = dataclasses.replace(cell, model=model)
-    return again.play(again.feedforward(IDEAL)).errors

@@ -230,9 +230,8 @@ def close_loop(
         result = close_scene(loaded, measured=measured, out=folder, progress=progress)
         if json is not None:
             write_json(json, result.json())
-    if rows := result.ladder():
-        show_table("what was tried", ["round", "change of the model", "stays", result.tried_by, "why not"], rows)
-    show_table("before and after", list(result.columns), result.table())
+    for title, (columns, rows) in (("what was tried", result.ladder()), ("before and after", result.rows())):
+        show_table(title, list(columns), rows)
     if (asked := result.json().get("plan")) is not None:
         told = sum(pair["told_apart"] for pair in asked.get("pairs", []))
         typer.echo(f"asked for in round {asked['round']}: "
@@ -241,6 +240,8 @@ def close_loop(
     if result.diagnosis is not None:
         typer.echo(summary(result.diagnosis))
     typer.echo(f"report: {result.report}")
+    for refused in result.refusals():
+        typer.echo(refused)
 
 
 def prepare(

@@ -1,41 +1,52 @@
-"""The circle with a force sensor and a contact that are wrong: press and move, diagnose that run, press again.
+"""The closing with a force sensor and a contact that are wrong: press and move, diagnose that run, press again.
 
 What the diagnosis finds of bias and compliance goes into the model file, from where the force controller takes what it
-assumes. It stays only if less of the same is left in the run with it: that is all the cell itself can say, as its force
-reading holds the error. The oracle is told what is wrong; the true one knows the numbers.
+assumes. What decides is how much of the run the sensor and the contact that are believed leave unexplained: a force
+error of its own would say nothing, as the cell's reading holds the error. The oracle is told what is wrong; the true
+one knows the numbers.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from ideal_robot.diagnosis import Diagnosis, diagnose
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import diagnose
+from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
+from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
+from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.diagnosis.validation.refit import named_force_effects
-from ideal_robot.effects import SENSOR, FittedEffect
+from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
+from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
-from scenes.force.close_loop_page import write_force_circle
-from scenes.force.close_loop_result import CloseForceResult
+from ideal_robot.signals.recording import Recording
+from scenes.closing.loop import Found, Group, Subject, close
+from scenes.closing.result import SHARES, Closing, Played, Words
 from scenes.force.play import play
 from scenes.force.result import ForceResult
-from scenes.measured import checked_measured, visible
+from scenes.measured import Measured, checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.result import Progress, silent
 from scenes.scene_files.force_scene import ForceScene
-from scenes.sensor_loop import LEAST, Trial, with_effects, words
 from scenes.undeclared import keys_of_arm
 
-SHARES = {"before": 0.09, "diagnosis": 0.14, "after": 0.1, "oracle": 0.08, "true": 0.08, "report": 0.51}
-"""Measured shares of the time."""
+WORDS = Words(
+    "force_error_N", "RMS force error [N]", "left in the run N",
+    ("model", "RMS force error N", "mean force N", "largest N", "contact lost ms"),
+    "sensor and contact as they were assumed", "Of the true normal force while the tip travels.",
+    "What the sensor and the contact that are believed leave unexplained of wrench and place in the run.")
 
 
 def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = None,
-               progress: Progress = silent) -> CloseForceResult:
+               progress: Progress = silent) -> Closing:
     """Presses and moves, finds what is wrong with sensor and contact, and does it again.
 
     Args:
@@ -47,67 +58,71 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
     Raises:
         InputError: a scene whose sensor and contact are right.
     """
-    undeclared = undeclared_effects(scene)
-    seen_by = checked_measured(measured)
-    robot = Robot.load(scene.robot)
-    model = model_for(scene, robot)
-    job = Steps(progress, SHARES)
+    undeclared, job, robot = undeclared_effects(scene), Steps(progress, SHARES), Robot.load(scene.robot)
+    known = model_for(scene, robot)
     with tempfile.TemporaryDirectory() as folder:
-        def again(known: Model, own: ForceScene = scene) -> ForceResult:
-            file = known.save(Path(folder) / "model.json")
-            return play(own.model_copy(update={"model": str(file)}), IDEAL)
-
-        def fitted(run: ForceResult, names: Sequence[str]) -> tuple[FittedEffect, ...]:
-            return named_force_effects(visible(run.recording, seen_by), robot, model, names)
-
+        force = _Force(scene, robot, known, checked_measured(measured), Path(folder))
         job.begin("before")
-        before = after = play(scene, IDEAL)
-        found = diagnose(visible(before.recording, seen_by), robot, model=model, progress=job.begin("diagnosis"))
-        extended, steps = model, list[Trial]()
-        added = of_sensor(found)
-        if added:
-            job.begin("after", words(added))
-            candidate = with_effects(model, added)
-            tried = again(candidate)
-            named = [effect.name for effect in added]
-            reached, first = (size(fitted(run, named), scene) for run in (tried, before))
-            taken = reached < LEAST * first
-            steps.append(Trial(1, words(added), taken, "" if taken else "as much is left after it as before", reached))
-            if taken:
-                extended, after = candidate, tried
+        before = force.play(known)
+        done = close(force, known, before, out=out, progress=job.part("rounds"))
         job.begin("oracle")
-        oracle = again(with_effects(model, fitted(before, undeclared)))
-        job.begin("true")
-        right = scene.model_copy(update={
-            "sensor": scene.sensor.model_copy(update={"drift": ()}),
-            "assumed": scene.assumed.model_copy(update={"elasticity_ratio": 1.0})})
-        true = again(model, right)
-    result = CloseForceResult(scene, undeclared, before.figures, after.figures, oracle.figures, true.figures, found,
-                              before.recording, size(added, scene), tuple(steps))
+        oracle = force.play(known.with_effects(named_force_effects(force.seen(before), robot, known, undeclared)))
+        right = {"sensor": scene.sensor.model_copy(update={"drift": ()}),
+                 "assumed": scene.assumed.model_copy(update={"elasticity_ratio": 1.0})}
+        true = force.play(known, scene.model_copy(update=right))
+    runs = {"before": before, "after": done.run, "oracle": oracle, "true": true}
     job.begin("report")
-    return result if out is None else write_force_circle(result, extended, out)
+    return Closing(scene, tuple((name, 0) for name in undeclared),
+                   {name: _played(name, run) for name, run in runs.items()}, done, WORDS,
+                   {"recording.parquet": before.recording}).written(out)
 
 
-def of_sensor(found: Diagnosis) -> list[FittedEffect]:
-    """What a diagnosis found of the force sensor and the contact."""
-    return [one.fitted for one in found.effects
-            if one.fitted.domain == SENSOR and one.fitted.name in ("force_bias", "force_compliance")]
+@dataclass
+class _Force(Subject[ForceResult]):
+    """The force sensor and the contact of a scene."""
+
+    unit, scale = "N", 1.0
+    scene: ForceScene
+    robot: Robot
+    known: Model
+    measured: Measured
+    folder: Path
+
+    def play(self, model: Model, scene: ForceScene | None = None) -> ForceResult:
+        file = model.save(self.folder / "model.json")
+        return play((scene or self.scene).model_copy(update={"model": str(file)}), IDEAL)
+
+    def find(self, model: Model, run: ForceResult, progress: Progress) -> Found:
+        diagnosis = diagnose(self.seen(run), self.robot, model=model, progress=progress)
+        effects = [one.fitted for one in diagnosis.effects
+                   if one.fitted.domain == SENSOR and one.fitted.name in ("force_bias", "force_compliance")]
+        return Found(diagnosis, self.seen(run), (Group.adding(effects),))
+
+    def readings(self, before: ForceResult, after: ForceResult, model: Model) -> list[tuple[Array, Array]]:
+        left, with_it = self._left(before), self._left(after)
+        shared = [channel for channel in left if channel in with_it]
+        return [(np.concatenate([left[one] for one in shared]), np.concatenate([with_it[one] for one in shared]))]
+
+    def _left(self, run: ForceResult) -> dict[str, Array]:
+        """What is unexplained of each force ``(N,)`` [N]; of the tip's place by the contact's stiffness."""
+        (recording,), _ = checked([self.seen(run)], self.robot)
+        torque = in_position_band(torque_regression(recording, self.robot, self.known), recording)
+        left = dict[str, Array]()
+        for made, _ in force_regressions(recording, None, self.robot, torque, None, self.known.stiffness):
+            residual = Problem(made, blocks_of(made, False)).fit([]).residual(made, [])
+            left |= {channel: residual[:, k] * (self.scene.tip.stiffness if unit == "m" else 1.0)
+                     for k, (channel, unit) in enumerate(zip(made.channels, made.units, strict=True)) if unit != "N m"}
+        return left
+
+    def seen(self, run: ForceResult) -> Recording:
+        """Of a run what is measured."""
+        return visible(run.recording, self.measured)
 
 
-def size(effects: Sequence[FittedEffect], scene: ForceScene) -> float:
-    """What effects are worth at the wanted force [N]: a bias as it is, a compliance by the contact's stiffness.
-
-    Args:
-        effects: of the force sensor and the contact.
-        scene: the force that is wanted.
-    """
-    total = 0.0
-    for effect in effects:
-        if effect.name == "force_bias":
-            total += sum(value**2 for value in effect.coefficients[:3]) ** 0.5
-        else:
-            total += abs(effect.coefficients[0]) * scene.force * scene.tip.stiffness
-    return total
+def _played(name: str, run: ForceResult) -> Played:
+    f = run.figures
+    return Played(f, f.rms, [name, f.rms, f.mean, f.largest, 1e3 * f.lost],
+                  {"rms": f.rms, "mean": f.mean, "largest": f.largest, "lost_s": f.lost})
 
 
 def undeclared_effects(scene: ForceScene) -> tuple[str, ...]:

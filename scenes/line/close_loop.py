@@ -1,51 +1,68 @@
-"""The circle with a camera that is wrong: follow the line, diagnose that run alone, follow it again.
+"""The closing of a line: follow it, diagnose that run alone, follow it again.
 
 What the diagnosis finds of time stamps, mounting and lens goes into the model file, from where the follower takes what
-it believes. It stays only if the points that the camera saw then lie closer to one smooth curve: all the cell itself
-can measure of its camera. What is found of the arm stays only if the tool then keeps closer to what the follower
-wanted. The oracle knows which of them are wrong, and fits them to the same recording.
+it believes. What decides is how close the points that the camera saw lie to one smooth curve: all the cell itself can
+measure of its camera.
+
+A run along a line says nothing of the arm's gears and friction: it turns hardly a joint round. So a motion about the
+line is diagnosed once nothing more is found of the camera, and what decides is how close the tool keeps to what the
+follower wanted. The arm's geometry stays as drawn: a camera that rides on the arm sees the line by the same wrong
+geometry with which the arm then goes there, and what one line shows of it would bend everything off that line.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ideal_robot.diagnosis import Diagnosis, diagnose
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import diagnose
 from ideal_robot.diagnosis.channels.line import line_regression
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.validation.final_fit import beside_held_model
 from ideal_robot.diagnosis.validation.refit import named_camera_effects, with_named_effects
-from ideal_robot.effects import FittedEffect
+from ideal_robot.effects import MOTOR_TORQUE, SENSOR, FittedEffect
 from ideal_robot.errors import InputError
+from ideal_robot.execution.play import play as play_motion
+from ideal_robot.feedforward.base import PassThrough
+from ideal_robot.feedforward.training import training_motion
 from ideal_robot.identification.checks import checked
 from ideal_robot.model.model import Model
+from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.line.cell import Prepared, prepared, set_up
-from scenes.line.close_arm import acting, effects_of_arm, kept, motion_about
-from scenes.line.close_loop_page import write_line_circle
-from scenes.line.close_loop_result import CloseLineResult
+from scenes.closing.arm import at_speeds, tool_deviation
+from scenes.closing.loop import Form, Found, Group, Place, Subject, close
+from scenes.closing.result import SHARES, Closing, Played, Words
+from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.result import LineResult
-from scenes.measured import checked_measured, visible
+from scenes.measured import Measured, checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.online.line_task import assumed_latency
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
-from scenes.sensor_loop import LEAST, Trial, with_effects, words
 from scenes.undeclared import GEOMETRY, effects_of_world, keys_of_arm
+from sim.arm.arm import SimulatedArm
 
-ROUNDS = 4
-"""Of run and diagnosis, at most: an error of some percent is found with some percent of itself."""
+WORDS = Words(
+    "path_error_mm", "Mean distance from the line [mm]", "spread of seen points mm",
+    ("model", "latency ms", "mean mm", "95 % mm", "max mm"), "the camera as it was believed",
+    "Distance of the true TCP from the line, in the surface; the last row knows the true camera and its time stamps.",
+    "How far the line's points, as the camera saw them from many poses, lie from one smooth curve: all that the cell "
+    "itself measures of its camera. Of a change of the arm, how far the tool was from where the follower wanted it.",
+    ("arc length of the line [m]", "distance [mm]", "Distance of the true TCP from the line."))
 
 
 def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,
-               progress: Progress = silent) -> CloseLineResult:
+               progress: Progress = silent) -> Closing:
     """Follows a line, finds what is wrong with the camera, and follows it again.
 
     Args:
@@ -58,12 +75,13 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
         InputError: a scene whose camera is right and whose arm is as its model.
     """
     undeclared = undeclared_effects(scene)
-    arm = acting(effects_of_world(scene, Robot.load(scene.robot).n)) if keys_of_arm(scene) else ()
-    return closed(scene, undeclared, arm=arm, measured=measured, out=out, progress=progress)
+    arm = effects_of_world(scene, Robot.load(scene.robot).n) if keys_of_arm(scene) else ()
+    return closed(scene, undeclared, arm=tuple(one for one in arm if one[0] != "kinematic_error"), measured=measured,
+                  out=out, progress=progress)
 
 
-def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[str, int], ...] = (),
-           measured: str = "tcp", out: Path | None = None, progress: Progress = silent) -> CloseLineResult:
+def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[Place, ...] = (), measured: str = "tcp",
+           out: Path | None = None, progress: Progress = silent) -> Closing:
     """The same with what an oracle is told, which may be nothing.
 
     Args:
@@ -74,93 +92,143 @@ def closed(scene: LineScene, undeclared: tuple[str, ...], *, arm: tuple[tuple[st
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
     """
-    seen_by = checked_measured(measured)
-    cell = set_up(scene)
-    robot, model = cell.known.robot, model_for(scene, cell.known.robot)
+    cell, job = set_up(scene), Steps(progress, SHARES)
+    known = model_for(scene, cell.known.robot)
     with prepared(scene, progress) as shared, tempfile.TemporaryDirectory() as folder:
-        def again(known: Model, own: Prepared = shared) -> LineResult:
-            file = known.save(Path(folder) / "model.json")
-            tried = play(scene.model_copy(update={"model": str(file)}), IDEAL, shared=own)
-            if tried.failure and not before.failure:
-                # Of the piece before it stopped nothing can be compared.
-                raise SceneError(tried.failure)
-            return tried
-
-        progress(0.1, "before")
-        before = present = play(scene, IDEAL, shared=shared)
-        run = visible(before.recording, seen_by)
-        first = error = spread(run, robot, model)
-        extended, steps, found = model, list[Trial](), list[Diagnosis]()
-        names: tuple[str, ...] = ()
-        for round_ in range(1, ROUNDS + 1):
-            share = 0.2 + 0.5 * (round_ - 1) / ROUNDS
-            progress(share, f"round {round_}: diagnosis")
-            now = diagnose(visible(present.recording, seen_by), robot, model=extended)
-            found.append(now)
-            new = [f.fitted.name for f in now.effects if f.fitted.channel == "line"]
-            if not new:
-                break
-            taken = False
-            # All together, then each alone: what a poor run cannot tell apart may be too much of everything.
-            for some in (new, *([one] for one in new if len(new) > 1)):
-                # What was taken before is fitted anew with it: the numbers of one camera hang together.
-                tried_names = tuple(dict.fromkeys([*names, *some]))
-                added = named_camera_effects(visible(present.recording, seen_by), robot, extended, tried_names)
-                progress(share + 0.06, f"round {round_}: {words(added)}")
-                candidate = with_effects(extended, added)
-                try:
-                    tried = again(candidate)
-                    reached = spread(visible(tried.recording, seen_by), robot, model)
-                except (SceneError, InputError) as failed:
-                    steps.append(Trial(round_, words(added), False, f"cannot be played: {failed}", float("nan")))
-                    continue
-                taken = reached < LEAST * error
-                refused = "" if taken else "the points that were seen lie no closer to one curve"
-                steps.append(Trial(round_, words(added), taken, refused, reached))
-                if taken:
-                    extended, present, error, names = candidate, tried, reached, tried_names
-                    break
-            if not taken:
-                break
-        if arm:
-            about = visible(motion_about(cell), seen_by)
-            of_arm = effects_of_arm(diagnose(about, robot, model=extended), about, robot, extended)
-            reached_by_tool = kept(visible(present.recording, seen_by), robot, model)
-            alone = tuple((one,) for one in of_arm) if len(of_arm) > 1 else ()
-            for part in (of_arm, *alone) if of_arm else ():
-                progress(0.72, words(part))
-                try:
-                    tried = again(with_effects(extended, part))
-                except SceneError as failed:
-                    steps.append(Trial(len(found), f"{words(part)} of the arm", False, f"cannot be played: {failed}",
-                                       float("nan")))
-                    continue
-                left = kept(visible(tried.recording, seen_by), robot, model)
-                refused = "" if left < LEAST * reached_by_tool else \
-                    f"the tool keeps no closer to what it was to follow: {1e3 * reached_by_tool:.3g} mm before"
-                steps.append(Trial(len(found), f"{words(part)} of the arm", not refused, refused, left))
-                if not refused:
-                    extended, present = with_effects(extended, part), tried
-                    break
-        progress(0.75, "oracle")
-        told = with_effects(model, named_camera_effects(run, robot, model, undeclared)) if undeclared else model
-        told = with_named_effects(about, robot, told, arm) if arm else told
+        line = _Line(scene, cell, known, checked_measured(measured), shared, Path(folder), looks_at_arm=bool(arm))
+        job.begin("before")
+        before = line.play(known)
+        done = close(line, known, before, out=out, progress=job.part("rounds"))
+        job.begin("oracle")
+        told = known.with_effects(line.fitted(before, known, undeclared)) if undeclared else known
+        told = with_named_effects(line.moved(), line.robot, told, arm) if arm else told
         try:
-            oracle = again(told) if undeclared or arm else before
+            oracle = line.play(told) if undeclared or arm else before
         except SceneError:
             # With what it fitted to the first run the line is lost: it would leave that out.
             oracle = before
-        progress(0.9, "true")
-        known = with_effects(model, _true_stamps(scene))
-        right = dataclasses.replace(shared, believed=cell.true_camera) if not scene.calibration.by_moving else shared
-        true = again(known, right)
-    latency = {"before": assumed_latency(model), "after": assumed_latency(extended), "oracle": assumed_latency(told),
-               "true": assumed_latency(known)}
-    result = CloseLineResult(scene, undeclared, before.control_error, present.control_error, oracle.control_error,
-                             true.control_error, latency, found[0], before.recording, first, tuple(steps), arm)
-    if out is None:
-        return result
-    return write_line_circle(result, extended, out)
+        stamped = known.with_effects(_true_stamps(scene))
+        right = shared if scene.calibration.by_moving else dataclasses.replace(shared, believed=cell.true_camera)
+        runs = {"before": (before, known), "after": (done.run, done.model), "oracle": (oracle, told),
+                "true": (line.play(stamped, right), stamped)}
+    plays = {name: _played(name, run, 1e3 * assumed_latency(model)) for name, (run, model) in runs.items()}
+    job.begin("report")
+    return Closing(scene, (*((name, 0) for name in undeclared), *arm), plays, done, WORDS,
+                   {"recording.parquet": before.recording},
+                   {"latency_ms": {name: one.row[1] for name, one in plays.items()}}).written(out)
+
+
+@dataclass
+class _Line(Subject[LineResult]):
+    """A line, the camera that sees it and the arm that follows it."""
+
+    scene: LineScene
+    cell: Cell
+    known: Model
+    measured: Measured
+    shared: Prepared
+    folder: Path
+    looks_at_arm: bool
+    stops: bool = False
+    about: list[Recording] = field(default_factory=list)
+
+    def play(self, model: Model, shared: Prepared | None = None) -> LineResult:
+        scene = self.scene.model_copy(update={"model": str(model.save(self.folder / "model.json"))})
+        run = play(scene, IDEAL, shared=shared or self.shared)
+        if run.failure and model is not self.known and not self.stops:
+            # Of the piece before it stopped nothing can be compared, unless the first one stopped, too.
+            raise SceneError(run.failure)
+        self.stops = self.stops or bool(run.failure)
+        return run
+
+    def find(self, model: Model, run: LineResult, progress: Progress) -> Found:
+        diagnosis = diagnose(self.seen(run), self.robot, model=model, progress=progress)
+        names = tuple(dict.fromkeys(f.fitted.name for f in diagnosis.effects if f.fitted.channel == "line"))
+        # What a poor run cannot tell apart may be too much of everything: each alone, too.
+        together = (self._camera(names),) if len(names) > 1 else ()
+        return Found(diagnosis, self.seen(run), (Group(together, tuple((self._camera((name,)),) for name in names)),))
+
+    def _camera(self, names: tuple[str, ...]) -> Form:
+        def change(model: Model, run: LineResult) -> Model:
+            # What was taken before is fitted anew with it: the numbers of one camera hang together.
+            before = [effect.name for effect in model.effects if effect.channel == "line"]
+            return model.with_effects(self.fitted(run, model, tuple(dict.fromkeys([*before, *names]))))
+
+        return Form(" and ".join(names).replace("_", " "), change, tuple((name, 0) for name in names))
+
+    def asked(self, found: Found, model: Model, run: LineResult, progress: Progress) -> Found | None:
+        if not self.looks_at_arm or self.about:
+            return None
+        moved, robot = self.moved(), self.robot
+        diagnosis = diagnose(moved, robot, model=model, progress=progress)
+        effects = [one.fitted for one in (*diagnosis.effects, *diagnosis.unknown) if one.fitted.domain != SENSOR]
+        # Effects of the torque beside the model as it is.
+        regression = torque_regression(checked([moved], robot)[0][0], robot, model, payload=True)
+        sized = (*beside_held_model(regression, model, effects),
+                 *(one for one in effects if one.domain != MOTOR_TORQUE))
+        return Found(diagnosis, moved, (Group.adding([one for one in sized if _acts(one)]),))
+
+    def readings(self, before: LineResult, after: LineResult, model: Model) -> list[tuple[Array, Array]]:
+        of_camera = not model.effects or model.effects[-1].channel == "line"
+        deviation = self._spread if of_camera or before is after else self._kept
+        return [(deviation(before), deviation(after))]
+
+    def _spread(self, run: LineResult) -> Array:
+        """How far the seen points lie from one smooth curve ``(N, 1)`` [m]."""
+        (recording,), _ = checked([self.seen(run)], self.robot)
+        torque = torque_regression(recording, self.robot, self.known)
+        made = line_regression(recording, self.robot, torque, self.known.stiffness)
+        return np.empty(0) if made is None else made.y - made.y.mean(axis=0)
+
+    def _kept(self, run: LineResult) -> Array:
+        """How far the tool was from where the follower wanted it ``(N,)`` [m]."""
+        (recording,), _ = checked([self.seen(run)], self.robot)
+        t = np.arange(recording.t[0], recording.t[-1], self.robot.t_ipo)
+        q_d = np.column_stack([np.interp(t, recording.t, column) for column in recording.joints("q_d").T])
+        moving = np.flatnonzero(np.abs(np.diff(q_d, axis=0)).max(axis=1) > 1e-8)
+        if len(moving) < 8:
+            return np.empty(0)
+        counts = (np.arange(len(t)) >= moving[0]) & (np.arange(len(t)) <= moving[-1])
+        return tool_deviation(recording, (t, q_d, counts), self.robot, self.known)
+
+    @property
+    def robot(self) -> Robot:
+        """The arm as the follower knows it."""
+        return self.cell.known.robot
+
+    def seen(self, run: LineResult) -> Recording:
+        """Of a run what is measured."""
+        return visible(run.recording, self.measured)
+
+    def fitted(self, run: LineResult, model: Model, names: Sequence[str]) -> tuple[FittedEffect, ...]:
+        """Effects of the camera by their names, in a run with a model."""
+        return named_camera_effects(self.seen(run), self.robot, model, names)
+
+    def moved(self) -> Recording:
+        """What is measured in a motion about the reference path, to and fro at full and at a third of the speed."""
+        if not self.about:
+            t_ipo = self.robot.t_ipo
+            q_d = at_speeds(training_motion(self.cell.known.follower.q_reference, t_ipo), (1.0, 3.0))
+            with SimulatedArm(self.robot, self.cell.world, self.cell.noise, q_d[0]) as arm:
+                ended = play_motion(arm, PassThrough(t_ipo), q_d).error
+                if ended is not None:
+                    raise ended
+                self.about.append(visible(arm.recording(external=True), self.measured))
+        return self.about[0]
+
+
+def _acts(effect: FittedEffect) -> bool:
+    """Whether it acts, and is not what currents say of a gear: arm angles say that better."""
+    change = effect.effect.loop_change(effect.coefficients, effect.theta)
+    if change.nowhere or change.zero or change.geometry is not None:
+        return False
+    return effect.domain != MOTOR_TORQUE or not (change.gear_compliance is not None or change.half_gap)
+
+
+def _played(name: str, run: LineResult, latency: float) -> Played:
+    error = run.control_error
+    sizes = [1e3 * size for size in (error.mean, error.p95, error.max)]
+    return Played(error, sizes[0], [name, latency, *sizes], error.json_mm(), (error.s, 1e3 * error.lateral))
 
 
 def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
@@ -202,24 +270,9 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
     return tuple(found)
 
 
-def spread(recording: Recording, robot: Robot, model: Model) -> float:
-    """How far the seen points lie from one smooth curve, root mean square [m]: what the cell itself measures.
-
-    Args:
-        recording: of a run along a line.
-        robot: the arm.
-        model: of the arm, for its gears.
-    """
-    (recording,), _ = checked([recording], robot)
-    made = line_regression(recording, robot, torque_regression(recording, robot, model), model.stiffness)
-    if made is None:
-        return float("inf")
-    return float(np.sqrt(np.mean((made.y - made.y.mean(axis=0)) ** 2)))
-
-
-def _true_stamps(scene: LineScene) -> list[FittedEffect]:
+def _true_stamps(scene: LineScene) -> tuple[FittedEffect, ...]:
     camera = scene.camera
     if scene.stamp_estimate:
-        return []
-    return [FittedEffect("camera_latency", 0, "line", (-camera.stamp_offset,)),
-            FittedEffect("clock_drift", 0, "line", (-camera.stamp_drift / (1.0 + camera.stamp_drift),))]
+        return ()
+    return (FittedEffect("camera_latency", 0, "line", (-camera.stamp_offset,)),
+            FittedEffect("clock_drift", 0, "line", (-camera.stamp_drift / (1.0 + camera.stamp_drift),)))

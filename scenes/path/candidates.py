@@ -2,88 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.validation.final_fit import beside_held_model, friction_anew
 from ideal_robot.diagnosis.validation.transfer import adopted, behind_gears, with_joint
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.closing.loop import Form, Forms, Group, Step, name
 from scenes.measured import Measured
 
 _ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
                 "motor angles and currents do not")
 _SHOWN_BEHIND = "the arm angles, which are measured, show what a gear gives better than currents"
+_NO_SIZE = "beside the model as it is it has no size that physics allows"
 _HELD = "the model's parameters held"
 _REFITTED = "with the joint's friction fitted anew"
+Effects = tuple[FittedEffect, ...]
 
 
 @dataclass(frozen=True)
-class Candidate:
-    """One form of a change.
+class Candidates:
+    """What a diagnosis of an arm suggests.
 
     Attributes:
-        label: what it is.
-        change: makes the changed model of the present one.
-        effects: that it adds; none where friction is fitted anew and that is all.
-    """
-
-    label: str
-    change: Callable[[Model], Model]
-    effects: tuple[FittedEffect, ...]
-
-    @classmethod
-    def adding(cls, label: str, effects: tuple[FittedEffect, ...]) -> Candidate:
-        """Effects on top of the model."""
-        return cls(label, partial(_added, effects=effects), effects)
-
-    @property
-    def at_tool(self) -> bool:
-        """Whether it was seen at the tool."""
-        return bool(self.effects) and all(effect.domain == TCP_POSITION for effect in self.effects)
-
-    @property
-    def shows_in_loop(self) -> bool:
-        """Whether joints move otherwise with it; where the tool is for given joints does not show there."""
-        changes = [effect.effect.loop_change(effect.coefficients, effect.theta) for effect in self.effects]
-        return not changes or not all(change.geometry is not None or change.zero for change in changes)
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """What is not tried.
-
-    Attributes:
-        label: what was found.
-        reason: why not.
-    """
-
-    label: str
-    reason: str
-
-
-Forms = tuple[Candidate, ...]
-
-
-def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording, robot: Robot,
-               measured: Measured) -> tuple[Forms, list[Forms], list[Refusal]]:
-    """Everything together, joint by joint, and what is not tried.
-
-    Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction that
-    their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb term.
-    Where the parameters of the model do not hold, what explains most of the recording with them held is tried, too:
-    effects of another name that the diagnosis then reports may be such as do not act on a path. Of these, changes of
-    parameters are candidates one by one, for beside them stands what only makes up for the rest: as large as they are
-    alone, or with the others.
-    Where refitting the model alone explains a joint's error, its friction is a change of its own: as the joint fit has
-    it, or fitted beside all else.
-
-    Args:
         model: that the diagnosis was given.
         found: what it found.
         moved: the recording it was found in.
@@ -91,80 +38,110 @@ def candidates(model: Model, found: Diagnosis, moved: Recording, run: Recording,
         robot: the arm.
         measured: what the arm measures.
     """
-    refused, torque, behind = _sorted([one.fitted for one in (*found.effects, *found.unknown)], measured)
-    whole_behind = () if measured == "motor" else behind_gears(model, found, run, robot)
-    # What does not act on the path takes its share of the recording all the same.
-    of_torque = [one.fitted for one in (*found.effects, *found.unknown)]
-    regression = torque_regression(moved, robot, model, payload=True)
-    sized = beside_held_model(regression, model, of_torque)
-    held = tuple(effect for effect in sized if _place(effect) in {_place(one) for one in torque})
-    whole: list[Candidate] = []
-    if held or whole_behind:
-        whole.append(Candidate.adding(f"all that was found, {_HELD}", (*held, *whole_behind)))
-    predicting = adopted(model, found, run, robot)
-    more = predicting.effects[len(model.effects):]
-    changed = more or any(a is not b for a, b in zip(predicting.friction.laws, model.friction.laws, strict=True))
-    if changed and not any(_not_of_currents(effect, measured) for effect in more):
-        whole.append(Candidate("all that predict the run better", lambda _: predicting, more))
-    hidden: dict[tuple[str, int], list[FittedEffect]] = {}
-    for own in found.beside_known:
-        _, acting, _ = _sorted(beside_held_model(regression, model, own), measured)
-        if acting:
-            whole.append(Candidate.adding("all that explains it with the model as it was", (*acting, *whole_behind)))
-        for effect in acting:
-            if effect.effect.absorbed_by_base:
-                sizes = hidden.setdefault((effect.name, effect.joint), [])
-                sizes += [effect] if sizes else [*beside_held_model(regression, model, (effect,)), effect]
-    apart: list[Forms] = [(Candidate.adding(_name(effect), (effect,)),) for effect in behind]
-    for joint in dict.fromkeys(effect.joint for effect in torque):
-        own = tuple(effect for effect in torque if effect.joint == joint)
-        of_held = tuple(effect for effect in held if effect.joint == joint)
-        label = " and ".join(effect.name for effect in own) + (f" in joint {joint}" if joint else "")
-        forms = [Candidate.adding(f"{label}, {_HELD}", of_held)] if of_held else []
-        if found.model is not None and joint:
-            forms.append(Candidate(f"{label}, {_REFITTED}", partial(with_joint, fitted=found.model, joint=joint,
-                                                                    effects=own), own))
-        if forms:
-            apart.append(tuple(forms))
-    apart += [tuple(Candidate.adding(f"{_name(own[0])}, {_HELD}", (effect,)) for effect in own)
-              for own in hidden.values()]
-    for joint, anew in friction_anew(regression, model, tuple(one.joint for one in found.refitted)).items():
-        label = f"friction of joint {joint} fitted anew"
-        fits = [anew] if found.model is None else [anew, found.model]
-        apart.append(tuple(Candidate(label, partial(with_joint, fitted=fit, joint=joint, effects=()), ())
-                           for fit in fits))
-    return tuple(whole), apart, refused
+
+    model: Model
+    found: Diagnosis
+    moved: Recording
+    run: Recording
+    robot: Robot
+    measured: Measured
+
+    def groups(self) -> tuple[tuple[Group, ...], tuple[Step, ...]]:
+        """All that moves the joints, together and apart, then all that only the tool shows; and what is not tried.
+
+        Effects of the torque come in two forms: as large as they are beside the model as it is, and with the friction
+        that their joint has in the joint fit, for dry friction that rises towards standstill leaves less to the Coulomb
+        term. Where the parameters of the model do not hold, what explains most of the recording with them held is
+        tried, too: effects of another name that the diagnosis then reports may be such as do not act on a path. Of
+        these, changes of parameters are tried one by one, for beside them stands what only makes up for the rest: as
+        large as they are alone, or with the others. Where refitting the model alone explains a joint's error, its
+        friction is a change of its own: as the joint fit has it, or fitted beside all else.
+        """
+        effects = [one.fitted for one in (*self.found.effects, *self.found.unknown)]
+        refused, torque, others = _sorted(effects, self.measured)
+        at_tool = [effect for effect in others if effect.domain == TCP_POSITION]
+        behind = [effect for effect in others if effect.domain != TCP_POSITION]
+        regression = torque_regression(self.moved, self.robot, self.model, payload=True)
+        # What does not act on the path takes its share of the recording all the same.
+        wanted = {_place(one) for one in torque}
+        held = tuple(one for one in beside_held_model(regression, self.model, effects) if _place(one) in wanted)
+        of_gears = () if self.measured == "motor" else behind_gears(self.model, self.found, self.run, self.robot)
+        explaining, hidden = self._beside_known(regression, of_gears)
+        whole = [*([Form.adding(f"all that was found, {_HELD}", (*held, *of_gears))] if held or of_gears else []),
+                 *self._predicting(), *explaining]
+        by_joint, no_size = self._by_joint(torque, held)
+        apart = [*((Form.adding(name(one), (one,)),) for one in behind), *by_joint, *hidden,
+                 *self._friction_anew(regression)]
+        return (Group(tuple(whole), tuple(apart)), Group.adding(at_tool)), (*refused, *no_size)
+
+    def _predicting(self) -> list[Form]:
+        """The changed joints that predict the last play better, and gears whose give it shows."""
+        predicting = adopted(self.model, self.found, self.run, self.robot)
+        more = predicting.effects[len(self.model.effects):]
+        laws = zip(predicting.friction.laws, self.model.friction.laws, strict=True)
+        changed = more or any(a is not b for a, b in laws)
+        if not changed or any(_not_of_currents(effect, self.measured) for effect in more):
+            return []
+        form = Form.adding("all that predict the run better", more)
+        return [Form(form.label, lambda model, run: predicting, form.places, not more or form.moves)]
+
+    def _beside_known(self, regression: Regression, of_gears: Effects) -> tuple[list[Form], list[Forms]]:
+        """What explains most with the parameters held: together, and each change of a parameter by itself."""
+        whole, sizes = list[Form](), dict[tuple[str, int], list[FittedEffect]]()
+        for own in self.found.beside_known:
+            _, acting, _ = _sorted(beside_held_model(regression, self.model, own), self.measured)
+            if acting:
+                whole.append(Form.adding("all that explains it with the model as it was", (*acting, *of_gears)))
+            for effect in acting:
+                if effect.effect.absorbed_by_base:
+                    known = sizes.setdefault((effect.name, effect.joint), [])
+                    known += [effect] if known else [*beside_held_model(regression, self.model, (effect,)), effect]
+        return whole, [tuple(Form.adding(f"{name(one)}, {_HELD}", (one,)) for one in own) for own in sizes.values()]
+
+    def _by_joint(self, torque: Sequence[FittedEffect], held: Effects) -> tuple[list[Forms], list[Step]]:
+        """The effects of each joint's torque, and those that come in no form."""
+        result, refused = list[Forms](), list[Step]()
+        for joint in dict.fromkeys(effect.joint for effect in torque):
+            own = tuple(effect for effect in torque if effect.joint == joint)
+            of_held = tuple(effect for effect in held if effect.joint == joint)
+            label = " and ".join(name(effect) for effect in own)
+            forms = [Form.adding(f"{label}, {_HELD}", of_held)] if of_held else []
+            if self.found.model is not None and joint:
+                forms.append(self._refitted(f"{label}, {_REFITTED}", self.found.model, joint, own))
+            result += [tuple(forms)] if forms else []
+            refused += [] if forms else [Step(label, _NO_SIZE, places=tuple((one.name, one.joint) for one in own))]
+        return result, refused
+
+    def _friction_anew(self, regression: Regression) -> list[Forms]:
+        """The friction of joints whose error refitting the model alone explains."""
+        joints = tuple(one.joint for one in self.found.refitted)
+        return [tuple(self._refitted(f"friction of joint {joint} fitted anew", fit, joint, ())
+                      for fit in (anew, self.found.model) if fit is not None)
+                for joint, anew in friction_anew(regression, self.model, joints).items()]
+
+    @staticmethod
+    def _refitted(label: str, fitted: Model, joint: int, effects: Effects) -> Form:
+        return Form(label, lambda model, run: with_joint(model, fitted, joint, effects),
+                    tuple((effect.name, effect.joint) for effect in effects))
 
 
 def _sorted(effects: Sequence[FittedEffect],
-            measured: Measured) -> tuple[list[Refusal], list[FittedEffect], list[FittedEffect]]:
+            measured: Measured) -> tuple[list[Step], list[FittedEffect], list[FittedEffect]]:
     """What is not tried, effects of the torque, and those behind the gears."""
-    refused, torque, behind = list[Refusal](), list[FittedEffect](), list[FittedEffect]()
+    refused, torque, behind = list[Step](), list[FittedEffect](), list[FittedEffect]()
     for effect in effects:
         nowhere = effect.effect.loop_change(effect.coefficients, effect.theta).nowhere
         if effect.domain == SENSOR:
             nowhere = "no sensor takes part in this path"
-        if nowhere:
-            refused.append(Refusal(_name(effect), f"does not act: {nowhere}"))
-        elif reason := _not_of_currents(effect, measured):
-            refused.append(Refusal(_name(effect), reason))
-        elif effect.domain != MOTOR_TORQUE:
-            behind.append(effect)
+        if reason := f"does not act: {nowhere}" if nowhere else _not_of_currents(effect, measured):
+            refused.append(Step(name(effect), reason, places=((effect.name, effect.joint),)))
         else:
-            torque.append(effect)
+            (torque if effect.domain == MOTOR_TORQUE else behind).append(effect)
     return refused, torque, behind
-
-
-def _added(model: Model, effects: tuple[FittedEffect, ...]) -> Model:
-    return model.with_effects(effects)
 
 
 def _place(effect: FittedEffect) -> tuple[str, str, tuple[float, ...]]:
     return effect.name, f"{effect.channel}:{effect.joint}:{dict(effect.data)}", effect.theta
-
-
-def _name(effect: FittedEffect) -> str:
-    return f"{effect.name} in joint {effect.joint}" if effect.joint else effect.name
 
 
 def _not_of_currents(effect: FittedEffect, measured: Measured) -> str:

@@ -1,7 +1,7 @@
-"""The whole circle on a simulated arm: run, diagnose, extend the model, run again; path error before and after.
+"""The closing of a path: play, diagnose a motion about the path, extend the model, play again.
 
-The scene's world holds an effect that the model does not know. The oracle knows its name and joint, and estimates
-its size from the same recording; a size that makes the path worse it leaves out.
+The scene's world holds an effect that the model does not know. The oracle knows its name and joint, and estimates its
+size from the same recording; a size that makes the path worse it leaves out.
 """
 
 from __future__ import annotations
@@ -9,45 +9,53 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import numpy as np
+
+from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis, diagnose
 from ideal_robot.diagnosis.validation.refit import with_named_effects
+from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import IdealRobotError
 from ideal_robot.feedforward.base import Feedforward, PassThrough
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.measured import checked_measured, visible
+from scenes.closing.arm import tool, tool_deviation
+from scenes.closing.loop import ROUNDS, Forms, Found, Place, Subject, close
+from scenes.closing.result import SHARES, Closing, Played, Words
+from scenes.closing.rule import Comparison
+from scenes.measured import Measured, checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
-from scenes.path.adoption_on_path import Step, adopt_on_path, measured_error
-from scenes.path.asked_motion import AskedMotion, asked_motion
+from scenes.path.candidates import Candidates
 from scenes.path.cell import PathCell, set_up
-from scenes.path.close_loop_page import write_circle
-from scenes.path.close_loop_result import CloseLoopResult
-from scenes.path.diagnostic_motion import diagnostic_motion
-from scenes.path.last_good import last_good
-from scenes.result import Progress, part_of, silent
+from scenes.path.diagnostic_motion import AskedMotion, asked_motion, diagnostic_motion
+from scenes.path.result import Play
+from scenes.report.page import Report
+from scenes.result import Progress, silent
 from scenes.scene_files.path_scene import PathScene
 from scenes.scene_files.scene import OWN
 from scenes.undeclared import declared_world, undeclared_effects
 
-ROUNDS = 3
-"""Of run and diagnosis, at most."""
-SHARES = {"before": 0.02, "rounds": 0.78, "oracle": 0.1, "report": 0.1}
-"""Measured shares of the time."""
-SHARES_OF_ROUND = {"moving": 0.12, "diagnosis": 0.63, "adopting": 0.1, "asking": 0.15}
-"""Those of a round; a motion is asked for in one of them at most."""
-_LEFT = 0.4
-"""Of the rounds' time, what a round leaves to those after it, which need not come."""
+WORDS = Words(
+    "path_error_mm", "Path error E_car, aligned [mm]", "measured E_car mm",
+    ("model", "E_car timed", "aligned", "geometric", "E_max aligned"), "the model as it was",
+    "[G] (14) and (21), of the true TCP [mm].", "Path error, aligned, as far as the arm measures it.",
+    ("share of the path's time [%]", "deviation [mm]", "Deviation of the true TCP along the path, aligned."))
+_DOUBT_OF_GEARS = 0.3
+"""Share by which the give of gears may be wrong that no device on the arm's side has shown: a gear is softer under
+small loads than under large ones, by about so much from end to end of its catalogue's stiffness, and motor angles show
+nothing of it. What a load's own standard deviation leaves open comes on top."""
+_SIGMAS = 2.0
 
 
 def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out: Path | None = None,
-               progress: Progress = silent) -> CloseLoopResult:
+               progress: Progress = silent) -> Closing:
     """Plays a path, finds what its model misses from a diagnostic motion, extends the model and plays it again.
-
-    What does not lower the path error that the arm measures is taken back; the rounds end when nothing more is found.
-    Whatever ends it early, the folder holds the model of the last round that was done.
 
     Args:
         scene: what to play.
@@ -68,9 +76,9 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
     return closed(scene, cell, undeclared, measured=measured, ask=ask, out=out, progress=progress)
 
 
-def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], ...], *, measured: str = "tcp",
+def closed(scene: PathScene, cell: PathCell, undeclared: tuple[Place, ...], *, measured: str = "tcp",
            oracle: Feedforward | None = None, rounds_at_most: int = ROUNDS, ask: bool = False, out: Path | None = None,
-           progress: Progress = silent) -> CloseLoopResult:
+           progress: Progress = silent) -> Closing:
     """The same with a cell that is set up: its arm may be one that no scene file describes.
 
     Args:
@@ -79,61 +87,148 @@ def closed(scene: PathScene, cell: PathCell, undeclared: tuple[tuple[str, int], 
         undeclared: effects that the arm has and the model does not know: name, joint.
         measured: what the arm measures.
         oracle: plays what an oracle knows of the arm; None: name and joint, and the size from the first recording.
-        rounds_at_most: of run and diagnosis.
+        rounds_at_most: of finding and trying.
         ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
     """
-    seen_by = checked_measured(measured)
-    job = Steps(progress, SHARES)
+    subject, job, known = _Path(cell, checked_measured(measured), ask), Steps(progress, SHARES), cell.model
     job.begin("before")
-    known, before = cell.model, cell.play(cell.feedforward(IDEAL))
-    first = measured_error(before, cell.path, cell.robot, known, seen_by)
-    steps: tuple[Step, ...] = ()
-    present = before
-    rounds: list[tuple[Diagnosis, Recording]] = []
-    plan: AskedMotion | None = None
-    with last_good(out) as keep:
-        for round_ in range(1, rounds_at_most + 1):
-            before_it = 1.0 - _LEFT ** (round_ - 1)
-            within = Steps(part_of(job.part("rounds"), before_it, (1.0 - _LEFT) * (1.0 - before_it)), SHARES_OF_ROUND)
-            within.begin("moving", f"round {round_}: diagnostic motion")
-            keep.round = round_
-            moved = visible(cell.play(PassThrough(cell.world.t_ipo), path=diagnostic_motion(cell)).recording, seen_by)
-            # The run takes no part in the diagnosis: it decides afterwards what goes into the loop.
-            diagnosis = diagnose(moved, cell.robot, model=cell.model, progress=within.part("diagnosis"))
-            rounds.append((diagnosis, moved))
-            within.begin("adopting", f"round {round_}: what was found is tried")
-            model, present, tried = adopt_on_path(cell, diagnosis, moved, present, known, seen_by, round_)
-            steps += tried
-            if ask and model is cell.model and plan is None:
-                # Before it gives up: what could not be told apart may be told by another motion.
-                plan = asked_motion(cell, diagnosis, moved, seen_by, round_, within.part("asking"))
-                if plan is not None and plan.diagnosis is not None and plan.recording is not None:
-                    model, present, tried = adopt_on_path(cell, plan.diagnosis, plan.recording, present, known,
-                                                          seen_by, round_)
-                    steps += tried
-            if model is cell.model:
-                break
-            keep.model(model)
-            cell = dataclasses.replace(cell, model=model)
-        keep.round = 0
-        job.begin("oracle")
-        found, recording = rounds[0]
-        if oracle is None and not undeclared:
-            told = before.errors
-        elif oracle is None:
-            told = _played(cell, with_named_effects(recording, cell.robot, known, undeclared))
-            # Told of what this arm does not measure, it finds any size: nobody would leave that in the loop.
-            told = min(told, before.errors, key=lambda errors: errors.aligned.E_car)
-        else:
-            told = cell.play(oracle).errors
-        result = CloseLoopResult(scene, undeclared, before.errors, present.errors, told, found, recording, seen_by,
-                                 first, steps, plan)
-        job.begin("report")
-        return result if out is None else write_circle(result, cell.model, out)
+    before = cell.play(cell.feedforward(IDEAL))
+    done = close(subject, known, before, rounds=rounds_at_most, out=out, progress=job.part("rounds"))
+    job.begin("oracle")
+    moved, told = done.found[0].recording, before.errors
+    if oracle is not None:
+        told = cell.play(oracle).errors
+    elif undeclared:
+        fitted = subject.play(with_named_effects(moved, cell.robot, known, undeclared)).errors
+        # Told of what this arm does not measure, it finds any size: nobody would leave that in the loop.
+        told = min(fitted, before.errors, key=lambda errors: errors.aligned.E_car)
+    plays = {name: played(name, one) for name, one in
+             (("before", before.errors), ("after", done.run.errors), ("oracle", told))}
+    job.begin("report")
+    more = {"E_car_aligned_mm": {name: one.error for name, one in plays.items()}, "measured": measured,
+            "measured_before_mm": 1e3 * done.first, "plan": None if subject.plan is None else subject.plan.json()}
+    return Closing(scene, undeclared, plays, done, WORDS, {"diagnostic_motion.parquet": moved}, more,
+                   subject.section).written(out)
 
 
-def _played(cell: PathCell, model: Model) -> PathErrors:
-    again = dataclasses.replace(cell, model=model)
-    return again.play(again.feedforward(IDEAL)).errors
+class _Path(Subject[Play]):
+    """A path and the arm that plays it."""
+
+    def __init__(self, cell: PathCell, measured: Measured, ask: bool) -> None:
+        self.plan: AskedMotion | None = None
+        self._cell, self._known, self._measured, self._ask, self._round = cell, cell.model, measured, ask, 0
+
+    def play(self, model: Model) -> Play:
+        tried = dataclasses.replace(self._cell, model=model)
+        return tried.play(tried.feedforward(IDEAL))
+
+    def find(self, model: Model, run: Play, progress: Progress) -> Found:
+        # The run takes no part in the diagnosis: it decides afterwards what stays.
+        self._cell, self._round = dataclasses.replace(self._cell, model=model), self._round + 1
+        played = self._cell.play(PassThrough(self._cell.world.t_ipo), path=diagnostic_motion(self._cell))
+        moved = visible(played.recording, self._measured)
+        return self._suggested(diagnose(moved, self._cell.robot, model=model, progress=progress), moved, run)
+
+    def _suggested(self, diagnosis: Diagnosis, moved: Recording, run: Play) -> Found:
+        groups, refused = Candidates(self._cell.model, diagnosis, moved, visible(run.recording, self._measured),
+                                     self._cell.robot, self._measured).groups()
+        return Found(diagnosis, moved, groups, refused)
+
+    def readings(self, before: Play, after: Play, model: Model) -> list[tuple[Array, Array]]:
+        # Both with the same idea of what the gears carry, by each doubt of it.
+        loads = carried(model.effects[len(self._known.effects):])
+        path, doubts = self._cell.path, doubts_of(loads) if self._measured == "motor" else (0.0,)
+        seen = [visible(run.recording, self._measured) for run in (before, after)]
+        pairs = [[tool_deviation(one, (path.t, path.q_d, path.counts), self._cell.robot, self._known, loads, doubt)
+                  for one in seen] for doubt in doubts]
+        return [(without, with_it) for without, with_it in pairs]
+
+    def foreseen(self, forms: Forms, models: list[Model], model: Model, run: Play) -> tuple[list[int], str]:
+        # A change that explains less of how the arm left its path than nothing does cannot bring it back there.
+        present = self._left(model, run)
+        compared = [Comparison.of(present, self._left(one, run)) for one in models]
+        order = sorted(range(len(forms)), key=lambda k: compared[k].after)
+        best = compared[order[0]]
+        return ([k for k in order if not (forms[0].moves and compared[k].rises)],
+                f"played on the identified loop it explains less of the run: {1e3 * best.before:.3g} to "
+                f"{1e3 * best.after:.3g} mm are left")
+
+    def _left(self, model: Model, run: Play) -> Array:
+        try:
+            return left_unexplained(self._cell, model, run, self._measured)
+        except IdealRobotError:
+            return np.empty(0)
+
+    def asked(self, found: Found, model: Model, run: Play, progress: Progress) -> Found | None:
+        if not self._ask or self.plan is not None or found.diagnosis is None:
+            return None
+        self.plan = asked_motion(self._cell, found.diagnosis, found.recording, self._measured, self._round, progress)
+        if self.plan is None or self.plan.diagnosis is None or self.plan.recording is None:
+            return None
+        return self._suggested(self.plan.diagnosis, self.plan.recording, run)
+
+    def section(self, page: Report) -> None:
+        if self.plan is not None:
+            page.heading("The motion that the diagnosis asked for")
+            page.table(["cause", "or", "recorded σ", "planned σ", "told apart"], self.plan.table(),
+                       self.plan.reason or f"In round {self.plan.round} nothing stayed, and these were open. σ: "
+                       "expected distance of the two causes in standard deviations of the noise, by the motion that "
+                       "was recorded and by the one that was planned, played and diagnosed.")
+
+
+def played(name: str, errors: PathErrors) -> Played:
+    """A path in the result: what it was played with, and errors of the true TCP."""
+    sizes = (errors.time_matched.E_car, errors.aligned.E_car, errors.geometric.E_car, errors.aligned.E_max)
+    deviation = 1e3 * errors.aligned.deviation
+    return Played(errors, 1e3 * errors.aligned.E_car, [name, *(1e3 * size for size in sizes)], errors.json_mm(),
+                  (np.linspace(0.0, 100.0, len(deviation)), deviation))
+
+
+def carried(effects: tuple[FittedEffect, ...]) -> tuple[FittedEffect, ...]:
+    """Those that change what the gears carry."""
+    changes = [(effect, effect.effect.loop_change(effect.coefficients, effect.theta)) for effect in effects]
+    return tuple(effect for effect, change in changes if change.body or change.gravity is not None)
+
+
+def doubts_of(loads: tuple[FittedEffect, ...]) -> tuple[float, ...]:
+    """Shares by which what loads bend may be more than the known gears give, where motor angles alone are measured."""
+    if not loads:
+        return (0.0,)
+    doubt = min(float(np.hypot(_DOUBT_OF_GEARS, max(doubt_of_load(one) for one in loads))), 1.0)
+    return (0.0, doubt, -doubt)
+
+
+def doubt_of_load(effect: FittedEffect) -> float:
+    """Share by which what an effect puts on the gears may be wrong, by its own standard deviation."""
+    # Of a body its mass stands for all of it, and of gravity its two components: moments have other units.
+    change = effect.effect.loop_change(effect.coefficients, effect.theta)
+    count = 1 if change.body else 2 if change.gravity is not None else len(effect.coefficients)
+    size = float(np.linalg.norm(effect.coefficients[:count]))
+    return _SIGMAS * float(np.linalg.norm(effect.std[:count])) / max(size, 1e-300)
+
+
+def left_unexplained(cell: PathCell, model: Model, run: Play, measured: Measured) -> Array:
+    """Distance between the measured joints and those of a model's loop on the same commands, at the tool ``(N, 3)``.
+
+    As of an aligned path error, a constant difference and a constant delay do not count [m].
+
+    Args:
+        cell: path, arm and how commands reach it.
+        model: whose loop is played.
+        run: what the arm did.
+        measured: motor angles where nothing else is measured, else arm angles.
+
+    Raises:
+        IdealRobotError: the loop of that model cannot be played.
+    """
+    motion = simulate(loop_model(model, cell.robot, delay=cell.delay), run.q_c)
+    angles = run.recording.joints("q" if measured == "motor" else "qa")
+    counts = cell.path.counts[: len(motion.t)]
+    t = motion.t[: len(counts)][counts]
+    seen = np.column_stack([np.interp(t, run.recording.t, column) for column in angles.T])
+    place = tool(cell.robot, (motion.q_m if measured == "motor" else motion.q_a)[: len(counts)][counts])
+    apart = tool(cell.robot, seen) - place
+    apart, speed = apart - apart.mean(axis=0), np.gradient(place, axis=0)
+    return np.asarray(apart - speed * np.sum(apart * speed) / max(np.sum(speed**2), 1e-300))

@@ -1,14 +1,22 @@
-"""The motion that a diagnosis of a path's arm is made of."""
+"""The motions that a diagnosis of a path's arm is made of: one for every round, and one that the diagnosis asks for."""
 
 from __future__ import annotations
 
-from itertools import pairwise
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import Diagnosis, DiagnosisPlan, diagnose, open_questions, plan_diagnosis
+from ideal_robot.errors import InputError
+from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.robots.robot import Robot
-from scenes.path.cell import PathCell, training_path
+from ideal_robot.signals.recording import Recording
+from scenes.closing.arm import at_speeds
+from scenes.measured import Measured, visible
+from scenes.path.cell import PathCell, about, training_path
+from scenes.result import Progress, part_of, silent
 from scenes.scene_files.path_scene import JointPath
 
 _BEYOND = 1.05
@@ -21,8 +29,7 @@ def diagnostic_motion(cell: PathCell) -> JointPath:
     fast = covering(training_path(cell.path, cell.world.t_ipo).q_d, cell.path.q_d, cell.robot)
     # Wider is faster.
     fastest = float(np.max(np.abs(np.diff(fast, axis=0)) / (cell.world.t_ipo * cell.robot.v_max)))
-    parts = [_slower(fast, slowness * max(1.0, fastest)) for slowness in (1.0, 2.0, 5.0)]
-    q_d = np.concatenate([parts[0], *[_joined(a[-1], b) for a, b in pairwise(parts)]])
+    q_d = at_speeds(fast, tuple(slowness * max(1.0, fastest) for slowness in (1.0, 2.0, 5.0)))
     t = cell.world.t_ipo * np.arange(float(len(q_d)))
     counts = np.ones(len(q_d), dtype=bool)
     return JointPath(q_d, np.zeros((len(q_d), 3)), np.asarray(t), counts, cell.path.tool)
@@ -46,12 +53,62 @@ def covering(motion: Array, path: Array, robot: Robot) -> Array:
     return np.asarray(np.where(short, moved, motion))
 
 
-def _slower(motion: Array, slowness: float) -> Array:
-    at = np.arange(0.0, len(motion) - 1, 1.0 / slowness)
-    return np.column_stack([np.interp(at, np.arange(len(motion)), q) for q in motion.T])
+@dataclass(frozen=True)
+class AskedMotion:
+    """What a diagnosis asked for, and what came of it.
+
+    Attributes:
+        round: from 1.
+        plan: pairs to be told apart and the motion; None where none lies within the limits.
+        reason: why there is no motion; empty where there is one.
+        recording, diagnosis: of the motion, where it was played.
+    """
+
+    round: int
+    plan: DiagnosisPlan | None
+    reason: str = ""
+    recording: Recording | None = field(default=None, repr=False)
+    diagnosis: Diagnosis | None = field(default=None, repr=False)
+
+    def json(self) -> dict[str, Any]:
+        """For ``--json``."""
+        found = None if self.diagnosis is None else [
+            {"effect": one.fitted.name, "joint": one.fitted.joint,
+             "indistinguishable_from": list(one.indistinguishable_from)} for one in self.diagnosis.effects]
+        return {"round": self.round, **({} if self.plan is None else self.plan.to_dict()),
+                "played": self.recording is not None, "reason": self.reason or None, "found": found}
+
+    def table(self) -> list[list[Any]]:
+        """One row a pair: cause, rival, σ before and planned, whether the motion tells them."""
+        return [] if self.plan is None else [
+            [pair.cause, pair.rival or "none", pair.before.sigma, pair.planned.sigma,
+             "yes" if pair.told_apart else pair.only] for pair in self.plan.pairs]
 
 
-def _joined(end: Array, part: Array, steps: int = 80) -> Array:
-    """A part with a smooth approach to its start in front."""
-    s = np.linspace(0.0, 1.0, steps)[:, None]
-    return np.concatenate([end + (part[0] - end) * s**3 * (10.0 - 15.0 * s + 6.0 * s**2), part])
+def asked_motion(cell: PathCell, found: Diagnosis, moved: Recording, measured: Measured, round_: int,
+                 progress: Progress = silent) -> AskedMotion | None:
+    """Plans, plays and diagnoses what a diagnosis asks for; None where it asks for nothing.
+
+    Args:
+        cell: path, arm and present model.
+        found: what the diagnosis found with that model.
+        moved: the recording it was found in.
+        measured: what the arm measures.
+        round_: from 1.
+        progress: called with the fraction done.
+    """
+    questions = open_questions(found)
+    if not questions.asks:
+        return None
+    try:
+        plan = plan_diagnosis(moved, cell.robot, questions, model=cell.model, seed=cell.seed,
+                              progress=part_of(progress, 0.0, 0.5, "planned motion"))
+    except InputError as error:
+        return AskedMotion(round_, None, str(error))
+    if not plan.useful:
+        return AskedMotion(round_, plan, "no motion within the limits tells them apart")
+    progress(0.5, "playing the planned motion")
+    t_ipo = cell.world.t_ipo
+    played = visible(cell.play(PassThrough(t_ipo), path=about(cell.path, plan.commands, t_ipo)).recording, measured)
+    again = diagnose(played, cell.robot, model=cell.model, progress=part_of(progress, 0.6, 0.4, "planned motion"))
+    return AskedMotion(round_, plan, "", played, again)

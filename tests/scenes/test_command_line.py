@@ -23,9 +23,10 @@ from ideal_robot.identification import whole_model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.cli import VERBS, _register, app, function_of, main
+from scenes.closing import result as closing
 from scenes.commands import recordings
 from scenes.commands.common import show_table
-from scenes.path import close_loop, kind
+from scenes.path import kind
 from scenes.scene_file import load_scene
 from scenes.terminal import progress_bar
 from tests.ideal_robot.test_door import ROBOT, frame
@@ -323,4 +324,4 @@ def test_drawing_the_page_is_no_last_moment() -> None:
     for shares in (recordings.SHARES, recordings.SHARES_OF_DIAGNOSIS, recordings.SHARES_WITH_CASCADE):
         assert list(shares)[-1] == "drawing"
         assert shares["drawing"] > 0.25
-    assert close_loop.SHARES["rounds"] > 0.5
+    assert closing.SHARES["rounds"] > 0.5

@@ -20,7 +20,6 @@ import pytest
 
 from ideal_robot import row_log
 from ideal_robot.errors import InputError
-from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
@@ -30,11 +29,9 @@ from scenes.commands.files import export, new
 from scenes.models import prepared_model, shipped_model
 from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
 from scenes.outputs import check_outputs, whole_folder
-from scenes.path.last_good import last_good
 from scenes.report.video import write_video
 from scenes.result import silent
 from scenes.rsi.server import RsiRun
-from scenes.scene_files.scene import SceneError
 from scenes.sweep import SweepFile
 from sim.arm.body import load_links, start_physics
 from sim.arm.world import World
@@ -236,22 +233,6 @@ def test_a_recording_s_ending_is_refused_before_the_arm_moves(monkeypatch: pytes
     monkeypatch.setattr("scenes.rsi.setup.rsi_server", lambda *_, **__: pytest.fail("moved"))
     with pytest.raises(InputError, match=r"\.parquet or \.csv"):
         rsi(Path("p.csv"), record=Path("moved.txt"))
-
-
-def test_a_closing_that_finds_no_room_says_which_model_is_left(tmp_path: Path) -> None:
-    model = Model.nominal(Robot.load("kr6"))
-
-    def rounds() -> None:
-        with last_good(tmp_path) as keep:
-            keep.round = 1
-            keep.model(model)
-            keep.round = 2
-            with files_of_at_most(100):
-                keep.model(model)
-
-    with pytest.raises(SceneError, match=f"{HELP}; ended in round 2; .* is the model of round 1"):
-        rounds()
-    assert Model.load(tmp_path / "extended_model.json").n == 6
 
 
 def test_a_full_folder_for_temporary_files_is_named_with_what_helps() -> None:

@@ -6,7 +6,8 @@ import pytest
 
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.effects import FittedEffect
-from scenes.path.candidates import candidates
+from scenes.closing.loop import Group
+from scenes.path.candidates import Candidates
 from tests.scenes.path import kind_arm as arm
 from tests.scenes.path.effect_cases import CASES
 
@@ -17,10 +18,13 @@ def test_what_explains_a_recording_with_the_model_as_it_was_is_tried_too() -> No
     moved = arm.recording(case.world, of=case.individual)
     offset = FittedEffect("current_offset", 1, "tau_1", (1.0,))
     found = Diagnosis("unknown", (), (), (), "", 0.0, beside_known=((case.true, offset),))
-    (together,), (alone, of_offset), refused = candidates(arm.model(), found, moved, moved, arm.ROBOT, "tcp")
-    assert [effect.name for effect in together.effects] == ["payload", "current_offset"]
+    (of_arm, of_tool), refused = Candidates(arm.model(), found, moved, moved, arm.ROBOT, "tcp").groups()
+    (together,), (alone, of_offset) = of_arm.together, of_arm.apart
+    assert of_tool == Group((), ())
+    assert together.places == (("payload", 0), ("current_offset", 1))
     for form in (together, *alone):
-        assert form.effects[0].coefficients[0] == pytest.approx(case.true.coefficients[0], rel=0.05)
-    assert [len(form.effects) for form in alone] == [1, 1]
-    assert [form.effects[0].name for form in of_offset] == ["current_offset"] * 2
+        added = form.change(arm.model(), None).effects
+        assert added[0].coefficients[0] == pytest.approx(case.true.coefficients[0], rel=0.05)
+    assert [form.places for form in alone] == [(("payload", 0),)] * 2
+    assert [form.places for form in of_offset] == [(("current_offset", 1),)] * 2
     assert not refused

@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
-from ideal_robot.model.model import Model
 from scenes import load_scene
-from scenes.path import close_loop as module
-from scenes.path.cell import PathCell
 from scenes.path.close_loop import close_loop
-from scenes.path.last_good import NAME, last_good
 from scenes.scene_files.path_scene import PathScene
-from scenes.scene_files.scene import SceneError
 from scenes.undeclared import undeclared_effects
 
 
@@ -25,7 +17,7 @@ from scenes.undeclared import undeclared_effects
 def test_after_is_close_to_the_oracle(name: str, seed: int) -> None:
     """Path error after ≤ 1.25 × that of an oracle told name and joint, and well below that of before."""
     result = close_loop(load_scene(name).model_copy(update={"seed": seed}))
-    before, after, oracle = (e.aligned.E_car for e in (result.before, result.after, result.oracle))
+    before, after, oracle = (e.aligned.E_car for e in result.errors.values())
     assert after <= 1.25 * oracle
     assert after < 0.9 * before
 
@@ -63,37 +55,6 @@ def test_a_world_that_cannot_be_closed_says_which_key_and_why(key: str, value: o
     assert f"world.{key}" in str(refused.value)
 
 
-def test_an_interrupted_closing_leaves_the_last_good_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Interrupted while the second round diagnoses: the folder holds the first round's model, and that is said."""
-    calls = []
-
-    def diagnose(*args: object, **more: object) -> object:
-        calls.append(1)
-        if len(calls) == 2:
-            raise KeyboardInterrupt
-        return None
-
-    def adopt(cell: PathCell, found: object, moved: object, before: object, known: Model, *rest: object) -> tuple:
-        return known.with_effects((FittedEffect("current_offset", 2, "tau_2", (3.0,)),)), before, ()
-
-    monkeypatch.setattr(module, "diagnose", diagnose)
-    monkeypatch.setattr(module, "adopt_on_path", adopt)
-    with pytest.raises(SceneError, match=r"interrupted in round 2; .* is the model of round 1"):
-        close_loop(_small(), out=tmp_path / "closing")
-    assert Model.load(tmp_path / "closing" / NAME).effects[-1].name == "current_offset"
-
-
-def test_a_closing_interrupted_at_once_leaves_nothing(tmp_path: Path) -> None:
-    def interrupted() -> None:
-        with last_good(tmp_path / "closing") as keep:
-            keep.round = 1
-            raise KeyboardInterrupt
-
-    with pytest.raises(SceneError, match="the model is as it was"):
-        interrupted()
-    assert not (tmp_path / "closing").exists()
-
-
 def _small(**changes: object) -> PathScene:
     """The scene with a worn gear on a path of 150 mm, which takes a third of the time."""
     scene = load_scene("close_elastic").changed(path={"size_mm": 150.0}, **changes)
@@ -105,11 +66,12 @@ def _small(**changes: object) -> PathScene:
 def test_with_motor_angles_alone_the_path_never_becomes_worse() -> None:
     """The torque's idea of a soft gear once bent the path from 0.735 to 2.210 mm; what is refused has a reason."""
     result = close_loop(_small(), measured="motor", ask=False)
-    before, after = (e.aligned.E_car for e in (result.before, result.after))
+    before, after = (e.aligned.E_car for e in (result.errors[name] for name in ("before", "after")))
     assert after <= max(1.05 * before, before + 3e-6)
     assert result.steps
     assert all(step.taken != bool(step.refused) for step in result.steps)
-    assert not any(name.startswith("qa_") or name == "x" for name in result.recording.columns)
+    columns = result.recordings["diagnostic_motion.parquet"].columns
+    assert not any(name.startswith("qa_") or name == "x" for name in columns)
     values = result.json()
     assert values["measured"] == "motor"
     assert set(values["steps"][0]) == {"round", "tried", "taken", "refused", "error"}
@@ -119,7 +81,7 @@ def test_with_motor_angles_alone_the_path_never_becomes_worse() -> None:
 @pytest.mark.parametrize("measured", ["arm", "tcp"])
 def test_with_arm_angles_the_loop_closes(measured: str) -> None:
     result = close_loop(_small(), measured=measured)
-    before, after, oracle = (e.aligned.E_car for e in (result.before, result.after, result.oracle))
+    before, after, oracle = (e.aligned.E_car for e in result.errors.values())
     assert after < 0.5 * before
     assert after <= 1.25 * oracle
 
@@ -130,7 +92,7 @@ def test_an_oracle_told_of_what_the_arm_does_not_measure_leaves_the_path_as_it_w
     scene = load_scene("close_stribeck").model_copy(update={"world": {"backlash": [0.0, 0.0, 2.5e-5, 0.0, 0.0, 0.0]}})
     result = close_loop(scene, measured="motor", ask=False)
     assert result.undeclared == (("backlash", 3),)
-    assert result.oracle.aligned.E_car <= result.before.aligned.E_car
+    assert result.errors["oracle"].aligned.E_car <= result.errors["before"].aligned.E_car
 
 
 def test_another_word_for_what_is_measured_is_refused() -> None:
@@ -146,5 +108,5 @@ def test_motion_that_the_diagnosis_asks_for_is_played_and_tells() -> None:
     assert plan["played"]
     assert 0.0 < plan["duration_s"] <= 30.0
     assert any(pair["told_apart"] for pair in plan["pairs"])
-    before, after = (e.aligned.E_car for e in (result.before, result.after))
+    before, after = (e.aligned.E_car for e in (result.errors[name] for name in ("before", "after")))
     assert after <= max(1.05 * before, before + 3e-6)

@@ -24,5 +24,5 @@ def test_after_is_close_to_the_truth() -> None:
     scene = load_scene("close_force")
     assert isinstance(scene, ForceScene)
     result = close_loop(scene)
-    assert result.after.rms < 0.8 * result.before.rms
-    assert result.after.rms <= 1.25 * result.true.rms
+    assert result.errors["after"].rms < 0.8 * result.errors["before"].rms
+    assert result.errors["after"].rms <= 1.25 * result.errors["true"].rms

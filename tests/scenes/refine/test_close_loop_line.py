@@ -14,7 +14,6 @@ from scenes import load_scene
 from scenes.line.close_loop import close_loop, undeclared_effects
 from scenes.online.line_task import assumed_latency
 from scenes.scene_files.line_scene import LineScene
-from scenes.sensor_loop import with_effects
 
 
 @pytest.mark.slow
@@ -26,8 +25,8 @@ def test_after_is_close_to_the_oracle() -> None:
     # Calibrated by moving, with the same wrong stamps, the camera's scale is off by what the stamps are worth.
     assert set(found) <= {"camera_latency", "camera_scale"}
     assert found["camera_latency"].coefficients[0] == pytest.approx(-0.008, abs=3e-4)
-    assert result.after.mean <= 1.25 * result.oracle.mean
-    assert result.after.mean < 0.5 * result.before.mean
+    assert result.errors["after"].mean <= 1.25 * result.errors["oracle"].mean
+    assert result.errors["after"].mean < 0.5 * result.errors["before"].mean
 
 
 @pytest.mark.slow
@@ -39,13 +38,13 @@ def test_a_change_with_which_the_run_stops_is_refused_and_the_next_one_tried() -
     result = close_loop(scene, measured="motor")
     assert [step.taken for step in result.steps] == [False, True]
     assert result.steps[0].refused.startswith("cannot be played")
-    assert result.after.mean < 0.5 * result.before.mean
+    assert result.errors["after"].mean < 0.5 * result.errors["before"].mean
 
 
 def test_follower_takes_the_latency_from_the_model() -> None:
     model = Model.nominal(Robot.load("kr6"))
     assert assumed_latency(model) == 0.0
-    assert assumed_latency(with_effects(model, [FittedEffect("camera_latency", 0, "line", (-0.008,))])) == -0.008
+    assert assumed_latency(model.with_effects((FittedEffect("camera_latency", 0, "line", (-0.008,)),))) == -0.008
 
 
 def test_right_time_stamps_are_refused() -> None:
@@ -74,8 +73,8 @@ def test_camera_that_nobody_calibrated_is_set_right() -> None:
     scene = load_scene("close_camera")
     assert isinstance(scene, LineScene)
     result = close_loop(scene)
-    assert result.after.mean < 0.7 * result.before.mean
-    assert result.after.mean <= 1.5 * result.oracle.mean
+    assert result.errors["after"].mean < 0.7 * result.errors["before"].mean
+    assert result.errors["after"].mean <= 1.5 * result.errors["oracle"].mean
 
 
 def test_geometry_of_the_arm_is_refused_along_a_line_with_its_key() -> None:
@@ -93,10 +92,9 @@ def test_friction_that_the_model_does_not_know_is_found_in_a_motion_about_the_li
         world={"base": "bench", "stribeck": [30.0, 120.0, 30.0, 1.5, 1.5, 0.8]}, camera={"stamp_offset": 0.0})
     assert isinstance(scene, LineScene)
     result = close_loop(scene)
-    assert result.undeclared == ()
-    assert ("stribeck", 2) in result.arm
-    assert result.after.mean < 0.7 * result.before.mean
-    assert result.after.mean <= 1.25 * result.oracle.mean
+    assert ("stribeck", 2) in result.undeclared
+    assert result.errors["after"].mean < 0.7 * result.errors["before"].mean
+    assert result.errors["after"].mean <= 1.25 * result.errors["oracle"].mean
 
 
 def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:

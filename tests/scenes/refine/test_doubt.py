@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from ideal_robot.effects import FittedEffect
-from scenes.path.adoption_on_path import doubt_of_load
+from scenes.path.close_loop import doubt_of_load
 
 
 def test_load_is_as_doubtful_as_its_mass() -> None:

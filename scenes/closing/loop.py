@@ -1,0 +1,264 @@
+"""The closing loop: find, add, play again, keep or take back."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.model.model import Model
+from ideal_robot.progress import Steps
+from ideal_robot.signals.recording import Recording
+from ideal_robot.whole_file import OutputError
+from scenes.closing.rule import Comparison
+from scenes.result import Progress, part_of, silent
+from scenes.scene_files.scene import SceneError
+
+ROUNDS = 4
+"""Of finding and trying, at most: a camera that is wrong by some percent is found with some percent of that left."""
+MODEL = "extended_model.json"
+"""Of the model in the folder of a closing."""
+SHARES_OF_ROUND = {"finding": 0.7, "trying": 0.15, "asking": 0.15}
+"""Measured shares of a round's time."""
+_LEFT = 0.4
+"""Share of the rounds' time that a round leaves to those after it, which need not come."""
+
+R = TypeVar("R")
+"""One play of what is closed."""
+Place = tuple[str, int]
+"""Name of an effect and its joint, from 1; 0 for none of them."""
+
+
+@dataclass(frozen=True)
+class Form:
+    """One form of a change of the model.
+
+    Attributes:
+        label: what it is.
+        change: makes the changed model of the present one and the play with that.
+        places: effects that it adds; none where it fits parameters anew and that is all.
+        moves: whether joints move otherwise with it; where the tool is for given joints does not show there.
+    """
+
+    label: str
+    change: Callable[[Model, Any], Model]
+    places: tuple[Place, ...] = ()
+    moves: bool = True
+
+    @classmethod
+    def adding(cls, label: str, effects: Sequence[FittedEffect]) -> Form:
+        """Effects on top of the model."""
+        own = tuple(effects)
+        changes = [one.effect.loop_change(one.coefficients, one.theta) for one in own]
+        return cls(label, lambda model, _: model.with_effects(own), tuple((one.name, one.joint) for one in own),
+                   not all(change.geometry is not None or change.zero for change in changes))
+
+
+Forms = tuple[Form, ...]
+"""Of one change: the first that stands the trial stays."""
+
+
+def name(effect: FittedEffect) -> str:
+    """An effect for people."""
+    return effect.name.replace("_", " ") + (f" in joint {effect.joint}" if effect.joint else "")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Changes that are tried together and, where that does not stay, each by itself on top of those before it."""
+
+    together: Forms
+    apart: tuple[Forms, ...] = ()
+
+    @classmethod
+    def adding(cls, effects: Sequence[FittedEffect]) -> Group:
+        """Effects on top of the model, together and each alone."""
+        label = " and ".join(dict.fromkeys(one.name.replace("_", " ") for one in effects))
+        together = (Form.adding(label, effects),) if len(effects) > 1 else ()
+        return cls(together, tuple((Form.adding(name(one), (one,)),) for one in effects))
+
+
+@dataclass(frozen=True)
+class Step:
+    """One change of the model, tried or refused at once.
+
+    Attributes:
+        tried: what was changed.
+        refused: why it does not stay; empty where it does.
+        error: what the cell measures with it [SI]; NaN where it was not played.
+        places: effects that it would add.
+        round: from 1.
+    """
+
+    tried: str
+    refused: str
+    error: float = float("nan")
+    places: tuple[Place, ...] = ()
+    round: int = 0
+
+    @property
+    def taken(self) -> bool:
+        """Whether it stays."""
+        return not self.refused
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a motion shows: the diagnosis (None where what is missing was measured), and what follows from it."""
+
+    diagnosis: Diagnosis | None
+    recording: Recording
+    groups: tuple[Group, ...] = ()
+    refused: tuple[Step, ...] = ()
+
+
+class Subject(ABC, Generic[R]):
+    """What is closed: the seam of the kinds of scenes."""
+
+    unit, scale = "mm", 1e3
+    """Of the measured error as it is told, and what it is times the SI unit."""
+
+    @abstractmethod
+    def play(self, model: Model) -> R:
+        """Plays the motion with a model; ``IdealRobotError`` where it cannot be played."""
+
+    @abstractmethod
+    def find(self, model: Model, run: R, progress: Progress) -> Found:
+        """Diagnoses what the model misses, from the last play or a motion of its own.
+
+        Args:
+            model: the present one.
+            run: the play with it.
+            progress: called with the fraction done.
+        """
+
+    @abstractmethod
+    def readings(self, before: R, after: R, model: Model) -> list[tuple[Array, Array]]:
+        """Measured deviations ``(N,)`` or ``(N, c)`` of two plays [SI], in every reading that is left open.
+
+        Args:
+            before: the play with the present model.
+            after: the play with the changed one.
+            model: the changed one.
+        """
+
+    def foreseen(self, forms: Forms, models: list[Model], model: Model, run: R) -> tuple[list[int], str]:
+        """Which forms are played, the most promising one first; why none where there are none.
+
+        Args:
+            forms: of one change.
+            models: changed by each.
+            model: the present one.
+            run: the play with it.
+        """
+        return list(range(len(forms))), ""
+
+    def asked(self, found: Found, model: Model, run: R, progress: Progress) -> Found | None:
+        """What another motion shows after a round without success; None where there is none.
+
+        Args:
+            found: in this round.
+            model: the present one.
+            run: the play with it.
+            progress: called with the fraction done.
+        """
+        return None
+
+
+@dataclass
+class Closed(Generic[R]):
+    """How far a closing has come: present model, the play with it, every trial, and what was found.
+
+    ``first`` is the error that decides, with the model as it was [SI].
+    """
+
+    subject: Subject[R]
+    model: Model
+    run: R
+    first: float = float("nan")
+    steps: list[Step] = field(default_factory=list)
+    found: list[Found] = field(default_factory=list)
+
+    def try_all(self, found: Found) -> bool:
+        """Tries what was found; whether anything of it stays."""
+        present = self.model
+        self.found.append(found)
+        self.steps += found.refused
+        for group in found.groups:
+            if not (group.together and self._one_of(group.together)):
+                for forms in group.apart:
+                    self._one_of(forms)
+        return self.model is not present
+
+    def _one_of(self, forms: Forms) -> bool:
+        try:
+            models = [form.change(self.model, self.run) for form in forms]
+        except IdealRobotError as failed:
+            return self._note(forms[0], f"cannot be fitted: {failed}")
+        order, reason = self.subject.foreseen(forms, models, self.model, self.run)
+        return any(self._tried(forms[k], models[k]) for k in order) if order else self._note(forms[0], reason)
+
+    def _tried(self, form: Form, model: Model) -> bool:
+        try:
+            run = self.subject.play(model)
+            readings = [Comparison.of(*pair) for pair in self.subject.readings(self.run, run, model)]
+        except IdealRobotError as failed:
+            return self._note(form, f"cannot be played: {failed}")
+        # Whatever is doubtful about what is not measured, the error has to fall.
+        worst = max(readings, key=lambda one: one.t)
+        if not worst.falls:
+            return self._note(form, worst.reason(self.subject.scale, self.subject.unit), worst.after)
+        self.model, self.run = model, run
+        return self._note(form, "", readings[0].after)
+
+    def _note(self, form: Form, refused: str, error: float = float("nan")) -> bool:
+        self.steps.append(Step(form.label, refused, error, form.places))
+        return not refused
+
+
+def close(subject: Subject[R], model: Model, run: R, *, rounds: int = ROUNDS, out: Path | None = None,
+          progress: Progress = silent) -> Closed[R]:
+    """Rounds of finding and trying, until nothing more stays.
+
+    Args:
+        subject: what is closed.
+        model: as it was.
+        run: the play with it.
+        rounds: at most.
+        out: folder that holds the model of each round that is done; nothing is written without.
+        progress: called with the fraction done.
+
+    Raises:
+        SceneError: interrupted, or no room to write, in a round; says which model the folder holds.
+    """
+    closed, kept = Closed(subject, model, run), 0
+    for round_ in range(1, rounds + 1):
+        before_it, steps = 1.0 - _LEFT ** (round_ - 1), len(closed.steps)
+        within = Steps(part_of(progress, before_it, (1.0 - _LEFT) * (1.0 - before_it)), SHARES_OF_ROUND)
+        try:
+            found = subject.find(closed.model, closed.run, within.begin("finding", f"round {round_}: diagnosis"))
+            closed.first = closed.first if kept else Comparison.of(*subject.readings(run, run, model)[0]).before
+            within.begin("trying", f"round {round_}: what was found is tried")
+            stays = closed.try_all(found)
+            if not stays:
+                # Before it gives up: what could not be told apart may be told by another motion.
+                asked = subject.asked(found, closed.model, closed.run, within.part("asking"))
+                stays = asked is not None and closed.try_all(asked)
+            if stays and out is not None:
+                closed.model.save(out / MODEL)
+        except (KeyboardInterrupt, SystemExit, OutputError) as ended:
+            left = f"{out / MODEL} is the model of round {kept}" if out is not None and kept else \
+                "no round was done, the model is as it was"
+            why = f"{ended}; ended" if isinstance(ended, OutputError) else "interrupted"
+            raise SceneError(f"{why} in round {round_}; {left}") from ended
+        closed.steps[steps:] = [replace(one, round=round_) for one in closed.steps[steps:]]
+        if not stays:
+            break
+        kept = round_
+    return closed

@@ -1,0 +1,195 @@
+"""What a closing yields, whatever is closed: errors before and after, every trial, what stays and why not."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis import Diagnosis
+from ideal_robot.results import plain
+from ideal_robot.signals.recording import Recording
+from scenes.closing.loop import MODEL, Closed, Place, Step
+from scenes.diagnosis.page import add_diagnosis, summary
+from scenes.outputs import whole_folder
+from scenes.report.page import Report
+from scenes.result import ShownTable
+from scenes.scene_files.scene import Scene
+
+SHARES = {"before": 0.05, "rounds": 0.6, "oracle": 0.15, "report": 0.2}
+"""Measured shares of a closing's time."""
+_MODELS = {"before": ("with the model as it was", "#b0413e"), "after": ("with what was found", "#2f6690"),
+           "tracker": ("with the arm angles of a tracker", "#8893a1"),
+           "oracle": ("with an oracle that knows what is wrong", "#8893a1"), "true": ("with the true numbers", "")}
+"""In words, and their colour in the figure."""
+
+
+@dataclass(frozen=True)
+class Words:
+    """How a kind of scene tells a closing.
+
+    Attributes:
+        errors: under which the plays' errors stand in the JSON.
+        error: what the error of a play is, with its unit; ``judged``: what the one that decides is.
+        columns: titles of the table of plays.
+        as_it_was: what was played first.
+        caption, decides: what the table of plays shows, and the error that decides.
+        axes: titles of the figure's axes, and what it shows; none without a figure.
+    """
+
+    errors: str
+    error: str
+    judged: str
+    columns: tuple[str, ...]
+    as_it_was: str
+    caption: str
+    decides: str
+    axes: tuple[str, str, str] | None = None
+
+
+@dataclass(frozen=True)
+class Played:
+    """A play as it truly was, which the cell does not know.
+
+    Attributes:
+        errors: of the simulated world, as the kind of scene has them.
+        error: the one by which plays are compared, in the unit in which it is told.
+        row: of the table, the model's name first.
+        json: the errors.
+        curve: error over the motion, ``(N,)`` and ``(N,)`` as they are drawn; none without a figure.
+    """
+
+    errors: Any
+    error: float
+    row: list[Any]
+    json: dict[str, Any]
+    curve: tuple[Array, Array] | None = None
+
+
+@dataclass(frozen=True, repr=False)
+class Closing(ShownTable):
+    """What came of a closing.
+
+    Attributes:
+        scene: what was played.
+        undeclared: effects that the world holds and the model does not know.
+        plays: with the model as it was (``before``), as extended (``after``), and with what an oracle is told
+            (``oracle``); others by the kind of scene.
+        closed: extended model, every trial, and what was found.
+        words: of the kind of scene.
+        recordings: file name → recording that is kept, the first one what was diagnosed at first.
+        more: what the kind adds to the JSON.
+        section: adds a section of its own to the page.
+    """
+
+    scene: Scene
+    undeclared: tuple[Place, ...]
+    plays: dict[str, Played]
+    closed: Closed[Any] = field(repr=False)
+    words: Words = field(repr=False)
+    recordings: dict[str, Recording] = field(repr=False)
+    more: dict[str, Any] = field(repr=False, default_factory=dict)
+    section: Callable[[Report], None] = field(repr=False, default=lambda page: None)
+    model_path: Path | None = None
+    report: Path | None = None
+
+    @property
+    def errors(self) -> dict[str, Any]:
+        """True errors of each play."""
+        return {name: played.errors for name, played in self.plays.items()}
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """Every change that was tried, with the error that decides and the reason of a refusal."""
+        return tuple(self.closed.steps)
+
+    @property
+    def diagnosis(self) -> Diagnosis | None:
+        """The first one; None where what is missing was measured."""
+        return self.closed.found[0].diagnosis
+
+    def refusals(self) -> list[str]:
+        """One sentence for each effect that a diagnosis names and that does not stay."""
+        stay = {place for step in self.steps if step.taken for place in step.places}
+        why = {place: step.refused for step in self.steps if not step.taken for place in step.places}
+        named = dict.fromkeys((one.fitted.name, one.fitted.joint) for found in self.closed.found if found.diagnosis
+                              for one in found.diagnosis.effects)
+        return [f"{name.replace('_', ' ')}{f' in joint {joint}' if joint else ''} named, refused: "
+                f"{why.get((name, joint), f'a scene of kind {self.scene.kind} does not close it')}"
+                for name, joint in named if (name, joint) not in stay]
+
+    def json(self) -> dict[str, Any]:
+        """The content of ``--json``."""
+        diagnosis = {} if self.diagnosis is None else {"diagnosis": self.diagnosis.to_dict()}
+        steps = [{"round": one.round, "tried": one.tried, "taken": one.taken, "refused": one.refused or None,
+                  "error": self.closed.subject.scale * one.error} for one in self.steps]
+        values: dict[str, Any] = plain({
+            **self.scene.played(), "undeclared": [{"effect": name, "joint": joint} for name, joint in self.undeclared],
+            self.words.errors: {name: played.json for name, played in self.plays.items()}, "steps": steps,
+            "refused": self.refusals(), "plan": None,
+            "after_over_oracle": self.plays["after"].error / self.plays["oracle"].error, **diagnosis, **self.more,
+            "model": self.model_path, "report": self.report})
+        return values
+
+    def rows(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table of plays: titles, and one row a model."""
+        return self.words.columns, [played.row for played in self.plays.values()]
+
+    def ladder(self) -> tuple[tuple[str, ...], list[list[Any]]]:
+        """The table of trials: titles, and one row a change of the model."""
+        scale = self.closed.subject.scale
+        return ("round", "change of the model", "stays", self.words.judged, "why not"), [
+            [0, self.words.as_it_was, True, scale * self.closed.first, ""],
+            *[[one.round, one.tried, one.taken, scale * one.error, one.refused] for one in self.steps]]
+
+    def page(self) -> Report:
+        """The report."""
+        hidden = " and ".join(f"{name.replace('_', ' ')}{f' in joint {joint}' if joint else ''}"
+                              for name, joint in self.undeclared)
+        plays = ", ".join(f"{played.error:.3g} {_MODELS[name][0]}" for name, played in self.plays.items())
+        page = Report(f"{self.scene.title or self.scene.name}: the loop closed",
+                      f"The model did not know {hidden or 'what the world holds'}. {self.words.error}: {plays}."
+                      + (f" {summary(self.diagnosis)}" if self.diagnosis else ""))
+        for refused in self.refusals():
+            page.warning(f"{refused[:1].upper()}{refused[1:]}.")
+        page.heading("Before and after")
+        page.table(list(self.rows()[0]), self.rows()[1], self.words.caption)
+        if self.words.axes is not None:
+            page.figure(self._curves(*self.words.axes[:2]), self.words.axes[2])
+        page.heading("What was tried, and what stays")
+        page.table(list(self.ladder()[0]), self.ladder()[1],
+                   f"{self.words.decides} A change stays where it falls by more than one standard error: of its "
+                   "scatter along the motion and from play to play.")
+        self.section(page)
+        if self.diagnosis is not None:
+            page.heading("The diagnosis between")
+            add_diagnosis(page, self.diagnosis)
+        return page
+
+    def _curves(self, abscissa: str, ordinate: str) -> Figure:
+        figure = Figure(figsize=(5.4, 3.0), layout="constrained")
+        axes = figure.subplots()
+        for name, played in self.plays.items():
+            if played.curve is not None and _MODELS[name][1]:
+                axes.plot(*played.curve, color=_MODELS[name][1], lw=1.1, label=name)
+        axes.set(xlabel=abscissa, ylabel=ordinate)
+        axes.legend(frameon=False, ncols=3)
+        axes.grid(alpha=0.3)
+        return figure
+
+    def written(self, folder: Path | None) -> Closing:
+        """With recordings, model and report in a folder, which appears whole or not at all; as it is without one."""
+        if folder is None:
+            return self
+        page = self.page()
+        with whole_folder(folder) as new:
+            for name, recording in self.recordings.items():
+                recording.write(new / name)
+            self.closed.model.save(new / MODEL)
+            page.write(new / "report.html")
+        return dataclasses.replace(self, model_path=folder / MODEL, report=folder / "report.html")

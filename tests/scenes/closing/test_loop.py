@@ -1,0 +1,177 @@
+"""The closing loop over a subject whose errors are known: what stays, in which order, and what an interrupt leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ideal_robot.arrays import Array
+from ideal_robot.effects import FittedEffect
+from ideal_robot.errors import InputError
+from ideal_robot.model.model import Model
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
+from scenes.closing.loop import MODEL, Closed, Form, Found, Group, Step, Subject, close
+from scenes.closing.result import Closing
+from scenes.scene_files.scene import SceneError
+from tests.scenes.test_full_disk import HELP, files_of_at_most
+
+KNOWN = Model.nominal(Robot.load("kr6"))
+NOTHING = Recording({"t": np.arange(3.0)}, {}, "nothing")
+
+
+def effect(joint: int, size: float = 1.0) -> FittedEffect:
+    """One that the arm may miss."""
+    return FittedEffect("current_offset", joint, f"tau_{joint}", (size,))
+
+
+def form(*effects: FittedEffect) -> Form:
+    """What adds it."""
+    return Form.adding(" and ".join(f"joint {one.joint}" for one in effects), effects)
+
+
+class World(Subject[Array]):
+    """An arm that misses one newton metre in joints 1 and 2; whatever else a model adds is wrong by it.
+
+    Args:
+        rounds: what each round finds.
+    """
+
+    def __init__(self, *rounds: Found) -> None:
+        self.rounds, self.played = list(rounds), 0
+
+    def play(self, model: Model) -> Array:
+        self.played += 1
+        missing = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+        for one in model.effects:
+            if one.coefficients[0] > 5.0:
+                raise InputError("too much", field="model")
+            missing[one.joint - 1] -= one.coefficients[0]
+        return np.full((100, 6), missing) + 0.1
+
+    def find(self, model: Model, run: Array, progress: Any) -> Found:
+        return self.rounds.pop(0) if self.rounds else found()
+
+    def readings(self, before: Array, after: Array, model: Model) -> list[tuple[Array, Array]]:
+        return [(before, after)]
+
+
+def found(*groups: Group, refused: tuple[Step, ...] = (), names: tuple[tuple[str, int], ...] = ()) -> Found:
+    """What a round finds; ``names`` are those of the diagnosis."""
+    diagnosis = SimpleNamespace(effects=[SimpleNamespace(fitted=SimpleNamespace(name=n, joint=j)) for n, j in names])
+    return Found(diagnosis if names else None, NOTHING, groups, refused)  # type: ignore[arg-type]
+
+
+def closed(*rounds: Found, **more: Any) -> Closed[Array]:
+    world = World(*rounds)
+    return close(world, KNOWN, world.play(KNOWN), **more)
+
+
+def joints(done: Closed[Array]) -> list[int]:
+    return [one.joint for one in done.model.effects]
+
+
+def test_what_is_found_in_several_rounds_stays() -> None:
+    done = closed(found(Group((form(effect(1)),))), found(Group((form(effect(2)),))))
+    assert joints(done) == [1, 2]
+    assert [(step.round, step.taken) for step in done.steps] == [(1, True), (2, True)]
+    assert done.first == pytest.approx(np.sqrt(2 * 1.1**2 + 4 * 0.1**2))
+
+
+def test_what_makes_it_worse_is_taken_back_and_said() -> None:
+    done = closed(found(Group((form(effect(3)),))))
+    assert not done.model.effects
+    (step,) = done.steps
+    assert "does not fall" in step.refused
+    np.testing.assert_array_equal(done.run, World().play(KNOWN))
+
+
+def test_each_alone_where_together_they_do_not_stay() -> None:
+    both = found(Group((form(effect(1), effect(4, 3.0)),), ((form(effect(1)),), (form(effect(4, 3.0)),))))
+    done = closed(both)
+    assert joints(done) == [1]
+    assert [step.taken for step in done.steps] == [False, True, False]
+
+
+def test_what_stays_together_is_not_tried_alone() -> None:
+    done = closed(found(Group((form(effect(1), effect(2)),), ((form(effect(1)),), (form(effect(2)),)))))
+    assert joints(done) == [1, 2]
+    assert len(done.steps) == 1
+
+
+def test_the_next_form_is_tried_where_one_cannot_be_played() -> None:
+    done = closed(found(Group((form(effect(1, 9.0)), form(effect(1))))))
+    assert joints(done) == [1]
+    assert done.steps[0].refused.startswith("cannot be played")
+
+
+def test_an_error_has_to_fall_in_every_reading() -> None:
+    class Doubtful(World):
+        def readings(self, before: Array, after: Array, model: Model) -> list[tuple[Array, Array]]:
+            return [(before, after), (after, before)]
+
+    world = Doubtful(found(Group((form(effect(1)),))))
+    assert not close(world, KNOWN, world.play(KNOWN)).model.effects
+
+
+def test_another_motion_is_asked_for_before_the_loop_gives_up() -> None:
+    class Asking(World):
+        def asked(self, found_: Found, model: Model, run: Array, progress: Any) -> Found | None:
+            return found(Group((form(effect(2)),))) if not model.effects else None
+
+    world = Asking(found(Group((form(effect(3)),))))
+    assert joints(close(world, KNOWN, world.play(KNOWN))) == [2]
+
+
+def test_a_named_effect_that_does_not_stay_is_told_with_the_reason() -> None:
+    why = "the arm angles, which are measured, show what a gear gives better than currents"
+    refused = Step("joint_elasticity in joint 2", why, places=(("joint_elasticity", 2),))
+    done = closed(found(Group((form(effect(1)),)), refused=(refused,),
+                        names=(("joint_elasticity", 2), ("current_offset", 1), ("camera_latency", 0))))
+    result = Closing(SimpleNamespace(kind="path"), (), {}, done, None, {})  # type: ignore[arg-type]
+    assert result.refusals() == [f"joint elasticity in joint 2 named, refused: {why}",
+                                 "camera latency named, refused: a scene of kind path does not close it"]
+
+
+class Interrupted(World):
+    """Interrupted while a later round is diagnosed."""
+
+    def find(self, model: Model, run: Array, progress: Any) -> Found:
+        if not self.rounds:
+            raise KeyboardInterrupt
+        return super().find(model, run, progress)
+
+
+def test_an_interrupted_closing_leaves_the_last_good_model(tmp_path: Path) -> None:
+    world = Interrupted(found(Group((form(effect(2, 0.5)),))))
+    with pytest.raises(SceneError, match=r"interrupted in round 2; .* is the model of round 1"):
+        close(world, KNOWN, world.play(KNOWN), out=tmp_path / "closing")
+    assert Model.load(tmp_path / "closing" / MODEL).effects[-1].coefficients == (0.5,)
+
+
+def test_a_closing_interrupted_at_once_leaves_nothing(tmp_path: Path) -> None:
+    world = Interrupted()
+    with pytest.raises(SceneError, match="the model is as it was"):
+        close(world, KNOWN, world.play(KNOWN), out=tmp_path / "closing")
+    assert not (tmp_path / "closing").exists()
+
+
+def test_a_closing_that_finds_no_room_says_which_model_is_left(tmp_path: Path) -> None:
+    class Full(World):
+        def find(self, model: Model, run: Array, progress: Any) -> Found:
+            self.rounds += [found(Group((form(effect(1 + len(model.effects))),)))]
+            return super().find(model, run, progress)
+
+    def rounds() -> None:
+        world = Full()
+        close(world, KNOWN, world.play(KNOWN), out=tmp_path, rounds=1)
+        with files_of_at_most(100):
+            close(world, KNOWN, world.play(KNOWN), out=tmp_path)
+
+    with pytest.raises(SceneError, match=f"{HELP}; ended in round 1"):
+        rounds()
+    assert Model.load(tmp_path / MODEL).n == 6
