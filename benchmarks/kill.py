@@ -94,8 +94,8 @@ def group_lives(group: int) -> bool:
 def identify_verb(folder: Path) -> Verb:
     """A model, its report, JSON and URDF from one of two recordings."""
     columns = originals.motion(folder)
-    (folder / "old.csv").write_bytes(mutate_table._csv(columns))
-    (folder / "new.csv").write_bytes(mutate_table._csv({**columns, "tau_1": 1.1 * columns["tau_1"]}))
+    (folder / "old.csv").write_bytes(mutate_table.csv_bytes(columns))
+    (folder / "new.csv").write_bytes(mutate_table.csv_bytes({**columns, "tau_1": 1.1 * columns["tau_1"]}))
     known: dict[str, tuple[str, ...]] = {}
 
     def digests(where: Path) -> tuple[str, ...]:

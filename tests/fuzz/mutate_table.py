@@ -47,9 +47,9 @@ def mutated(columns: dict[str, Any], required: tuple[str, ...], rng: np.random.G
             columns = _rows(columns, rng)
         else:
             meta = META[rng.integers(len(META))]
-    raw = _csv(columns) if csv else _parquet(columns, meta)
+    raw = csv_bytes(columns) if csv else _parquet(columns, meta)
     if rng.random() < 0.15:
-        raw, lost = (mutate_text.mutated(raw, rng) if csv else mutate_text._bytes(raw, rng)), False
+        raw, lost = (mutate_text.mutated(raw, rng) if csv else mutate_text.flipped(raw, rng)), False
     if rng.random() < 0.05:
         raw, lost = raw[: int(rng.integers(len(raw) + 1))], False
     return raw, lost
@@ -131,7 +131,7 @@ def _types(columns: dict[str, Any], rng: np.random.Generator) -> dict[str, Any]:
     return columns
 
 
-def _csv(columns: dict[str, Any]) -> bytes:
+def csv_bytes(columns: dict[str, Any]) -> bytes:
     return pd.DataFrame(columns).to_csv(index=False).encode()
 
 

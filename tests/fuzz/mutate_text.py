@@ -57,7 +57,7 @@ def _line(text: bytes, rng: np.random.Generator) -> bytes:
     return b"\n".join(lines)
 
 
-def _bytes(text: bytes, rng: np.random.Generator) -> bytes:
+def flipped(text: bytes, rng: np.random.Generator) -> bytes:
     changed = bytearray(text)
     for _ in range(int(rng.integers(1, 8))):
         if changed:
@@ -80,7 +80,7 @@ def _emptied(text: bytes, rng: np.random.Generator) -> bytes:
 
 
 MUTATIONS: tuple[Callable[[bytes, np.random.Generator], bytes], ...] = (
-    _number, _number, _number, _scaled, _scaled, _word, _line, _line, _bytes, _junk, _cut, _emptied)
+    _number, _number, _number, _scaled, _scaled, _word, _line, _line, flipped, _junk, _cut, _emptied)
 
 
 def mutated(text: bytes, rng: np.random.Generator) -> bytes:

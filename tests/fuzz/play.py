@@ -15,14 +15,12 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
 import typer.main
-
-from tests.fuzz.case import Case
 
 SECONDS = 60.0
 """Longest processor time of a case [s]."""
@@ -32,6 +30,25 @@ BYTES = 2 * 1024**3
 """Memory a case may take beside what the loaded program maps [bytes]."""
 CACHE = "IDEAL_ROBOT_CACHE"
 """Environment variable of the folder of prepared models; a case has its own."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is called with what.
+
+    Attributes:
+        name: kind of the case: verb and format.
+        words: of the command line.
+        files: name → bytes, in the working folder.
+        must_fail: whether exit code 0 would be wrong: a required column is lost.
+        interrupted: time by the clock after which Ctrl-C is pressed [s]; None for never.
+    """
+
+    name: str
+    words: list[str]
+    files: dict[str, bytes] = field(default_factory=dict)
+    must_fail: bool = False
+    interrupted: float | None = None
 
 
 @dataclass(frozen=True)

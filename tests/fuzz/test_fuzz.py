@@ -23,7 +23,6 @@ from scenes.scene_files.shape import first_path
 from sensing.camera.camera_model import CameraModel
 from tests.fuzz import mutate_table, mutate_text, originals, set_key
 from tests.fuzz.cases import drawn
-from tests.fuzz.further_cases import SVG, calibration
 from tests.fuzz.play import play, warm_up
 
 T = TypeVar("T")
@@ -98,14 +97,14 @@ def test_a_scene_with_an_extreme_key_is_read_or_refused(seed: int, tmp_path: Pat
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seed", range(20))
 def test_a_broken_svg_file_is_read_or_refused(seed: int, tmp_path: Path) -> None:
-    (tmp_path / "a.svg").write_bytes(mutate_text.mutated(SVG, np.random.default_rng(seed)))
+    (tmp_path / "a.svg").write_bytes(mutate_text.mutated(originals.SVG, np.random.default_rng(seed)))
     unless_refused(lambda: first_path("a.svg", tmp_path))
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_broken_calibration_of_a_camera_is_read_or_refused(seed: int, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
-    path.write_bytes(mutate_text.mutated(calibration(), np.random.default_rng(seed)))
+    path.write_bytes(mutate_text.mutated(originals.calibration(), np.random.default_rng(seed)))
     unless_refused(lambda: calibrated_camera(CameraModel.default(320, 240), path))
 
 

@@ -144,7 +144,7 @@ def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, tmp_path: Path, 
     picture = np.full((200, 300), 255, np.uint8)
     cv2.line(picture, (0, 100), (299, 120), 0, 8)
     (tmp_path / "a.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
-    (tmp_path / "p.csv").write_bytes(mutate_table._csv(originals.joint_path()))
+    (tmp_path / "p.csv").write_bytes(mutate_table.csv_bytes(originals.joint_path()))
     (tmp_path / "s.toml").write_bytes(originals.PATH)
     words = {"detect": ["a.png", "--out", "o"], "sweep": ["s.toml", "--seeds", "1-6", "--csv", "c.csv"],
              "rsi": ["p.csv", "--robot", "kr6", "--record", "c.csv"],

@@ -22,7 +22,7 @@ from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
 from scenes.cli import main
 from scenes.outputs import check_outputs, folders_held, whole_folder
-from tests.fuzz import closing_cases, mutate_table, originals
+from tests.fuzz import mutate_table, originals
 
 WRITER = """
 import sys
@@ -282,7 +282,7 @@ def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, tmp_path
     originals.arm(tmp_path)
     (tmp_path / "path.toml").write_bytes(originals.PATH)
     (tmp_path / "clamped.toml").write_bytes(originals.CLAMPED)
-    (tmp_path / "close.toml").write_bytes(closing_cases.CLOSE_CLAMPED)
+    (tmp_path / "close.toml").write_bytes(originals.CLOSE_CLAMPED)
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "report.html").write_text("previous")
     words = {"run": ["path.toml"], "compare": ["clamped.toml"], "close-loop": ["close.toml"],
@@ -308,7 +308,7 @@ def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, tmp_path
 def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_line(
         verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     originals.arm(tmp_path)
-    (tmp_path / "r.csv").write_bytes(mutate_table._csv(originals.motion(tmp_path)))
+    (tmp_path / "r.csv").write_bytes(mutate_table.csv_bytes(originals.motion(tmp_path)))
     (tmp_path / "s.toml").write_bytes(originals.LINE)
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "report.html").write_text("previous")

@@ -193,7 +193,7 @@ def test_a_mat_file_that_its_reader_does_not_survive_is_refused(tmp_path: Path) 
 def test_of_an_only_joint_no_cause_with_a_partner_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     t = 0.01 * np.arange(300)
     columns = {name: np.sin(3.0 * t) + 0.2 * np.sin(17.0 * t) for name in ("q_1", "q_c_1", "tau_1")}
-    (tmp_path / "r.csv").write_bytes(mutate_table._csv({"t": t, **columns}))
+    (tmp_path / "r.csv").write_bytes(mutate_table.csv_bytes({"t": t, **columns}))
     links, _, rest = originals.URDF.partition(b'<link name="lower"')
     joint = rest[rest.index(b'<joint name="first"') : rest.index(b'<joint name="second"')]
     (tmp_path / "arm.urdf").write_bytes(links + joint + b"</robot>")
