@@ -6,17 +6,21 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test test-all test-part docs docs-figures bench models check clean
+.PHONY: demo test pytest test-all test-part docs docs-figures bench models check clean
 
 demo: .venv/installed
 	$(BIN)/ideal-robot run line --out out/line
 	@echo "open out/line/report.html in a browser"
 
-test: .venv/installed check
-	$(BIN)/pytest -n 2
+# What does not start the program is checked beside the tests, which wait for other processes now and then.
+test: .venv/installed
+	$(MAKE) -j 2 check pytest
+
+pytest: .venv/installed
+	$(BIN)/pytest -n 2 --dist worksteal
 
 test-all: .venv/installed check
-	$(BIN)/pytest -n 2 -m "not real_time"
+	$(BIN)/pytest -n 2 --dist worksteal -m "not real_time"
 	$(BIN)/pytest -m real_time
 
 # One in twenty of the slow tests, others with the next commit; two minutes at most (124), none is no failure (5).

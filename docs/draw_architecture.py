@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import itertools
 from collections.abc import Iterable
+from functools import cache
 from html import escape
 from pathlib import Path
 from textwrap import wrap
@@ -40,18 +41,22 @@ def room_of(module: str, known: set[str]) -> str | None:
     return next((name for name in (".".join(parts[:2]), parts[0]) if name in known), None)
 
 
+@cache
+def _froms(folder: str) -> tuple[tuple[Path, ast.ImportFrom], ...]:
+    """``from … import`` of the files of a folder, read once."""
+    return tuple((path, node) for path in sorted((ROOT / folder).rglob("*.py"))
+                 for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.ImportFrom))
+
+
 def imports(folder: str) -> Graph:
     """Which rooms, of whatever folder, the rooms of a folder import."""
     known = {room for each in FOLDERS for room in rooms(each)}
     graph: Graph = {room: set() for room in rooms(folder)}
-    for path in sorted((ROOT / folder).rglob("*.py")):
+    for path, node in _froms(folder):
         here = room_of(".".join(path.relative_to(ROOT).with_suffix("").parts), known)
-        if here is None:
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ImportFrom) and node.module:
-                modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-                graph[here] |= {room for room in (room_of(module, known) for module in modules) if room} - {here}
+        if here is not None and node.module:
+            modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            graph[here] |= {room for room in (room_of(module, known) for module in modules) if room} - {here}
     return graph
 
 
@@ -59,9 +64,7 @@ def between_folders() -> Graph:
     """Which folders a folder imports, by its rooms or by its modules beside them."""
     graph: Graph = {}
     for folder in FOLDERS:
-        nodes = [node for path in (ROOT / folder).rglob("*.py")
-                 for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
-        named = {str(node.module).split(".")[0] for node in nodes if isinstance(node, ast.ImportFrom)}
+        named = {str(node.module).split(".")[0] for _, node in _froms(folder)}
         graph[folder] = (named & set(FOLDERS)) - {folder}
     return graph
 

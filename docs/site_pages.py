@@ -1,10 +1,12 @@
 """Pages of the documentation site that are made from the code: what a user imports, and all modules, room by room.
 
-A hook of MkDocs (``mkdocs.yml``); nothing is written into the source folder.
+A hook of MkDocs (``mkdocs.yml``); nothing is written into the source folder. The environment variable ``SITE_ROOMS``
+names the rooms whose API is made, parted by commas; without it all are.
 """
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -59,4 +61,5 @@ def rooms() -> dict[str, list[str]]:
             modules = [f"{room}.{path.stem}" for path in sorted(folder.glob("*.py")) if not path.stem.startswith("_")]
             if modules and room != "scenes.commands":
                 found[room] = modules
-    return found
+    chosen = os.environ.get("SITE_ROOMS")
+    return found if chosen is None else {room: found[room] for room in chosen.split(",")}

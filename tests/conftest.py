@@ -1,5 +1,11 @@
 """Settings of all tests, and the part of the slow ones that a continuous integration has time for."""
 
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
 from zlib import crc32
 
 import pytest
@@ -27,3 +33,41 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def in_part(name: str, part: int, parts: int) -> bool:
     """Whether a test is in a part: always in the same one, whatever other tests there are."""
     return crc32(name.encode()) % parts == part % parts
+
+
+class Ended(NamedTuple):
+    """How a call of the program ended.
+
+    Attributes:
+        code: its exit code.
+        out: standard output.
+        err: standard error.
+    """
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        """Lines of standard error that say something."""
+        return [line for line in self.err.splitlines() if line.strip()]
+
+
+@pytest.fixture
+def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+            ) -> Callable[..., Ended]:
+    """``ideal-robot`` in this process, called with words in the test's own folder."""
+    from scenes import cli
+
+    # The verb's answer to SIGTERM is not to become that of the tests.
+    monkeypatch.setattr(cli.signal, "signal", lambda number, handler: None)
+    monkeypatch.chdir(tmp_path)
+
+    def called(*words: str) -> Ended:
+        monkeypatch.setattr(sys, "argv", ["ideal-robot", *words])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return Ended(int(ended.value.code or 0), *capfd.readouterr())
+
+    return called

@@ -10,11 +10,12 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from pathlib import Path
+from functools import cache
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.sources import ROOT, trees
+
 FOLDERS = ("ideal_robot", "planning", "scenes", "sensing", "sim", "trials")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -34,7 +35,7 @@ def documented(docstring: str) -> set[str]:
 
 
 SHARED = {target.id: node.value
-          for node in ast.parse((ROOT / "scenes" / "commands" / "options.py").read_text(encoding="utf-8")).body
+          for node in trees("scenes/commands")[ROOT / "scenes" / "commands" / "options.py"].body
           if isinstance(node, ast.Assign) for target in node.targets if isinstance(target, ast.Name)}
 """Options that several verbs have: their annotations by name."""
 
@@ -61,20 +62,20 @@ def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
                     yield f"{node.name}.{method.name}", method, docstring or ""
 
 
-def methods(folder: str) -> set[str]:
-    """``Class.method`` of all public methods in a folder."""
-    return {name for path in (ROOT / folder).rglob("*.py") for name, _, _ in public(ast.parse(path.read_text("utf-8")))}
+@cache
+def methods() -> set[str]:
+    """``Class.method`` of all public methods."""
+    return {name for folder in FOLDERS for tree in trees(folder).values() for name, _, _ in public(tree)}
 
 
 def undocumented(folder: str) -> list[str]:
     """File, function and missing names of all functions that the rule is broken by."""
     found = []
-    known = set().union(*map(methods, FOLDERS))
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        for name, function, docstring in public(ast.parse(path.read_text(encoding="utf-8"))):
+    for path, tree in trees(folder).items():
+        for name, function, docstring in public(tree):
             names = parameters(function)
             interface = re.match(r"See ``([\w.]+)``", docstring)
-            if len(names) <= 2 or (interface and interface.group(1) in known - {name}):
+            if len(names) <= 2 or (interface and interface.group(1) in methods() - {name}):
                 continue
             missing = [parameter for parameter in names if parameter not in documented(docstring) | helped(function)]
             if missing:

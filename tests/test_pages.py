@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import doctest
 import importlib
-import importlib.util
 import json
 import os
 import re
@@ -14,18 +13,18 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
 
-ROOT = Path(__file__).resolve().parents[1]
+from docs import published_numbers
+from tests.sources import DATA, ROOT
+
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 LONGEST_CELL = 600
 """Time after which a cell counts as hanging [s]."""
-DATA = ROOT.parent / "shared" / "data"
 
 
 def read(path: Path) -> nbformat.NotebookNode:
@@ -75,7 +74,7 @@ def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 # The tutorial, typed as printed: on the shipped arm and on arms of one's own, with robot data and without.
 
 PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
-UR10E = ROOT.parent / "shared" / "data" / "ur10e" / "ur10e.urdf"
+UR10E = DATA / "ur10e" / "ur10e.urdf"
 COMMANDS = [line for block in re.findall(r"```sh\n(.*?)```", PAGE, re.S) for line in block.splitlines() if line]
 
 
@@ -127,11 +126,12 @@ def assert_table_of_diagnosis(made: dict[str, Any]) -> None:
 
 # The documentation site is built without a warning, and holds tutorial, scene keys and API.
 
-def test_the_site_is_built_without_warnings(tmp_path: Path) -> None:
+@pytest.mark.parametrize("rooms", [{"SITE_ROOMS": "ideal_robot.friction"}, pytest.param({}, marks=pytest.mark.slow)],
+                         ids=["one room's API", "whole"])
+def test_the_site_is_built_without_warnings(rooms: dict[str, str], tmp_path: Path) -> None:
     words = ["-m", "mkdocs", "build", "--strict", "--quiet", "-d", str(tmp_path / "site")]
-    done = subprocess.run([sys.executable, *words],
-                          cwd=ROOT, capture_output=True, text=True, check=False,
-                          env={**os.environ, "NO_MKDOCS_2_WARNING": "1"})
+    done = subprocess.run([sys.executable, *words], cwd=ROOT, capture_output=True, text=True, check=False,
+                          env={**os.environ, **rooms, "NO_MKDOCS_2_WARNING": "1"})
     assert done.returncode == 0, done.stdout + done.stderr
     assert "WARNING" not in done.stderr
     pages = {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("index.html")}
@@ -172,23 +172,10 @@ def test_each_package_that_users_import_has_examples() -> None:
 
 # Published numbers: each names its command, stands on its page as the table says, and a changed one is found.
 
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("published_numbers", ROOT / "docs" / "published_numbers.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-NUMBERS = script()
-
-
 def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
     from scenes.cli import VERBS
 
-    found = NUMBERS.published()
+    found = published_numbers.published()
     assert len(found) > 150
     printing = {one.command for one in found if one.command.startswith("python ")}
     assert all((ROOT / command.split()[1]).is_file() for command in printing)
@@ -201,11 +188,11 @@ def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
 def test_numbers_are_read_out_of_json_by_path() -> None:
     content = {"runs": [{"speed": 0.7, "e": {"mean": 2.0}}, {"speed": 0.7, "e": {"mean": 3.0}},
                         {"speed": 1.0, "e": {"mean": None}}], "a": {"b": [4.0, 5.0]}}
-    assert NUMBERS.value_of(content, "a.b.1") == 5.0
-    assert NUMBERS.value_of(content, "max(runs[speed=0.7].e.mean)") == 3.0
-    assert NUMBERS.value_of(content, "mean(runs[speed=0.7].e.mean)") == 2.5
+    assert published_numbers.value_of(content, "a.b.1") == 5.0
+    assert published_numbers.value_of(content, "max(runs[speed=0.7].e.mean)") == 3.0
+    assert published_numbers.value_of(content, "mean(runs[speed=0.7].e.mean)") == 2.5
     with pytest.raises(ValueError, match="2 numbers"):
-        NUMBERS.value_of(content, "runs[speed=0.7].e.mean")
+        published_numbers.value_of(content, "runs[speed=0.7].e.mean")
 
 
 def test_numbers_are_read_out_of_what_a_benchmark_prints(tmp_path: Path) -> None:
@@ -217,11 +204,11 @@ rows = { "`a`" = "a", "`b`" = "b" }
 command = "python -c 'print(\\"a: 0.52 mm, 7 ms\\\\nb: 2.3 mm, 9 ms\\")'"
 printed = ['{row}: ([0-9.]+) mm', '{row}: .* ([0-9]+) ms']
 """)
-    numbers = NUMBERS.published(tmp_path / "numbers.toml", tmp_path)
-    assert [(found, word) for _, found, word in NUMBERS.compare(numbers)] == [
+    numbers = published_numbers.published(tmp_path / "numbers.toml", tmp_path)
+    assert [(found, word) for _, found, word in published_numbers.compare(numbers)] == [
         (0.52, "same"), (7.0, "same"), (2.3, "DIFFERS"), (9.0, "same")]
     with pytest.raises(ValueError, match="nothing printed"):
-        NUMBERS.value_of({"printed": "words"}, "~c: ([0-9]+)")
+        published_numbers.value_of({"printed": "words"}, "~c: ([0-9]+)")
 
 
 def test_a_number_that_changed_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
@@ -234,13 +221,13 @@ rows = { "`a`" = "a", "`b`" = "b" }
 command = "run it"
 values = ["{row}.first", "{row}.second"]
 """)
-    numbers = NUMBERS.published(tmp_path / "numbers.toml", tmp_path)
+    numbers = published_numbers.published(tmp_path / "numbers.toml", tmp_path)
     assert [one.text for one in numbers] == ["0.50", "7", "2.0", "9"]
     made = {"a": {"first": 0.504, "second": 7.2}, "b": {"first": 2.3, "second": None}}
-    monkeypatch.setattr(NUMBERS, "made", lambda command, folder: made)
-    assert [word for *_, word in NUMBERS.compare(numbers)] == ["same", "same", "DIFFERS", "DIFFERS"]
-    monkeypatch.setattr(NUMBERS, "published", lambda: numbers)
-    assert NUMBERS.main([]) == 1
+    monkeypatch.setattr(published_numbers, "made", lambda command, folder: made)
+    assert [word for *_, word in published_numbers.compare(numbers)] == ["same", "same", "DIFFERS", "DIFFERS"]
+    monkeypatch.setattr(published_numbers, "published", lambda: numbers)
+    assert published_numbers.main([]) == 1
     assert "4 numbers, 2 differ" in capsys.readouterr().out
 
 
@@ -248,12 +235,13 @@ def test_a_table_without_the_row_is_refused(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text("| what | mm |\n| --- | --- |\n| `a` | 0.50 |\n")
     entry = {"page": "page.md", "header": "| what | mm |", "rows": {"`c`": "c"}, "command": "run it", "values": ["x"]}
     with pytest.raises(ValueError, match="no row '`c`'"):
-        list(NUMBERS._numbers(entry, tmp_path))
+        list(published_numbers._numbers(entry, tmp_path))
 
 
+@pytest.mark.slow
 def test_a_quick_number_is_made_anew() -> None:
     """One command from the table, run as `make docs-figures` runs it: the paths lead to these figures, in this unit."""
-    numbers = [one for one in NUMBERS.published() if one.command == "run contour"]
+    numbers = [one for one in published_numbers.published() if one.command == "run contour"]
     assert len(numbers) == 3
-    for one, found, _ in NUMBERS.compare(numbers):
+    for one, found, _ in published_numbers.compare(numbers):
         assert found == pytest.approx(one.number, rel=0.3), one.what

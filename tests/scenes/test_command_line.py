@@ -22,7 +22,7 @@ import scenes
 from ideal_robot.identification import whole_model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
-from scenes.cli import VERBS, _register, app, function_of, main
+from scenes.cli import VERBS, _register, app, function_of
 from scenes.closing import result as closing
 from scenes.commands import recordings
 from scenes.commands.common import show_table
@@ -45,15 +45,10 @@ points = [[0.4, 0.0], [0.8, 0.0]]
 """
 
 
-def program(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-m", "scenes.cli", *words], cwd=cwd, capture_output=True, text=True,
-                          check=False)
-
-
-def test_run_writes_what_json_names(tmp_path: Path) -> None:
+def test_run_writes_what_json_names(program, tmp_path: Path) -> None:
     (tmp_path / "short.toml").write_text(SHORT)
-    done = program("run", "short", "--json", "figures.json", "--seed", "4", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = program("run", "short", "--json", "figures.json", "--seed", "4")
+    assert done.code == 0, done.err
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert figures["scene"] == "short"
     assert figures["seed"] == 4
@@ -84,72 +79,62 @@ def test_run_writes_what_json_names(tmp_path: Path) -> None:
         (("", ""), ("--method", "magic"), ("method", "expected one of")),
     ],
 )
-def test_bad_input_ends_with_two_and_one_clear_line(
-    tmp_path: Path, change: tuple[str, str], words: tuple[str, ...], says: tuple[str, ...],
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_bad_input_ends_with_two_and_one_clear_line(program, tmp_path: Path, change: tuple[str, str],
+                                                    words: tuple[str, ...], says: tuple[str, ...]) -> None:
     (tmp_path / "short.toml").write_text(SHORT.replace(*change) if change[0] else SHORT)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["ideal-robot", "run", "short", *words])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    lines = [line for line in capfd.readouterr().err.splitlines() if line.strip()]
-    assert len(lines) == 1
-    for word in says:
-        assert word in lines[0]
+    done = program("run", "short", *words)
+    assert done.code == 2
+    (line,) = done.lines
+    assert all(word in line for word in says)
     assert not (tmp_path / "out").exists()
 
 
-def test_two_scenes_of_one_name_are_refused(tmp_path: Path) -> None:
+def test_two_scenes_of_one_name_are_refused(program, tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"{name}.toml").write_text('name = "twin"\n' + SHORT)
-    done = program("run", "twin", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "two scenes" in done.stderr
-    assert "a.toml" in done.stderr
-    assert "b.toml" in done.stderr
+    done = program("run", "twin")
+    assert done.code == 2
+    assert all(word in done.err for word in ("two scenes", "a.toml", "b.toml"))
 
 
 def test_a_scene_that_does_not_exist_names_those_that_do(tmp_path: Path) -> None:
-    done = program("run", "lime", cwd=tmp_path)
+    done = subprocess.run([sys.executable, "-m", "scenes.cli", "run", "lime"], cwd=tmp_path, capture_output=True,
+                          text=True, check=False)
     assert done.returncode == 2
     assert "straight" in done.stderr
 
 
-def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(tmp_path: Path) -> None:
+def test_a_run_that_loses_the_line_ends_with_one_and_keeps_its_recording(program, tmp_path: Path) -> None:
     lost = SHORT.replace("[0.8, 0.0]]", "[1.1, 0.0]]") + '[[feature]]\nkind = "gap"\nat_mm = 450\nlength_mm = 500\n'
     (tmp_path / "lost.toml").write_text(lost)
-    done = program("run", "lost", cwd=tmp_path)
-    assert done.returncode == 1
-    assert "line lost" in done.stderr
-    assert (tmp_path / "out" / "lost" / "recording.parquet").is_file()
-    assert (tmp_path / "out" / "lost" / "report.html").is_file()
+    done = program("run", "lost")
+    assert done.code == 1
+    assert "line lost" in done.err
+    assert {"recording.parquet", "report.html"} <= {path.name for path in (tmp_path / "out" / "lost").iterdir()}
 
 
 @pytest.mark.parametrize("verb", ["run", "compare", "sweep", "view"])
-def test_help_has_an_example(tmp_path: Path, verb: str) -> None:
-    done = program(verb, "--help", cwd=tmp_path)
-    assert done.returncode == 0
-    assert "Example" in done.stdout
+def test_help_has_an_example(program, verb: str) -> None:
+    done = program(verb, "--help")
+    assert done.code == 0
+    assert "Example" in done.out
 
 
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
-def test_the_help_lists_the_methods_of_the_registry(verb: str, tmp_path: Path) -> None:
+def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
     from scenes.commands.options import completed, methods_of
 
-    done = program(verb, "--help", cwd=tmp_path)
-    told = " ".join(done.stdout.replace("│", " ").split())
+    told = " ".join(program(verb, "--help").out.replace("│", " ").split())
     assert ", ".join(methods_of(verb)) in told
     assert completed(verb, "id") == ["ideal"]
 
 
 @pytest.mark.parametrize("words", [("identify", "r.csv", "--robot", "kr6", "--decimate-to", "nan"),
                                    ("run", "line", "--speed", "inf")])
-def test_numbers_that_are_none_are_refused_by_every_verb(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = program(*words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert "no finite number" in done.stderr
+def test_numbers_that_are_none_are_refused_by_every_verb(program, words: tuple[str, ...]) -> None:
+    done = program(*words)
+    assert done.code == 2
+    assert "no finite number" in done.err
 
 
 # What a person sees in a terminal: tables that lose nothing, the version, one meaning of an option in every verb.

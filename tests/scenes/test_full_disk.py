@@ -7,7 +7,6 @@ import errno
 import json
 import os
 import resource
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -24,7 +23,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
 from ideal_robot.whole_file import OutputError, write_text
-from scenes.cli import ended_by, main
+from scenes.cli import ended_by
 from scenes.commands.files import export, new
 from scenes.models import prepared_model, shipped_model
 from scenes.online.cycle import CycleLog, CycleSettings, play_cycles
@@ -139,8 +138,8 @@ def _served(*_: object, **__: object) -> Any:
 
 
 @pytest.mark.parametrize("verb", ["detect", "sweep", "rsi", "precorrect"])
-def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-                                                     capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, program, tmp_path: Path,
+                                                     monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.full((200, 300), 255, np.uint8)
     cv2.line(picture, (0, 100), (299, 120), 0, 8)
     (tmp_path / "a.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
@@ -149,24 +148,17 @@ def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, tmp_path: Path, 
     words = {"detect": ["a.png", "--out", "o"], "sweep": ["s.toml", "--seeds", "1-6", "--csv", "c.csv"],
              "rsi": ["p.csv", "--robot", "kr6", "--record", "c.csv"],
              "precorrect": ["p.csv", "--model", str(shipped_model("kr6")), "-o", "c.csv", "--out", "o"]}[verb]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["ideal-robot", verb, *words, "--json", "j.json"])
     monkeypatch.setattr("scenes.rsi.setup.rsi_server", _served)
-    # The verb's answer to SIGTERM is not to become that of the tests.
-    monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
     # Once with room: what is compiled is kept then.
-    with pytest.raises(SystemExit):
-        main()
+    program(verb, *words, "--json", "j.json")
     for name in ("o/report.html", "j.json", "c.csv"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text("previous")
     before = sorted(tmp_path.rglob("*"))
-    capsys.readouterr()
-    with files_of_at_most(5000), pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ideal-robot:")]
-    (line,) = said[-1:]
+    with files_of_at_most(5000):
+        done = program(verb, *words, "--json", "j.json")
+    assert done.code == 1
+    line = [line for line in done.lines if line.startswith("ideal-robot:")][-1]
     assert HELP in line
     assert ".part" not in line
     assert any(name in line for name in ("o/report.html", "j.json", "c.csv"))

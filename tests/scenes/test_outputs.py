@@ -20,7 +20,6 @@ import pytest
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
-from scenes.cli import main
 from scenes.outputs import check_outputs, folders_held, whole_folder
 from tests.fuzz import mutate_table, originals
 
@@ -276,7 +275,7 @@ def test_a_name_that_is_no_text_is_refused_before_work_begins(place: str, tmp_pa
 
 
 @pytest.mark.parametrize("verb", ["run", "compare", "close-loop", "plan-identification"])
-def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, tmp_path: Path,
+def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, program, tmp_path: Path,
                                                              monkeypatch: pytest.MonkeyPatch) -> None:
     """Of the file of figures, which is written last, the folder knew nothing: it was the new one already."""
     originals.arm(tmp_path)
@@ -288,25 +287,20 @@ def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, tmp_path
     words = {"run": ["path.toml"], "compare": ["clamped.toml"], "close-loop": ["close.toml"],
              "plan-identification": ["--urdf", "arm.urdf", "--period", "2", "--z-min", "-5"]}[verb]
     before = sorted(tmp_path.rglob("*"))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["ideal-robot", verb, *words, "--out", "o", "--json", "j.json"])
-    monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
 
     def full(path: Path, content: dict[str, Any]) -> None:
         if path.name != "report.json":
             raise OutputError("j.json: cannot be written (No space left on device)")
 
     monkeypatch.setattr("scenes.report.page.write_json", full)
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
+    assert program(verb, *words, "--out", "o", "--json", "j.json").code == 1
     assert sorted(tmp_path.rglob("*")) == before
     assert (tmp_path / "o" / "report.html").read_text() == "previous"
 
 
 @pytest.mark.parametrize("verb", ["identify", "run"])
 def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_line(
-        verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+        verb: str, program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     originals.arm(tmp_path)
     (tmp_path / "r.csv").write_bytes(mutate_table.csv_bytes(originals.motion(tmp_path)))
     (tmp_path / "s.toml").write_bytes(originals.LINE)
@@ -316,21 +310,15 @@ def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_
     before = sorted(path.name for path in tmp_path.rglob("*"))
     words = {"identify": ["identify", "r.csv", "--urdf", "arm.urdf", "--friction", "viscous_coulomb"],
              "run": ["run", "s.toml"]}[verb]
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["ideal-robot", *words, "--out", "o", "--json", "j.json"])
 
     def full(path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    # The verb's answer to SIGTERM is not to become that of the tests.
-    monkeypatch.setattr("scenes.cli.signal.signal", lambda number, handler: None)
     for module in ("ideal_robot.whole_file", "scenes.outputs"):
         monkeypatch.setattr(f"{module}.synchronise", full)
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 1
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("ideal-robot:")]
-    assert len(said) == 1
-    assert "No space left on device" in said[0]
+    done = program(*words, "--out", "o", "--json", "j.json")
+    assert done.code == 1
+    (said,) = [line for line in done.lines if line.startswith("ideal-robot:")]
+    assert "No space left on device" in said
     assert (tmp_path / "o" / "report.html").read_text() == (tmp_path / "j.json").read_text() == "previous"
     assert sorted(path.name for path in tmp_path.rglob("*")) == before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import strategies as st
 
 from ideal_robot.errors import InputError
 from scenes import load_scene
-from scenes.cli import main
 from scenes.commands.common import show_table
 from scenes.scene_files.shape import FUNCTIONS, Shape, evaluated
 from scenes.terminal import progress_bar
@@ -65,19 +63,14 @@ ATTACKS = {
 
 @pytest.mark.parametrize("attack", ATTACKS.values(), ids=ATTACKS.keys())
 def test_a_formula_that_tries_more_than_arithmetic_is_refused_in_one_line_and_nothing_runs(
-    attack: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
+        attack: str, program, tmp_path: Path) -> None:
     quoted = attack.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n").replace("\0", "\\u0000")
     (tmp_path / "shared.toml").write_text(f'{SCENE}formula = "{quoted}"\nlength = 1.0\n', encoding="utf-8")
-    monkeypatch.setattr(sys, "argv", ["ideal-robot", "run", "shared.toml"])
-    with pytest.raises(SystemExit) as ended:
-        main()
-    assert ended.value.code == 2
-    lines = capfd.readouterr().err.strip().splitlines()
-    assert len(lines) == 1
-    assert "formula" in lines[0]
-    assert len(lines[0]) < 600
+    done = program("run", "shared.toml")
+    assert done.code == 2
+    (line,) = done.lines
+    assert "formula" in line
+    assert len(line) < 600
     assert sorted(path.name for path in tmp_path.iterdir()) == ["shared.toml"]
 
 

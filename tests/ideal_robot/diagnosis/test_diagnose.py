@@ -53,18 +53,14 @@ def test_blind_trial(seed, kind, tmp_path):
     assert result.right, (trial.truth, result.found)
     for channel in found.channels:
         assert channel.rms_after <= 1.2 * channel.rms_before
-
-
-def test_the_extended_model_predicts_what_was_found(tmp_path):
-    trial = draw_trial(204, "inside")
-    robot = robot_of(trial.urdf, tmp_path)
-    found = diagnose(trial.recording, robot)
+    # What was found is in the model, also as it is read again, and predicts.
     again = Model.load(found.model.save(tmp_path / "model.json"))
     assert [e.name for e in again.effects] == [e.fitted.name for e in (*found.effects, *found.unknown)]
-    bare = dataclasses.replace(again, effects=())
-    joint = trial.truth[0][1] - 1
-    with_effect, without = (m.predict(trial.recording).relative_error_percent[joint] for m in (again, bare))
-    assert with_effect < 0.5 * without
+    if seed == 204:
+        bare = dataclasses.replace(again, effects=())
+        joint = trial.truth[0][1] - 1
+        with_effect, without = (m.predict(trial.recording).relative_error_percent[joint] for m in (again, bare))
+        assert with_effect < 0.5 * without
 
 
 def arm(tmp_path: Path) -> Robot:
@@ -93,7 +89,6 @@ def test_where_no_sample_is_left_between_a_pause_and_the_ends_nothing_is_decided
     q = 0.5 * np.sin(2.6 * t)[:, None]
     found = diagnose(Recording.from_arrays(t, q=q, tau=4.0 * np.cos(2.6 * t)[:, None]), arm(tmp_path))
     assert found.verdict == "undecided"
-
 
 
 @pytest.mark.parametrize("spoil", ["missing", "joints", "degrees", "backwards"])

@@ -101,7 +101,7 @@ def test_a_spring_that_refitting_swallows_is_said_with_the_parameters_that_moved
     assert "Nothing is missing" not in summary(swallowed)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "integrator"])
+@pytest.mark.parametrize("engine", [pytest.param("mujoco", marks=pytest.mark.slow), "integrator"])
 def test_a_healthy_recording_against_the_model_of_another_one_in_strangers_physics(engine, tmp_path):
     four = an_arm(seed=5, n=4)
     plant = dataclasses.replace(a_plant(four, kind=TANH if engine == "integrator" else BRISTLE))

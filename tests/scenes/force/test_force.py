@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from docs import published_numbers
 from ideal_robot.errors import InputError
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
@@ -125,7 +126,7 @@ def test_glue_follows_line_and_force_at_once() -> None:
 
 
 @pytest.mark.parametrize("trouble", [
-    {"camera": {"rate": 10.0}},
+    pytest.param({"camera": {"rate": 10.0}}, marks=pytest.mark.slow),
     {"trouble": {"garbage": (1.0, 1.5)}},
     pytest.param({"trouble": {"loss": (1.0, 1.1)}}, marks=pytest.mark.slow),
 ], ids=["10 Hz", "garbage", "loss"])
@@ -183,6 +184,11 @@ def test_the_whole_contour_is_followed_in_contact() -> None:
     assert way == pytest.approx(0.5, rel=0.06)
     # There and back: the contour leaves the straight line by far more than a reference would have allowed for.
     assert np.ptp(tip[moving, 2]) > 0.04
+    # Its published figures stand where the table of published numbers says, in the unit that it says.
+    published = [one for one in published_numbers.published() if one.command == "run contour"]
+    assert len(published) == 3
+    for one in published:
+        assert one.factor * published_numbers.value_of(result.json(), one.value) == pytest.approx(one.number, rel=0.3)
 
 
 def test_direct_feedback_has_no_reference_to_go_along() -> None:

@@ -258,10 +258,10 @@ def test_an_hour_at_four_milliseconds_has_no_end_of_our_own_making() -> None:
 
 # A network that is not friendly: whatever comes from elsewhere, the commands are those of an undisturbed run.
 
-def test_a_hundred_thousand_mutated_packets_are_refused_or_wholly_sound() -> None:
+def test_twenty_thousand_mutated_packets_are_refused_or_wholly_sound() -> None:
     rng = np.random.default_rng(16)
     sound, said = 0, set()
-    for _ in range(100_000):
+    for _ in range(20_000):
         try:
             message = parse_rob(mutated(PACKET, rng), 6)
         except PacketError as error:
@@ -274,7 +274,7 @@ def test_a_hundred_thousand_mutated_packets_are_refused_or_wholly_sound() -> Non
     # What a terminal will show has to be short and without control characters.
     assert all(len(text) < 300 and text.isprintable() for text in said)
     # The mutator must leave some sound, or nothing beyond the first check was tried.
-    assert 100 < sound < 90_000
+    assert 20 < sound < 18_000
 
 
 def run_of(folder: Path, controller: LaggingController, attacked: bool) -> RsiRun:

@@ -185,6 +185,7 @@ def test_a_journal_that_is_none_of_the_arm_is_waited_out(change: dict[str, Any],
         page.viewer.server.stop()
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_arm_its_way_and_the_words_are_seen(tmp_path: Path) -> None:
     from scenes.view.live import watch
