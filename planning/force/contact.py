@@ -35,6 +35,15 @@ BEGUN = 1.0
 GENTLEST = 0.2
 """Jerk with which a travel begins at least [m/s³]."""
 
+LEAP = 0.4
+"""Share of the wanted force by which a force may change from one reading to the next. What is less, the half of it
+beyond what is wanted still holds."""
+
+
+def most_force(wanted: float) -> float:
+    """Largest force on the surface [N] whatever the sensor says: half as much again as wanted, or what a hand bears."""
+    return max(1.5 * wanted, 40.0)
+
 
 class Phase(Enum):
     """Phases of a motion in contact, in their order."""

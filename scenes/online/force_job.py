@@ -6,147 +6,26 @@ import math
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
-from planning.force.contact import EmergencyStopError, Phase
-from planning.path.kinematics import InverseKinematics
-from planning.planning_error import OutOfReachError, PlanningError
+from planning.force.contact import EmergencyStopError, Phase, most_force
+from planning.planning_error import PlanningError
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cycle import Task
+from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
 from scenes.online.force_task import START_HEIGHT, ForceLog, ForceTask, GlueCamera, Known, force_reference
 from scenes.online.line_job import Piece, calibrated_by_moving
-from scenes.online.live_arm import LiveArm, moves
+from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_search import DetectionSettings, PredictedLine
-from sensing.force.force_calibration import ContactElasticity, ToolLoad, identify_elasticity, identify_tool
-
-# The force sensor's tool and the contact are calibrated by moving the real arm ([L] 4.4).
-
-LIFT = 0.15
-"""How far away from the surface the tool is turned [m]."""
-TURNS = ((0.0, 0.0), (0.0, 0.4), (0.0, -0.4), (0.5, 0.3), (1.0, 0.5), (-0.5, 0.4), (-1.0, -0.3))
-"""Turns of the joints before the last two [rad]."""
-REST, USED = 0.6, 0.35
-"""Rest in each posture, and the end of it that counts [s]."""
-_FAST, _SLOW, _JERKY = 0.03, 0.01, 0.5
-"""Speeds of the approach and of pressing [m/s], and their change [m/s²]."""
-_FELT = 3.0
-"""Force from which on it is pressed slowly [N]."""
-_LONGEST = 12.0
-_MARGIN = 0.05
-"""Distance from the joints' limits that turned postures keep [rad]."""
-
-
-def tool_by_turning(known: Known, start: Array, arm: LiveArm, force: LiveForce) -> ToolLoad:
-    """Bias and weight of the tool, turned in the air.
-
-    Args:
-        known: what is known of the scene.
-        start: where the arm is, and is again afterwards ``(n,)`` [rad].
-        arm: connected.
-        force: what it feels.
-
-    Raises:
-        SceneError: no readings, or the arm cannot be turned there.
-    """
-    robot, T = known.robot, known.robot.t_ipo
-    up = known.reference.frames(np.zeros(1)).up[0]
-    fk = robot.fk()
-    here = fk(start)
-    try:
-        lifted = InverseKinematics(robot).search(pin.SE3(here.rotation, here.translation + LIFT * up), start)
-    except OutOfReachError as error:
-        raise SceneError(f"the tool cannot be lifted to be turned: {error}") from error
-    postures = []
-    for turn, bend in TURNS:
-        q = lifted.copy()
-        q[-3] += turn
-        q[-2] += bend
-        if ((q > robot.q_min + _MARGIN) & (q < robot.q_max - _MARGIN)).all():
-            postures.append(q)
-    wrenches, rotations = [], []
-    arm.begin()
-    force.begin()
-    last = start
-    for q in postures:
-        arm.lead(moves(robot, [last, q], REST))
-        felt = [sample.wrench for sample in force.arrived(arm.t) if sample.t > arm.t - USED]
-        if len(felt) < 5:
-            raise SceneError(f"the force sensor is silent: {force.why_silent()}")
-        wrenches.append(np.mean(felt, axis=0))
-        rotations.append(fk(q).rotation)
-        last = q
-    arm.lead(moves(robot, [last, lifted, start], 2 * T))
-    return identify_tool(np.array(wrenches), rotations)
-
-
-def elasticity_by_pressing(known: Known, start: Array, arm: LiveArm, force: LiveForce, tool: ToolLoad
-                           ) -> ContactElasticity:
-    """E by moving: the tip is pressed slowly into the surface at the start of the path and drawn back.
-
-    Args:
-        known: what is known of the scene.
-        start: where the arm is, and is again afterwards ``(n,)`` [rad].
-        arm: connected.
-        force: what it feels.
-        tool: bias and weight.
-
-    Raises:
-        SceneError: nothing is felt, or too much.
-    """
-    robot, T = known.robot, known.robot.t_ipo
-    kinematics, deflection = InverseKinematics(robot), GearDeflection(known.model, T)
-    frames = known.reference.frames(np.zeros(1))
-    up, origin, rotation = frames.up[0], frames.position[0], known.reference.rotation(0.0)
-    limit, wanted = known.scene.emergency.force, known.scene.force
-    q, height, speed, target = start.copy(), START_HEIGHT, 0.0, -_FAST
-    times, places, stamps, forces = [], [], [], []
-    arm.begin()
-    force.begin()
-    for _ in range(int(_LONGEST / T)):
-        arm.check(arm.t)
-        speed += float(np.clip(target - speed, -_JERKY * T, _JERKY * T))
-        height += speed * T
-        if height >= START_HEIGHT and target > 0:
-            break
-        q = kinematics.refine([pin.SE3(rotation, origin + height * up)], q[None])[0]
-        arm.q_d = q
-        state = arm.cycle(q)
-        times.append(arm.t)
-        places.append(kinematics.fk(state.q - deflection.at(np.tile(q, (3, 1)))).translation - origin)
-        for sample in force.arrived(arm.t):
-            stamps.append(sample.t)
-            forces.append(rotation @ tool.contact(sample.wrench, rotation)[:3])
-        recent = float(np.mean(forces[-5:], axis=0) @ up) if forces else 0.0
-        if force.silent(arm.t) > 0.3 or not abs(recent) < limit:
-            raise SceneError(f"pressing was stopped: {recent:.1f} N felt of {limit:.0f} N allowed; sensor: "
-                             f"{force.why_silent()}")
-        if target < 0 and recent > _FELT:
-            target = -_SLOW
-        if target < 0 and recent > 1.6 * wanted:
-            target = _SLOW
-        if target > 0 and recent < 1.0:
-            target = _FAST
-    arm.lead(moves(robot, [q, start], 2 * T))
-    felt, way = np.array(forces), np.array(places)
-    pressed = felt @ up > 0.5 * wanted if len(felt) else np.zeros(0, dtype=bool)
-    if not pressed.any():
-        raise SceneError(f"pressed {1e3 * (START_HEIGHT - float((way @ up).min())):.0f} mm down and "
-                         "felt no surface; look whether it is where it should be")
-    # The surface need not be square to the nominal normal: its own is where the force points.
-    normal = felt[pressed].mean(axis=0)
-    normal = normal / np.linalg.norm(normal)
-    return identify_elasticity(np.interp(stamps, times, way @ normal), felt @ normal)
-
+from sensing.force.force_calibration import ContactElasticity, ToolLoad
 
 BRAKING = 2.0
 """Deceleration of a stop on the path [m/s²]."""
@@ -154,8 +33,10 @@ CLEAR = 0.03
 """Distance from the surface's nominal place that the tip keeps while the camera is calibrated [m]."""
 LONGEST = 60.0
 """A run that has not ended so long after its travel is stuck [s]."""
-SILENCE = 0.1
-"""Time without a sound reading of the force sensor after which the arm is stopped [s]."""
+_BELOW = 1.25
+"""Depth below where the surface was touched, as a share of what the wanted force takes, at which the tip is stopped."""
+_PULLS = -3.0
+"""Force that no surface exerts [N]."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
 _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
 
@@ -166,15 +47,36 @@ class LiveForceTask(ForceTask):
     arm: LiveArm | None = None
     force: LiveForce | None = None
 
+    maps = True
+    """Whether what is felt goes into a map of the surface, which tells how well it fits."""
+    floor = -np.inf
+    """Height below which the tip does not go at the start of the path [m]."""
+
     def plan(self, t: float, q_d: Array) -> Array:
         """See ``scenes.online.cycle.Task``."""
         if self.arm is not None:
             self.arm.check(t)
+        before = len(self.log.samples)
         q_d = super().plan(t, q_d)
-        if self.force is not None and self.force.silent(t) > SILENCE + (0.2 if t < 0.5 else 0.0):
-            raise EmergencyStopError("force", t, f"no sound reading of the force sensor for "
-                                     f"{1e3 * self.force.silent(t):.0f} ms: {self.force.why_silent()}")
+        if self.force is not None:
+            if len(self.log.samples) > before and self.follower.phase is Phase.TRAVEL and self.maps:
+                self.force.signs.fits(self.log.samples[-1][2])
+            if (trouble := self.force.trouble(t)) is not None:
+                raise EmergencyStopError("force", t, trouble)
+            self._check_contact(t)
         return q_d
+
+    def _check_contact(self, t: float) -> None:
+        """Raises ``EmergencyStopError`` where what is felt is no push, or the tip deeper than it can be."""
+        follower = self.follower
+        if follower.force < _PULLS:
+            raise EmergencyStopError("force", t, f"the force sensor feels the surface pull with {-follower.force:.1f} "
+                                     "N; check its sign, its axes, and whether its bias has moved")
+        depth = START_HEIGHT - follower.descended
+        if follower.phase in (Phase.APPROACH, Phase.SETTLE) and depth < self.floor:
+            raise EmergencyStopError("contact", t, f"the tip is {-1e3 * depth:.1f} mm below the path's start, where "
+                                     f"the calibration felt more than is wanted, and {follower.force:.1f} N are felt; "
+                                     "look whether the force sensor is alive")
 
     def command(self, t: float, q_d: Array) -> Array:
         """See ``scenes.online.cycle.Task``."""
@@ -201,7 +103,8 @@ class ForceJob:
     def __init__(self, scene: ForceScene, robot: Robot, model: Model, method: SceneMethod, delay: int,
                  answers_within: float, calibration: CalibratedCamera) -> None:
         # What happens to the simulated camera is the world's.
-        self.scene = scene.model_copy(update={"trouble": CameraTrouble()})
+        emergency = scene.emergency.model_copy(update={"force": min(scene.emergency.force, most_force(scene.force))})
+        self.scene = scene.model_copy(update={"trouble": CameraTrouble(), "emergency": emergency})
         self.robot, self.model, self.method, self.answers_within = robot, model, method, answers_within
         self.calibration = calibration
         reference, profile = force_reference(scene, robot, reference_points(scene))
@@ -271,6 +174,7 @@ class ForceJob:
         elasticity = elasticity_by_pressing(self._known, self.q_start, arm, force, tool)
         task = self._task
         task.calibrated(tool, elasticity)
+        task.floor = elasticity.touch - _BELOW * self.scene.force / elasticity.stiffness
         task.connect(force, camera)
         task.arm, task.force, self._force = arm, force, force
         if camera is not None and task.vision is not None:
@@ -317,6 +221,7 @@ class ForceJob:
 
     def _new_task(self) -> LiveForceTask:
         task = LiveForceTask(self._known, self.method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
+        task.maps = self.scene.task != "contour"
         if task.vision is not None:
             task.vision.detector = FoundBefore()
         return task

@@ -26,6 +26,7 @@ from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 from sensing.force.sensors import WrenchSource
 from sensing.force.wrench import WrenchSample
+from sensing.life_signs import LifeSigns
 from sensing.sensing_error import SensingError
 
 OLDEST = 0.4
@@ -150,10 +151,12 @@ class LiveCamera:
 
 # The force sensor in the loop of a live arm: a thread reads it, the cycle takes what is there.
 
-STUCK = 25
-"""Readings in a row without the least change after which the sensor counts as stuck: a sound one has noise."""
 IMPOSSIBLE = 1e5
 """A reading beyond is none [N, N m]."""
+SILENCE = 0.1
+"""Time without a sound reading of the force sensor after which the arm is stopped [s]."""
+_BEGINNING = 0.2
+"""How much longer that may be while time has only begun: readings are late, and those from before do not count [s]."""
 _OLDEST = 0.4
 _WAITING = 4000
 
@@ -167,14 +170,15 @@ class LiveForce:
 
     Attributes:
         samples: of all that were handed on the time [s] and the wrench [N, N m].
-        stuck, impossible, untimely: readings that count as missing.
+        signs: its signs of life; readings that count as missing.
+        untimely: such because of their stamps.
+        reach: by how much the force may change from one reading to the next [N]; inf where that is not known.
     """
 
     def __init__(self, source: WrenchSource, arm: LiveArm) -> None:
         self.source, self._arm = source, arm
         self.samples = RowLog(7)
-        self.stuck = self.impossible = self.untimely = 0
-        self._alike, self._last = 0, np.full(6, np.nan)
+        self.signs, self.untimely, self.reach = LifeSigns(IMPOSSIBLE), 0, np.inf
         self._sound = 0.0
         self._readings: deque[tuple[float, Array]] = deque(maxlen=_WAITING)
         self._closed = False
@@ -189,15 +193,8 @@ class LiveForce:
             at = self._arm.play_time(self.source.clock.host(stamp))
             if not np.isfinite(at) or not max(t - _OLDEST, 0.0) <= at <= t + 0.04:
                 self.untimely += 1
-            elif not (np.abs(wrench) < IMPOSSIBLE).all():
-                self.impossible += 1
-            else:
-                self._alike = self._alike + 1 if np.array_equal(wrench, self._last) else 0
-                self._last = wrench
-                if self._alike >= STUCK:
-                    self.stuck += 1
-                else:
-                    found.append(WrenchSample(at, t, wrench))
+            elif self.signs.check(wrench, np.repeat([self.reach, np.inf], 3)):
+                found.append(WrenchSample(at, t, wrench))
         if found:
             self._sound = max(self._sound, max(sample.t for sample in found))
             for sample in found:
@@ -212,13 +209,23 @@ class LiveForce:
         """The run's time begins anew."""
         self._readings.clear()
         self._sound = 0.0
+        self.signs.begin()
         self.samples = RowLog(7)
+
+    def trouble(self, t: float) -> str | None:
+        """Why the sensor is not to be relied on at ``t`` [s]; None where it is."""
+        if self.signs.fault is not None:
+            return f"the force sensor: {self.signs.fault}"
+        silent = self.silent(t)
+        if silent <= SILENCE + (_BEGINNING if t < 0.5 else 0.0):
+            return None
+        return f"no sound reading of the force sensor for {1e3 * silent:.0f} ms: {self.why_silent()}"
 
     def why_silent(self) -> str:
         """What came instead of readings."""
         counts = self.source.counts
-        said = [f"{number} {what}" for number, what in (
-            (self.stuck, "stuck"), (self.impossible, "impossible"), (self.untimely, "with an impossible time"),
+        said = self.signs.missing + [f"{number} {what}" for number, what in (
+            (self.untimely, "with an impossible time"),
             (counts.invalid, f"wrong by its own word ({counts.last_invalid})"), (counts.refused, "refused")) if number]
         return ", ".join(said) or "nothing came"
 

@@ -226,8 +226,9 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
                           "from_the_future": camera.early, "ended": process.ended}
     if force is not None:
         told["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
-                         "clock": force.source.clock.report().to_dict(), "stuck": force.stuck,
-                         "impossible": force.impossible, "untimely": force.untimely}
+                         "clock": force.source.clock.report().to_dict(), "stuck": force.signs.stuck,
+                         "impossible": force.signs.impossible, "leapt": force.signs.leapt,
+                         "without_noise": force.signs.quiet, "untimely": force.untimely}
     return told
 
 

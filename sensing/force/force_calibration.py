@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 
@@ -79,6 +80,77 @@ def identify_tool(wrenches: Array, rotations: Sequence[Array]) -> ToolLoad:
     mass = float(chi[6])
     com = chi[7:] / mass if abs(mass) > 1e-3 else np.zeros(3)
     return ToolLoad(chi[:6], mass, com, np.std(residual, axis=(0, 2)))
+
+
+UNEXPLAINED = 0.03
+"""Share of the tool's weight that gears, links and a tool frame that is a little turned may leave unexplained."""
+LIGHTEST = 0.01
+"""Mass of the lightest tool [kg]."""
+CLEARLY = 5.0
+"""Standard deviations from which on something is there that noise does not make: once in a million times."""
+
+
+def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma: Array) -> None:
+    """Refuses readings that do not turn with the postures as the weight of a tool has to: f = b + Rᵀ g m, m > 0.
+
+    A sensor that is alive and feels nothing has noise as every other; that a weight turns is what it cannot imitate.
+
+    Args:
+        wrenches: means at rest ``(N, 6)``.
+        rotations: of the tool frame in the base frame, N of them ``(3, 3)``.
+        t: when they were taken ``(N,)`` [s].
+        sigma: standard deviation of their forces ``(3,)`` [N].
+
+    Raises:
+        SensingError: no weight, or one that turns otherwise; says what it looks like.
+    """
+    f, noise = wrenches[:, :3], float(np.sqrt(np.mean(np.square(sigma))))
+    weights = np.array([rotation.T @ GRAVITY for rotation in rotations])
+    spread = float(np.linalg.norm(weights - weights.mean(axis=0)))
+    mass, left = _weighed(f, weights, noise)
+    if abs(mass) < max(CLEARLY * noise / spread, LIGHTEST) and left <= 1.0:
+        raise SensingError(f"the force sensor feels the tool weigh the same in {len(rotations)} postures (to "
+                           f"{np.ptp(f, axis=0).max():.2g} N): it feels nothing, or nothing hangs on it")
+    if mass > 0 and left <= 1.0:
+        return
+    if left <= 1.0:
+        raise SensingError(f"the force sensor feels a tool of {mass:.3g} kg: its forces have the wrong sign; a wrench "
+                           "is what the environment does to the tool")
+    for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
+        turned = f[:, order] * np.array(signs)
+        found, unexplained = _weighed(turned, weights, noise)
+        if found > 0 and unexplained <= 1.0:
+            axes = ", ".join("-"[: sign < 0] + "xyz"[axis] for axis, sign in zip(order, signs, strict=True))
+            raise SensingError("the force sensor's axes are not the tool's: a weight turns with the postures as "
+                               f"({axes}) would; check how it is mounted and the order of its channels")
+    drift = _drift(f, weights, t)
+    if _weighed(f - np.outer(t - t.mean(), drift), weights, noise)[1] <= 1.0:
+        raise SensingError(f"the force sensor drifts by {np.linalg.norm(drift):.2g} N/s; let it warm up, or look for "
+                           "what pulls at its cable")
+    allowed = _allowed(noise, mass)
+    raise SensingError("what the force sensor feels does not turn with the postures as a weight does: "
+                       f"{left * allowed:.2g} N are left where {allowed:.2g} N may be; it has leapt, or something "
+                       "touches the tool")
+
+
+def _allowed(noise: float, mass: float) -> float:
+    """Largest force that may be left of a tool's weight in any posture [N]."""
+    return CLEARLY * noise + UNEXPLAINED * abs(mass) * 9.81
+
+
+def _weighed(f: Array, weights: Array, noise: float) -> tuple[float, float]:
+    """Mass [kg] that explains forces ``(N, 3)`` best, and the largest force left as a share of what may be left."""
+    g, f = weights - weights.mean(axis=0), f - f.mean(axis=0)
+    mass = float(np.sum(g * f) / np.sum(g * g))
+    return mass, float(np.linalg.norm(f - mass * g, axis=1).max()) / _allowed(noise, mass)
+
+
+def _drift(f: Array, weights: Array, t: Array) -> Array:
+    """Change of the bias ``(3,)`` [N/s] that, with a weight, explains forces ``(N, 3)`` best."""
+    N, rows = len(t), []
+    for weight, at in zip(weights, t - t.mean(), strict=True):
+        rows.append(np.column_stack([weight, np.eye(3), at * np.eye(3)]))
+    return np.asarray(np.linalg.lstsq(np.concatenate(rows), f.reshape(3 * N), rcond=None)[0][4:])
 
 
 @dataclass(frozen=True)

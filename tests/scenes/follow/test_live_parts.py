@@ -228,7 +228,7 @@ def test_readings_that_cannot_be_count_as_missing(link: Tame, arm: LiveArm, wren
         force.arrived(arm.t)
     force.close()
     if count:
-        assert getattr(force, count) > 20
+        assert getattr(force.signs, count) > 20
         assert force.silent(arm.t) > 0.3
         assert count in force.why_silent()
     else:

@@ -14,7 +14,7 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.errors import InputError
-from sensing.force.force_calibration import ToolLoad, identify_elasticity, identify_tool
+from sensing.force.force_calibration import GRAVITY, ToolLoad, identify_elasticity, identify_tool, require_gravity
 from sensing.force.sensors import NetFT, Reading, StreamForce, WrenchSource, open_force
 from sensing.force.wrench import WrenchFilter, WrenchSample, force_deviation
 from sensing.sensing_error import SensingError
@@ -222,3 +222,29 @@ def test_an_address_that_cannot_be_is_refused(address: str) -> None:
     opener: Callable[[str], WrenchSource] = open_force
     with pytest.raises(InputError):
         opener(address)
+
+
+POSTURES = [pin.rpy.rpyToMatrix(np.pi + b, 0.3 * a, a) for a, b in
+            ((0.0, 0.0), (0.0, 0.4), (0.0, -0.4), (0.5, 0.3), (1.0, 0.5), (-0.5, 0.4), (-1.0, -0.3))]
+
+
+def weighed(mass: float, turned: np.ndarray | None = None, drift: float = 0.0, leap: float = 0.0) -> np.ndarray:
+    bias, rng, turned = np.array([4.0, -2.7, 2.4]), np.random.default_rng(1), np.eye(3) if turned is None else turned
+    f = np.array([turned @ (R.T @ (mass * GRAVITY) + bias) for R in POSTURES]) + 0.03 * rng.standard_normal((7, 3))
+    f[:, 2] += drift * 1.3 * np.arange(7)
+    f[4:, 2] += leap
+    return np.hstack([f, np.zeros((7, 3))])
+
+
+@pytest.mark.parametrize("mass", [0.1, 0.8, 5.0])
+def test_a_weight_that_turns_with_the_postures_is_believed(mass: float) -> None:
+    require_gravity(weighed(mass), POSTURES, 1.3 * np.arange(7), np.full(3, 0.03))
+
+
+@pytest.mark.parametrize(("wrenches", "says"), [
+    (weighed(0.0), "weigh the same in 7 postures"), (weighed(0.8, -np.eye(3)), "wrong sign"),
+    (weighed(0.8, np.eye(3)[[2, 0, 1]]), r"\(y, z, x\)"), (weighed(0.8, np.diag([1.0, 1.0, -1.0])), r"\(x, y, -z\)"),
+    (weighed(0.8, drift=0.2), "drifts by 0.2 N/s"), (weighed(0.8, leap=1.0), "does not turn with the postures")])
+def test_what_is_wrong_with_a_sensor_is_told_by_how_a_weight_turns(wrenches: np.ndarray, says: str) -> None:
+    with pytest.raises(SensingError, match=says):
+        require_gravity(wrenches, POSTURES, 1.3 * np.arange(7), np.full(3, 0.03))

@@ -1,0 +1,205 @@
+"""A cell with a force sensor in lockstep, without wires and clocks: what is done to it is the same every time."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.robots.interface import RobotState
+from scenes.force.cell import Cell, set_up, true_tip
+from scenes.methods import following_methods, method_of
+from scenes.online.camera_process import calibrated_camera
+from scenes.online.cycle import CycleSettings, play_cycles
+from scenes.online.force_job import ForceJob
+from scenes.online.journal import Journal
+from scenes.online.live_arm import LiveArm
+from scenes.online.live_sensors import LiveForce
+from scenes.scene_files.force_scene import ForceScene
+from sensing.clock_relation import ClockRelation
+from sensing.force.sensors import Reading, ReadingCounts
+from sim.arm.arm import SimulatedArm
+from sim.contact.contact import TipContact
+
+Spoil = Callable[[float, Array], Array]
+"""What a sensor tells that has been faulty for a time [s], of a wrench ``(6,)``."""
+Z = np.eye(6)[2]
+
+
+def frozen(noise: float) -> Spoil:
+    """Tells the wrench with which it began for ever, with this noise [N]."""
+    rng, held = np.random.default_rng(5), []
+
+    def spoil(since: float, wrench: Array) -> Array:
+        held[:] = held or [wrench]
+        return held[0] + noise * rng.standard_normal(6) * np.repeat([1.0, 0.07], 3)
+
+    return spoil
+
+
+def deaf(noise: float) -> Spoil:
+    """Feels nothing but this noise [N]."""
+    rng = np.random.default_rng(6)
+    return lambda since, wrench: noise * rng.standard_normal(6) * np.repeat([1.0, 0.07], 3)
+
+
+FAULTS: dict[str, Callable[[], Spoil]] = {
+    "nothing but noise of 0.3 mN": lambda: deaf(3e-4),
+    "nothing but noise of 0.3 N": lambda: deaf(0.3),
+    "stuck at its last value": lambda: frozen(0.0),
+    "stuck, with its usual noise": lambda: frozen(0.3),
+    "at zero": lambda: deaf(0.0),
+    "a leap of +30 N": lambda: lambda since, wrench: wrench + 30.0 * Z,
+    "a leap of -30 N": lambda: lambda since, wrench: wrench - 30.0 * Z,
+    "drift of +2 N/s": lambda: lambda since, wrench: wrench + 2.0 * since * Z,
+    "drift of -2 N/s": lambda: lambda since, wrench: wrench - 2.0 * since * Z,
+    "wrong sign": lambda: lambda since, wrench: -wrench,
+    "wrong order of axes": lambda: lambda since, wrench: wrench[[2, 0, 1, 5, 3, 4]],
+}
+"""What is wrong with a force sensor from some instant on."""
+STAGES = ("turning", "search", "press", "approach", "settle", "travel")
+"""Of a job with a surface, in their order: what a fault may begin in."""
+
+
+class BenchArm(LiveArm):
+    """Counts how often its time begins."""
+
+    begun = 0
+
+    def begin(self) -> None:
+        super().begin()
+        self.begun += 1
+
+
+@dataclass
+class Bench:
+    """A simulated arm that is handed each command at once; a ``Link`` and a ``WrenchSource`` in one.
+
+    Attributes:
+        cell: the scene set up.
+        arm: simulated.
+        spoil: what the sensor makes of a wrench ``(6,)`` since how long it is faulty [s].
+        stage: in which the fault begins; None for never.
+        currents: whether the controller tells them.
+    """
+
+    cell: Cell
+    arm: SimulatedArm
+    spoil: Spoil | None = None
+    stage: str | None = None
+    currents: bool = True
+
+    def __post_init__(self) -> None:
+        self.robot, self.t_ipo, self.fault = self.cell.known.robot, self.cell.known.robot.t_ipo, None
+        self.commanded = self.arm.truth.q_m.copy()
+        self.answer_times: list[float] = []
+        self.arrived, self.gone_on = 0.0, 0
+        self.counts: Any = ReadingCounts()
+        self.clock = ClockRelation()
+        self.contact = TipContact(self.arm, self.cell.surface, true_tip(self.cell.known.scene.tip))
+        self._due: deque[tuple[float, float, Array]] = deque()
+        self.live: BenchArm | None = None
+        self.force: LiveForce | None = None
+        self.since = np.inf
+        self.travelled = 0.0
+
+    def send(self, q_c: Array) -> None:
+        self.commanded = np.array(q_c)
+
+    def skip(self, q_c: Array) -> None:
+        raise NotImplementedError
+
+    def receive(self) -> RobotState:
+        t0 = self.arm.t
+        state = self.arm.cycle(self.commanded)
+        t1 = self.arrived = self.arm.t
+        for sample in self.cell.sensor.due(t0, t1, self.arm.tcp_at, self.contact.force_at):
+            if not np.isfinite(self.since) and self.stage is not None and self.at() == self.stage:
+                self.since = sample.t
+            wrench = sample.wrench
+            if sample.t >= self.since and self.spoil is not None:
+                wrench = self.spoil(sample.t - self.since, wrench)
+            self._due.append((sample.t_arrival, sample.t, wrench))
+        while self._due and self._due[0][0] <= t1:
+            _, stamp, wrench = self._due.popleft()
+            self.clock.add(stamp, stamp)
+            if self.force is not None:
+                self.force._readings.append((stamp, wrench))
+        return state if self.currents else RobotState(state.t, state.q, np.full(self.robot.n, np.nan))
+
+    def at(self) -> str:
+        """The stage that is on."""
+        begun = 0 if self.live is None else self.live.begun
+        felt = float(self.contact.history()["normal"][-1]) if self.arm.t > 0 else 0.0
+        first = self.turns
+        if begun <= first:
+            return "turning" if begun == first else ""
+        if begun == first + 1:
+            return "search" if felt == 0.0 else "press" if felt > 5.0 else ""
+        phase = str(self.task.follower.phase.value)
+        if phase != "travel":
+            return phase
+        self._travelling += self.t_ipo
+        return "travel" if self._travelling > 1.0 else ""
+
+    turns = 1
+    """How often time has begun when the tool is turned."""
+    task: Any = None
+    _travelling = 0.0
+
+    def read(self, timeout: float) -> list[Reading]:
+        """Readings are handed on in ``receive``, whatever the thread does."""
+        time.sleep(timeout)
+        return []
+
+    def close(self) -> None:
+        return
+
+
+def followed(scene: ForceScene, folder: Path, **faults: Any) -> SimpleNamespace:
+    """Follows a scene on the bench.
+
+    Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
+    the whole run without one), how far the tip moved from then on ``moved`` [m], how long after it the arm was stopped
+    ``after`` [s], the ``job`` and the ``recording``.
+
+    Args:
+        scene: with a surface.
+        folder: for the journal.
+        faults: see ``Bench``.
+    """
+    cell = set_up(scene)
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.q_start()) as arm:
+        bench = Bench(cell, arm, **faults)
+        known = cell.known
+        job = ForceJob(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
+                       calibrated_camera(known.camera, None))
+        journal = Journal(folder, known.robot, {})
+        live = bench.live = BenchArm(bench, journal)
+        force = bench.force = LiveForce(bench, live)
+        failure = None
+        try:
+            live.approach(job.q_start)
+            bench.task = job._task
+            task = job.ready(live, None, force)
+            live.begin()
+            play_cycles(live, job.robot, task, job.log, CycleSettings(job.braking, 0.3, job.longest, job.expected, ""),
+                        lambda *_: None)
+            failure = job.log.failure
+        except IdealRobotError as error:
+            failure = str(error)
+        force.close()
+        history, begun = bench.contact.history(), bench.since if np.isfinite(bench.since) else 0.0
+        since = history["t"] >= begun
+        way = np.linalg.norm(np.diff(history["tip"][since], axis=0), axis=1).sum()
+        largest = float(history["normal"][since].max(initial=0.0))
+        return SimpleNamespace(failure=failure, force=largest, moved=float(way), after=arm.t - begun, job=job,
+                               recording=journal.recording())

@@ -1,0 +1,45 @@
+"""Whatever is wrong with the force sensor, and whenever it begins, the surface bears no more than it has to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from planning.force.contact import most_force
+from scenes.scene_file import load_scene
+from tests.scenes.follow.on_bench import FAULTS, STAGES, followed
+
+QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
+         ("stuck, with its usual noise", "search", "the motors feel"),
+         ("stuck, with its usual noise", "travel", "does not change as the arm moves")]
+
+
+@pytest.mark.parametrize(("fault", "stage", "says"), QUICK)
+def test_a_fault_is_named_before_it_harms(fault: str, stage: str, says: str, tmp_path: Path) -> None:
+    scene = load_scene("force_wave")
+    run = followed(scene, tmp_path, spoil=FAULTS[fault](), stage=stage)
+    assert says in str(run.failure)
+    assert run.force <= most_force(scene.force)
+    if stage == "turning":
+        assert run.force == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", STAGES)
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("name", ["force_wave", "contour"])
+def test_no_fault_at_any_stage_presses_too_hard(name: str, fault: str, stage: str, tmp_path: Path) -> None:
+    scene = load_scene(name)
+    run = followed(scene, tmp_path, spoil=FAULTS[fault](), stage=stage)
+    assert run.force <= most_force(scene.force), run.failure
+    # A leap before anything was felt is a bias, and a drift is slower than the job.
+    assert run.failure is not None or fault.startswith(("a leap", "drift"))
+
+
+def test_a_sound_sensor_is_believed(tmp_path: Path) -> None:
+    scene = load_scene("force_wave")
+    run = followed(scene, tmp_path)
+    assert run.failure is None
+    assert run.force <= most_force(scene.force)
+    assert run.job.figures()["force_N"]["rms_error"] < 1.0
