@@ -35,8 +35,8 @@ def _axes_seen_behind(chain: Chain, i: int, R: Array, p: Array, z: Array, v: Arr
 
 
 @jit(inline="always")
-def _link_columns(z: Array, v: Array, w: Array, wd: Array, a: Array, row: Array) -> None:
-    """What a body's ten parameters add to a joint's torque, written to ``row (10,)``.
+def _link_columns(z: Array, v: Array, j: int, w: Array, wd: Array, a: Array, row: Array) -> None:
+    """What a body's ten parameters add to the torque of joint j, written to ``row (10,)``.
 
     With the body's angular velocity ω and the acceleration a of its frame's origin against gravity, and u = z × ω, the
     column of the mass is vᵀa, those of the first moments a × z + v × ω̇ + ω (vᵀω) - v (ωᵀω), that of I_ab
@@ -45,7 +45,7 @@ def _link_columns(z: Array, v: Array, w: Array, wd: Array, a: Array, row: Array)
     w0, w1, w2, d0, d1, d2 = w[0], w[1], w[2], wd[0], wd[1], wd[2]
     a0, a1, a2 = a[0], a[1], a[2]
     ww = w0 * w0 + w1 * w1 + w2 * w2
-    z0, z1, z2, v0, v1, v2 = z[0], z[1], z[2], v[0], v[1], v[2]
+    z0, z1, z2, v0, v1, v2 = z[j, 0], z[j, 1], z[j, 2], v[j, 0], v[j, 1], v[j, 2]
     u0, u1, u2 = z1 * w2 - z2 * w1, z2 * w0 - z0 * w2, z0 * w1 - z1 * w0
     vw = v0 * w0 + v1 * w1 + v2 * w2
     row[0] = v0 * a0 + v1 * a1 + v2 * a2
@@ -106,7 +106,7 @@ def fill_columns(chain: Chain, q: Array, qd: Array, qdd: Array, place: Array, re
                     w[r] += axis[r] * qd[k, i]
             _axes_seen_behind(chain, i, R, p, z, v, x)
             for j in range(i + 1):
-                _link_columns(z[j], v[j], w, wd, a, row)
+                _link_columns(z, v, j, w, wd, a, row)
                 for c in range(10):
                     at = place[10 * i + c]
                     if at >= 0:

@@ -173,8 +173,8 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
           t_position: float, dt: float, steps_ipo: int, start: int, stop: int) -> None:
     n = len(state.q_m)
     substeps = round(t_position / dt)
-    q_a, v_a, q_m, v_m = state.q_a, state.v_a, state.q_m, state.v_m
-    v_ref, bias, acceleration = np.zeros(n), np.empty(n), np.empty(n)
+    q_a, v_a, q_m, v_m, load = state.q_a, state.v_a, state.q_m, state.v_m, state.load
+    v_ref, bias, rise, acceleration = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
     R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
     for step in range(start, stop):
         cycle = step // steps_ipo
@@ -192,9 +192,9 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
             if sub > 0:
                 joint_frames(chain, q_a, R, p)
             torque_at(chain, R, p, v_a, zero, 1.0, bias)
+            _motors_step(drives, state, v_ref, further, dt, rise)
             for i in range(n):
-                give = _motor_step(drives, state, i, v_ref[i], further[i], dt)
-                acceleration[i] = state.load[i] - bias[i] + external[cycle, i] + give
+                acceleration[i] = load[i] - bias[i] + external[cycle, i] + rise[i]
             _solve_cholesky(L, acceleration)
             for i in range(n):
                 v_a[i] += acceleration[i] * dt
@@ -205,35 +205,37 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
 
 
 @jit(inline="always")
-def _motor_step(drives: Drives, state: _Motion, i: int, v_ref: float, further: float, dt: float) -> float:
-    """One step of a joint's velocity loop, gear and rotor; returns what the gear's load changes by in half a step."""
-    q_m, v_m, tau, load = state.q_m, state.v_m, state.tau, state.load
-    # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
-    speed = (q_m[i] - state.previous[i]) / dt
-    state.previous[i] = q_m[i]
-    state.filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - state.filtered[i])
-    u = v_ref - state.filtered[i]
-    wanted = drives.k_p[i] * u + state.integral[i] + drives.k_i[i] * u * dt
-    tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
-    if wanted == tau[i]:
-        state.integral[i] += drives.k_i[i] * u * dt
-    ahead, rise, _ = unevenness(drives.uneven, i, q_m[i])
-    slope = 1.0 + rise
-    twist = q_m[i] + ahead - state.q_a[i]
-    gap = drives.half_gap[i]
-    give = 1.0
-    if gap > 0.0:
-        give = 0.0 if abs(twist) <= gap else 1.0
-        twist -= min(max(twist, -gap), gap)
-    load[i] = drives.stiffness[i] * twist + give * drives.damping[i] * (slope * v_m[i] - state.v_a[i])
-    net = ((tau[i] - further) / drives.gain[i] - drives.offset[i] - slope * load[i]
-           - ripple_torque(drives.ripple, i, q_m[i]))
-    side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
-    friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
-                + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
-                                   v_m[i] if v_m[i] != 0.0 else net))
-    v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
-    return give * 0.5 * dt * drives.stiffness[i] * (slope * v_m[i] - state.v_a[i])
+def _motors_step(drives: Drives, state: _Motion, v_ref: Array, further: Array, dt: float, rise: Array) -> None:
+    """One step of velocity loops, gears and rotors; ``rise`` gets what each gear's load gains in half a step."""
+    q_m, v_m, q_a, v_a, tau, load = state.q_m, state.v_m, state.q_a, state.v_a, state.tau, state.load
+    stiffness, damping, k_p, k_i = drives.stiffness, drives.damping, drives.k_p, drives.k_i
+    for i in range(len(q_m)):
+        # Velocity loop, [G] (17) at its own cycle, with the low-pass differentiator.
+        speed = (q_m[i] - state.previous[i]) / dt
+        state.previous[i] = q_m[i]
+        state.filtered[i] += dt / (dt + drives.t_filter[i]) * (speed - state.filtered[i])
+        u = v_ref[i] - state.filtered[i]
+        wanted = k_p[i] * u + state.integral[i] + k_i[i] * u * dt
+        tau[i] = min(max(wanted, -drives.tau_max[i]), drives.tau_max[i])
+        if wanted == tau[i]:
+            state.integral[i] += k_i[i] * u * dt
+        ahead, steeper, _ = unevenness(drives.uneven, i, q_m[i])
+        slope = 1.0 + steeper
+        twist = q_m[i] + ahead - q_a[i]
+        gap = drives.half_gap[i]
+        give = 1.0
+        if gap > 0.0:
+            give = 0.0 if abs(twist) <= gap else 1.0
+            twist -= min(max(twist, -gap), gap)
+        load[i] = stiffness[i] * twist + give * damping[i] * (slope * v_m[i] - v_a[i])
+        net = ((tau[i] - further[i]) / drives.gain[i] - drives.offset[i] - slope * load[i]
+               - ripple_torque(drives.ripple, i, q_m[i]))
+        side = 0 if v_m[i] > 0.0 or (v_m[i] == 0.0 and net > 0.0) else 1
+        friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
+                    + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
+                                       v_m[i] if v_m[i] != 0.0 else net))
+        v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
+        rise[i] = give * 0.5 * dt * stiffness[i] * (slope * v_m[i] - v_a[i])
 
 
 @jit(inline="always")
