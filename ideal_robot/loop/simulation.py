@@ -204,7 +204,7 @@ def _play(chain: Chain, drives: Drives, reference: Array, external: Array, furth
             out[0, cycle + 1], out[1, cycle + 1], out[2, cycle + 1] = q_a, q_m, state.tau
 
 
-@jit(inline="always")
+@jit()
 def _motors_step(drives: Drives, state: _Motion, v_ref: Array, further: Array, dt: float, rise: Array) -> None:
     """One step of velocity loops, gears and rotors; ``rise`` gets what each gear's load gains in half a step."""
     q_m, v_m, q_a, v_a, tau, load = state.q_m, state.v_m, state.q_a, state.v_a, state.tau, state.load
