@@ -18,29 +18,24 @@ from pathlib import Path
 from typing import IO, Any
 
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import JSON_BYTES, JSON_DEPTH, JSON_VALUES, TOML_BYTES, Limit
 
-MAX_BYTES = 50_000_000
-"""Largest file [bytes]; a model of 30 joints takes 2 MB."""
-MAX_DEPTH = 30
-"""Deepest nesting of lists and tables."""
-MAX_ITEMS = 2_000_000
-"""Most values in one file."""
 MAX_NUMBER = 1e15
 """Largest magnitude of a number; nothing that an arm has comes near it in SI units."""
 
 _QUOTED = re.compile(r'"(?:[^"\\\n]++|\\[^\n]?)*+"?|\'[^\'\n]*+\'?')
 """A text in quotes, or the rest of a line whose quote never closes: whatever is read, each place is looked at once."""
-_MANY_PARTS = re.compile(rf"(?<![\w\"'.-])(?:[\w\"'-]++\s*+\.\s*+){{{10 * MAX_DEPTH},}}")
+_MANY_PARTS = re.compile(rf"(?<![\w\"'.-])(?:[\w\"'-]++\s*+\.\s*+){{{10 * JSON_DEPTH.most},}}")
 """A key of very many parts; it begins where a word begins, or long words would be looked at again and again."""
 
 
-def read_text(path: Path, what: str, limit: int = MAX_BYTES) -> str:
+def read_text(path: Path, what: str, limit: Limit = JSON_BYTES) -> str:
     """The text of a UTF-8 file.
 
     Args:
         path: the file.
         what: what it should be, for the message, e.g. ``"a model file"``.
-        limit: largest size [bytes].
+        limit: of its size.
 
     Raises:
         InputError: not a plain file, larger than ``limit``, not UTF-8.
@@ -48,30 +43,43 @@ def read_text(path: Path, what: str, limit: int = MAX_BYTES) -> str:
     try:
         if not path.is_file():
             raise InputError(f"no such file; expected {what}", file=path)
-        if path.stat().st_size > limit:
-            raise InputError(f"larger than {limit / 1e6:.3g} MB; is this {what}?", file=path)
+        if path.stat().st_size > limit.most:
+            raise InputError(f"larger than {limit.most / 1e6:.3g} MB; is this {what}?", file=path)
         return path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read as {what} ({_short(error)})", file=path) from error
 
 
 def read_json(path: Path, what: str) -> Any:
-    """The checked values of a JSON file; raises InputError as ``read_text`` and ``checked`` do."""
-    text = read_text(path, what)
-    _shallow(text, path, what)
+    """The checked values of a JSON file; raises InputError as ``read_text`` and ``parsed_json`` do."""
+    return parsed_json(read_text(path, what), path, what)
+
+
+def parsed_json(text: str, file: str | Path | None, what: str) -> Any:
+    """The checked values of a JSON text.
+
+    Args:
+        text: of any length.
+        file: where it stands, for the message.
+        what: what it should be, for the message, e.g. ``"a model file"``.
+
+    Raises:
+        InputError: not JSON, or beyond the bounds, see ``checked``.
+    """
+    _few_and_shallow(text, file, what)
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=path) from error
-    return checked(values, path)
+        raise InputError(f"not a readable {what.removeprefix('a ')} ({_short(error)})", file=file) from error
+    return checked(values, file)
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """The checked values of a TOML file; raises InputError as ``read_text`` and ``checked`` do."""
-    text = read_text(path, what, limit=2_000_000)
-    _shallow(text, path, what)
+    text = read_text(path, what, limit=TOML_BYTES)
+    _few_and_shallow(text, path, what)
     if _MANY_PARTS.search(text):
-        raise InputError(f"a key of more than {MAX_DEPTH} parts", file=path)
+        raise InputError(f"a key of more than {JSON_DEPTH.most} parts", file=path)
     try:
         values = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -84,43 +92,56 @@ def checked(values: Any, file: str | Path | None = None) -> Any:
     """The same values, if they are finite numbers, texts, truth values, lists and tables within the bounds.
 
     Raises:
-        InputError: not finite, larger than ``MAX_NUMBER``, too deep, too many; names the key.
+        InputError: not finite, larger than ``MAX_NUMBER``, too deep, too many; names the key where it is one value.
     """
-    todo: list[tuple[str, Any, int]] = [("", values, 0)]
+    todo: list[tuple[_Path, Any, int]] = [((), values, 0)]
     count = 0
     while todo:
-        key, value, depth = todo.pop()
+        path, value, depth = todo.pop()
         count += 1
-        if count > MAX_ITEMS:
-            raise InputError(f"holds more than {MAX_ITEMS} values", file=file)
-        if depth > MAX_DEPTH:
-            raise InputError(f"nested deeper than {MAX_DEPTH}", file=file, field=key[:60])
+        JSON_VALUES.check(count, file)
+        if depth > JSON_DEPTH.most:
+            raise InputError(f"nested deeper than {JSON_DEPTH.most}", file=file, field=_key(path))
         if isinstance(value, dict):
-            todo.extend((f"{key}.{name}" if key else str(name), item, depth + 1) for name, item in value.items())
+            todo.extend(((path, name), item, depth + 1) for name, item in value.items())
         elif isinstance(value, (list, tuple)):
-            todo.extend((f"{key}.{i}", item, depth + 1) for i, item in enumerate(value))
+            todo.extend(((path, i), item, depth + 1) for i, item in enumerate(value))
         elif isinstance(value, (int, float)) and not isinstance(value, bool):
-            _number(value, key, file)
+            _number(value, path, file)
     return values
 
 
-def _number(value: float, key: str, file: str | Path | None) -> None:
+_Path = tuple[Any, ...]
+"""Way to a value: that of what holds it, and its name there; words are made of it for a message alone."""
+
+
+def _key(path: _Path) -> str:
+    names: list[str] = []
+    while path:
+        path, name = path
+        names.append(str(name)[:60])
+    return ".".join(reversed(names))[:60]
+
+
+def _number(value: float, path: _Path, file: str | Path | None) -> None:
     if isinstance(value, float) and not math.isfinite(value):
-        raise InputError("expected a finite number", file=file, field=key, value=value)
+        raise InputError("expected a finite number", file=file, field=_key(path), value=value)
     if abs(value) > MAX_NUMBER:
-        raise InputError(f"larger than {MAX_NUMBER:g}; is the unit right?", file=file, field=key,
+        raise InputError(f"larger than {MAX_NUMBER:g}; is the unit right?", file=file, field=_key(path),
                          value=value if isinstance(value, float) else f"{str(value)[:20]}…")
 
 
-def _shallow(text: str, path: Path, what: str) -> None:
-    """Refuses what would overflow a parser's stack: brackets outside quotes nested too deep."""
+def _few_and_shallow(text: str, file: str | Path | None, what: str) -> None:
+    """Refuses what a parser would need too much memory or too deep a stack for, by signs outside quotes."""
     bare = _QUOTED.sub("", text)
+    # Every value but the first comes after a comma or is the first of its list or table.
+    JSON_VALUES.check(bare.count(",") + bare.count("[") + bare.count("{"), file)
     depth = 0
     for bracket in re.finditer(r"[\[{\]}]", bare):
         depth += 1 if bracket.group() in "[{" else -1
         # Quotes that never close hide brackets or show too many; the parser itself names those.
-        if depth > 20 * MAX_DEPTH:
-            raise InputError(f"nested deeper than {MAX_DEPTH}; is this {what}?", file=path)
+        if depth > 20 * JSON_DEPTH.most:
+            raise InputError(f"nested deeper than {JSON_DEPTH.most}; is this {what}?", file=file)
 
 
 def _short(error: BaseException) -> str:

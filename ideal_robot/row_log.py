@@ -240,12 +240,13 @@ class ColumnStore:
 
     Args:
         names: of the columns.
-        length: rows of each; more than ``row_log.KEPT`` of them are in a file, of which only what is being used is in
-            memory.
+        length: rows of each.
+        in_memory: whether they are held in memory, not in a file of which only what is being used is there; None: up to
+            ``row_log.KEPT`` rows are.
     """
 
-    def __init__(self, names: Sequence[str], length: int) -> None:
-        self.in_memory = length <= KEPT
+    def __init__(self, names: Sequence[str], length: int, in_memory: bool | None = None) -> None:
+        self.in_memory = length <= KEPT if in_memory is None else in_memory
         """Whether the columns are held in memory."""
         columns = [np.empty(length) for _ in names] if self.in_memory else in_new_file(len(names) * length).reshape(
             len(names), length)

@@ -14,6 +14,7 @@ from PIL import Image
 
 from ideal_robot.bounded_values import kept_words
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.file_limits import PICTURE_PIXELS
 from scenes.report.page import Report
 from sensing.camera.camera_device import Gray
 from sensing.camera.picture_line import PictureLine
@@ -21,8 +22,6 @@ from sensing.camera.picture_line import PictureLine
 # Pictures from where a user has them: a file, a folder, a video, a camera or the address of a stream.
 
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
-MAX_PIXELS = 64_000_000
-"""A larger picture is refused."""
 
 
 def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Gray]]:
@@ -72,7 +71,8 @@ def _check_header(path: Path) -> None:
             with Image.open(path) as header:
                 width, height = header.size
     except (Image.DecompressionBombWarning, Image.DecompressionBombError) as error:
-        raise InputError(f"larger than {MAX_PIXELS // 1_000_000} megapixels; make it smaller", file=path) from error
+        raise InputError(f"larger than {PICTURE_PIXELS.most // 1_000_000} megapixels; make it smaller",
+                         file=path) from error
     except Exception:  # not a picture of a kind known here: OpenCV says what is wrong with it
         return
     _check_size(width, height, str(path))
@@ -112,7 +112,7 @@ def _checked(gray: Gray, name: str) -> Gray:
 
 
 def _check_size(width: int, height: int, name: str) -> None:
-    if width * height > MAX_PIXELS or min(width, height) < 32:
+    if width * height > PICTURE_PIXELS.most or min(width, height) < 32:
         raise InputError(f"a picture of {width} × {height} pixels; expected 32 × 32 to 64 megapixels; scale it",
                          field="source", value=name)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import pandas as pd
 
+from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
 from scenes.cluster import work_off_on
@@ -65,9 +66,9 @@ class SweepFile:
         whole = raw[: raw.rfind(b"\n") + 1]
         for number, line in enumerate(whole.splitlines(), start=1):
             try:
-                entry = json.loads(line)
+                entry = parsed_json(line.decode(), self.path, "answer")
                 self.answers[key_of(entry["job"])] = _checked(entry["answer"])
-            except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            except (InputError, ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
                 raise InputError(f"line {number} is none of a sweep; remove it, and its run is played again",
                                  file=self.path, field="--lines") from error
         if len(whole) < len(raw):

@@ -19,8 +19,8 @@ IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pi
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
 """Where files import without circles, and at their top."""
-IMPORTED_LATE = {"rerun", "rosbags", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters", "pandas",
-                 "pyarrow"}
+IMPORTED_LATE = {"rerun", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters",
+                 "pandas", "pyarrow"}
 """Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
 STARTS_FAST = "scenes.commands."
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""

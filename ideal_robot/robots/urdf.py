@@ -15,13 +15,8 @@ import pydantic
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import kept_words, read_toml
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import URDF_BYTES, URDF_DEPTH, URDF_ELEMENTS, URDF_JOINTS
 
-MAX_BYTES = 20_000_000
-"""Longest URDF [characters]."""
-MAX_JOINTS = 40
-"""Most moving joints: identification's matrices grow with their square."""
-MAX_ELEMENTS = 20_000
-"""Most XML elements."""
 SLOWEST = 1e-4
 """Least speed limit of a joint [rad/s or m/s]."""
 _NUMBERS = ("xyz", "rpy", "mass", "lower", "upper", "effort", "velocity", "ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -45,8 +40,7 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
     model = _built(text, file)
     if model.nv < 1:
         raise InputError("the URDF has no moving joint", file=file)
-    if model.nv > MAX_JOINTS:
-        raise InputError(f"the URDF has {model.nv} moving joints, at most {MAX_JOINTS} are supported", file=file)
+    URDF_JOINTS.check(model.nv, file)
     if model.nq != model.nv:
         raise InputError("only revolute (with limits) and prismatic joints are supported; "
                          "replace continuous joints by revolute ones with limits", file=file)
@@ -83,8 +77,7 @@ def without_meshes(text: str) -> str:
 
 
 def _check(text: str, file: str | Path | None) -> None:
-    if len(text) > MAX_BYTES:
-        raise InputError(f"longer than {MAX_BYTES / 1e6:.0f} MB; is this a URDF?", file=file)
+    URDF_BYTES.check(len(text), file, "is this a URDF?")
     if "<!ENTITY" in text or "\0" in text:
         raise InputError("declares entities or holds null characters; they are not read", file=file)
     reader: Any = ET.XMLPullParser(events=("start", "end"))
@@ -97,8 +90,8 @@ def _check(text: str, file: str | Path | None) -> None:
                     depth -= 1
                     continue
                 depth, count = depth + 1, count + 1
-                if depth > 30 or count > MAX_ELEMENTS:
-                    raise InputError("more elements or deeper nested than any arm needs", file=file)
+                URDF_DEPTH.check(depth, file)
+                URDF_ELEMENTS.check(count, file)
                 if count == 1 and element.tag != "robot":
                     raise InputError("not a URDF: the root element is not <robot>", file=file, value=element.tag[:40])
                 _check_element(element, file)

@@ -18,13 +18,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import RSI_BYTES
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.rsi_error import PacketError
 
 # How one controller's messages are named: tags, sender type, decimals; read from its own RSI ethernet XML if given.
 
-MAX_FILE = 65536
-"""Largest configuration that is read [bytes]; a controller's has two to six thousand."""
 
 _NAME = re.compile(r"[A-Za-z_][\w.-]{0,63}", re.ASCII)
 
@@ -107,11 +106,10 @@ def _root(file: Path) -> ElementTree.Element:
         raise InputError("cannot be read: no such file", file=file)
     try:
         with file.open("rb") as stream:
-            text = stream.read(MAX_FILE + 1)
+            text = stream.read(RSI_BYTES.most + 1)
     except OSError as error:
         raise InputError(f"cannot be read ({error})", file=file) from error
-    if len(text) > MAX_FILE:
-        raise InputError(f"has more than {MAX_FILE} bytes", file=file)
+    RSI_BYTES.check(len(text), file)
     # Entities are how small files become large ones; a zero byte is how UTF-16 would hide them from this check.
     if b"\0" in text or b"<!DOCTYPE" in text or b"<!ENTITY" in text:
         raise InputError("holds a document type, an entity or zero bytes; none has a place here", file=file)

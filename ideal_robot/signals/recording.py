@@ -15,7 +15,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, over_time, plain
 from ideal_robot.row_log import in_file, let_go
-from ideal_robot.signals.table_file import SUFFIXES, read_joint_states, read_table
+from ideal_robot.signals.bag import SUFFIXES, read_joint_states
+from ideal_robot.signals.table_file import read_table
 from ideal_robot.whole_file import whole_file
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import json
+import re
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,22 +12,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import (
+    TABLE_COLUMNS,
+    TABLE_LINE,
+    TABLE_UNFOLDING,
+    TABLE_VALUES,
+    TABLE_WORDS,
+    check_unfolding,
+)
 from ideal_robot.row_log import ColumnStore
 
 if TYPE_CHECKING:
     import pandas as pd
 
-MAX_VALUES = 400_000_000
-"""Most numbers in a table (3.2 GB): four hours of 50 columns at 500 Hz."""
+_LINE_END = re.compile(rb"\r\n|\r|\n")
 AT_ONCE = 20_000_000
-"""Values of a table that is read at once into memory; of a larger one ..."""
-PIECE = 65_536
-"""... so many rows at a time."""
-MAX_COLUMNS = 5_000
-"""Most columns."""
-MAX_METADATA = 20_000_000
-"""Longest metadata [bytes]."""
+"""Values of a table that is held in memory; the columns of a larger one are in a file."""
+PIECE = 2_000_000
+"""Values that are unpacked at a time, or one row."""
+_UNPACKED = 8
+"""Bytes of a value in memory."""
 
 
 def read_table(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
@@ -56,51 +62,62 @@ def _parquet(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
-        schema = file.schema_arrow
-        rows = file.metadata.num_rows
-        _check_size(rows, schema.names, path)
+        schema, rows = file.schema_arrow, file.metadata.num_rows
+        _check_names(schema.names, path)
         for field in schema:
-            if pa.types.is_nested(field.type):
+            kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+            if not any(of(kind) for of in (pa.types.is_integer, pa.types.is_floating, pa.types.is_boolean,
+                                           pa.types.is_decimal, pa.types.is_null)):
                 raise InputError("column is not numeric", file=path, field=_shown(field.name))
+        TABLE_VALUES.check(rows * len(schema.names), path, "cut it into pieces")
+        check_unfolding(TABLE_UNFOLDING, rows * len(schema.names) * _UNPACKED, path.stat().st_size, path)
         raw = (schema.metadata or {}).get(b"ideal_robot")
-        if rows * len(schema.names) <= AT_ONCE:
-            columns = _whole(file.read().to_pandas(), path)
-        else:
-            columns = _filled((batch.to_pandas() for batch in file.iter_batches(PIECE)), rows, path)
+        pieces = file.iter_batches(_rows_of_a_piece(len(schema.names)))
+        columns = _filled((piece.to_pandas() for piece in pieces), schema.names, rows, path)
     return columns, {} if raw is None else _metadata(raw, path)
 
 
 def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     import pandas as pd
 
+    rows = _lines(path)
     with path.open(encoding="utf-8-sig", newline="") as text:
-        names = next(csv.reader([text.readline(10_000_000)]), [])
-    _check_size(path.stat().st_size // max(2 * len(names), 1), names, path)
+        names = next(csv.reader([text.readline()]), [])
+    _check_names(names, path)
+    # An empty value takes a byte, its comma.
+    TABLE_VALUES.check(min(rows * len(names), path.stat().st_size), path, "cut it into pieces")
     with warnings.catch_warnings():
         # Rows of more values than there are names, which pandas would cut.
         warnings.simplefilter("error", pd.errors.ParserWarning)
-        # No value takes less than two bytes.
-        if path.stat().st_size <= 2 * AT_ONCE:
-            return _whole(pd.read_csv(path, index_col=False, low_memory=False), path), {}
-        with pd.read_csv(path, index_col=False, low_memory=False, chunksize=PIECE) as pieces:
-            return _filled(pieces, _lines(path), path), {}
+        with pd.read_csv(path, index_col=False, low_memory=False, chunksize=_rows_of_a_piece(len(names))) as pieces:
+            return _filled(pieces, None, rows, path), {}
 
 
-def _whole(frame: pd.DataFrame, path: Path) -> dict[str, Array]:
-    return {str(name): _numbers(frame, name, path) for name in frame.columns}
+def _rows_of_a_piece(columns: int) -> int:
+    return max(1, PIECE // max(columns, 1))
 
 
-def _filled(frames: Iterable[pd.DataFrame], most: int, path: Path) -> dict[str, Array]:
-    """Columns of tables one below the other, of ``most`` rows together at most."""
+def _filled(frames: Iterable[pd.DataFrame], names: list[str] | None, most: int, path: Path) -> dict[str, Array]:
+    """Columns of tables one below the other.
+
+    Args:
+        frames: the tables.
+        names: of the columns; those of the first table if None.
+        most: rows together at most.
+        path: for messages.
+    """
     store: ColumnStore | None = None
     count = 0
     for frame in frames:
-        store = store or ColumnStore([str(name) for name in frame.columns], most)
+        names = names or [str(name) for name in frame.columns]
+        store = store or ColumnStore(names, most, in_memory=most * len(names) <= AT_ONCE)
         for name in frame.columns:
             store.fill(str(name), count, _numbers(frame, name, path))
         count += len(frame)
         store.release()
-    return {} if store is None else {name: values[:count] for name, values in store.finished().items()}
+    if store is None:
+        return {name: np.empty(0) for name in names or ()}
+    return {name: values[:count] for name, values in store.finished().items()}
 
 
 def _numbers(frame: pd.DataFrame, name: Any, path: Path) -> Array:
@@ -113,18 +130,31 @@ def _numbers(frame: pd.DataFrame, name: Any, path: Path) -> Array:
 
 
 def _lines(path: Path) -> int:
-    """Lines of a text file, the last one included."""
+    """Lines of a CSV file, the last one included; none is long, and no quote goes on in the next one.
+
+    Raises:
+        InputError: a line that a table cannot have; a parser would make a row of millions of values of it.
+    """
+    count, length, quotes = 1, 0, 0
     with path.open("rb") as file:
-        return 1 + sum(block.count(b"\n") + block.count(b"\r") for block in iter(lambda: file.read(1 << 20), b""))
+        for block in iter(lambda: file.read(1 << 20), b""):
+            *whole, last = _LINE_END.split(block)
+            for line in whole:
+                TABLE_LINE.check(length + len(line), path, "is this a table?")
+                if (quotes + line.count(b'"')) % 2:
+                    raise InputError(f"line {count} has a quote that does not end in it", file=path)
+                count, length, quotes = count + 1, 0, 0
+            length, quotes = length + len(last), quotes + last.count(b'"')
+            TABLE_LINE.check(length, path, "is this a table?")
+    return count
 
 
 def _metadata(raw: bytes, path: Path) -> dict[str, Any]:
+    TABLE_WORDS.check(len(raw), path)
     try:
-        if len(raw) > MAX_METADATA:
-            raise ValueError("too long")
-        meta = json.loads(raw)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"not readable ({type(error).__name__}); write the recording again", file=path,
+        meta = parsed_json(raw.decode(), path, "metadata")
+    except (InputError, UnicodeDecodeError) as error:
+        raise InputError(f"not readable ({error}); write the recording again", file=path,
                          field="metadata ideal_robot") from error
     if not isinstance(meta, dict):
         raise InputError("expected a table (a JSON object)", file=path, field="metadata ideal_robot",
@@ -132,12 +162,8 @@ def _metadata(raw: bytes, path: Path) -> dict[str, Any]:
     return meta
 
 
-def _check_size(rows: int, names: list[str], path: Path) -> None:
-    if len(names) > MAX_COLUMNS:
-        raise InputError(f"has {len(names)} columns; at most {MAX_COLUMNS} are read", file=path)
-    if rows * max(len(names), 1) > MAX_VALUES:
-        raise InputError(f"holds {rows} × {len(names)} values; at most {MAX_VALUES} are read: cut it into pieces",
-                         file=path)
+def _check_names(names: list[str], path: Path) -> None:
+    TABLE_COLUMNS.check(len(names), path)
     twice = {name for name in names if names.count(name) > 1} if len(set(names)) < len(names) else set()
     if twice:
         raise InputError("the column stands in the file twice", file=path, field=_shown(min(twice)))
@@ -146,70 +172,3 @@ def _check_size(rows: int, names: list[str], path: Path) -> None:
 def _shown(value: object) -> str:
     text = str(value)
     return text if len(text) <= 60 else text[:57] + "…"
-
-
-# Joint states out of ROS 2 bags and MCAP files, through ``rosbags``; no ROS needed.
-
-SUFFIXES = (".mcap", ".db3", ".bag")
-_TYPE = "sensor_msgs/msg/JointState"
-
-
-def read_joint_states(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
-    """Columns ``t``, ``q_i`` and, where given, ``qd_i`` and ``tau_i`` (effort) of the ``JointState`` messages in a bag.
-
-    Time is that of the messages' headers, of the log where these are empty, and starts at zero. Joints are numbered in
-    the order of the first message; their names stand in the metadata under ``joints``. The topic is ``/joint_states``,
-    or the only one of its type.
-
-    Args:
-        path: folder of a ROS 2 bag, or a single ``.mcap``, ``.db3`` or ROS 1 ``.bag`` file.
-
-    Raises:
-        InputError: not a bag, no joint states in it, or messages that name other joints.
-    """
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
-            connections = [c for c in reader.connections if c.msgtype == _TYPE]
-            topics = sorted({c.topic for c in connections})
-            if not topics:
-                found = ", ".join(sorted({c.msgtype for c in reader.connections})) or "nothing"
-                raise InputError(f"no {_TYPE} messages; the bag holds {found}", file=path)
-            topic = "/joint_states" if "/joint_states" in topics else topics[0]
-            if len(topics) > 1 and topic != "/joint_states":
-                raise InputError(f"several topics of joint states ({', '.join(topics)}) and none is /joint_states",
-                                 file=path)
-            messages = [(stamp, reader.deserialize(raw, connection.msgtype))
-                        for connection, stamp, raw in reader.messages([c for c in connections if c.topic == topic])]
-    except InputError:
-        raise
-    except Exception as error:  # a damaged bag can fail anywhere in the reader
-        raise InputError(f"not a readable bag ({error})", file=path) from error
-    return _columns(messages, path, topic)
-
-
-def _columns(messages: list[tuple[int, Any]], path: Path, topic: str) -> tuple[dict[str, Array], dict[str, Any]]:
-    if not messages:
-        raise InputError(f"no messages on {topic}; record them while the arm moves", file=path)
-    names = list(messages[0][1].name)
-    if len(set(names)) < len(names):
-        raise InputError(f"joints of the same name ({', '.join(names)})", file=path, field="name")
-    order = {name: i for i, name in enumerate(names)}
-    stamps = np.array([m.header.stamp.sec * 1_000_000_000 + m.header.stamp.nanosec for _, m in messages])
-    if not np.any(stamps):
-        stamps = np.array([stamp for stamp, _ in messages])
-    columns: dict[str, Array] = {"t": (stamps - stamps[0]) * 1e-9}
-    for key, attribute in (("q", "position"), ("qd", "velocity"), ("tau", "effort")):
-        if len(getattr(messages[0][1], attribute)) != len(names):
-            continue
-        values = np.full((len(messages), len(names)), np.nan)
-        for k, (_, message) in enumerate(messages):
-            given = getattr(message, attribute)
-            if len(given) != len(names) or set(message.name) != set(names):
-                raise InputError(f"message {k + 1} on {topic} names other joints than the first "
-                                 f"({', '.join(message.name)})", file=path, field=attribute)
-            values[k, [order[name] for name in message.name]] = given
-        columns.update({f"{key}_{i + 1}": np.ascontiguousarray(values[:, i]) for i in range(len(names))})
-    return columns, {"joints": names, "topic": topic, "stamp_0": int(stamps[0])}

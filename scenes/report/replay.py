@@ -21,6 +21,7 @@ from PIL import Image
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import REPLAY_BYTES
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
@@ -124,8 +125,6 @@ class Replay:
 # The replay of a run in a file beside its recording, for the viewer: what the recording's columns do not say.
 
 ENDING = ".replay.npz"
-_LARGEST = 1_000_000_000
-"""Bytes that a replay may unpack to."""
 _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 
 
@@ -142,10 +141,10 @@ def write_replay(replay: Replay, path: Path, recording: Recording) -> Path:
         path: ending in ``.replay.npz``.
         recording: of the same run; its hash is noted.
     """
-    arrays = {name: np.asarray(value) for name in _ARRAYS if (value := getattr(replay, name)) is not None}
+    arrays = {name: np.asarray(value, dtype=float) for name in _ARRAYS if (value := getattr(replay, name)) is not None}
     words = {"recording": recording.hash, "error_name": replay.error_name, "unit": replay.unit,
              "enlarged": replay.enlarged, "curves": list(replay.curves), "times": [t for t, _ in replay.pictures]}
-    curves = {f"curve_{i}": np.asarray(curve) for i, curve in enumerate(replay.curves.values())}
+    curves = {f"curve_{i}": np.asarray(curve, dtype=float) for i, curve in enumerate(replay.curves.values())}
     pictures = {f"picture_{i}": np.frombuffer(png, np.uint8) for i, (_, png) in enumerate(replay.pictures)}
     content: dict[str, Any] = {"words": np.array(json.dumps(words)), **arrays, **curves, **pictures}
     with path.open("wb") as file:
@@ -166,13 +165,12 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
     """
     try:
         with np.load(path, allow_pickle=False) as file:
-            if sum(info.file_size for info in file.zip.infolist()) > _LARGEST:
-                raise ValueError(f"more than {_LARGEST / 1e6:.0f} MB in it")
+            REPLAY_BYTES.check(sum(info.file_size for info in file.zip.infolist()), path)
             words = json.loads(str(file["words"]))
             if words["recording"] != recording.hash:
                 return None
-            arrays = {name: np.asarray(file[name], dtype=float) for name in _ARRAYS if name in file}
-            curves = {str(name): np.asarray(file[f"curve_{i}"], dtype=float) for i, name in enumerate(words["curves"])}
+            arrays = {name: _floats(file[name]) for name in _ARRAYS if name in file}
+            curves = {str(name): _floats(file[f"curve_{i}"]) for i, name in enumerate(words["curves"])}
             pictures = tuple((float(t), file[f"picture_{i}"].astype(np.uint8).tobytes())
                              for i, t in enumerate(words["times"]))
             for _, png in pictures:
@@ -185,6 +183,13 @@ def read_replay(path: Path, robot: Robot, recording: Recording) -> Replay | None
             RecursionError, zlib.error, RuntimeError, zipfile.BadZipFile) as error:
         raise InputError(f"not a readable replay ({type(error).__name__}: {error}); delete it to see the "
                          "recording alone", file=path) from error
+
+
+def _floats(values: Array) -> Array:
+    """Numbers as they were written; of another type they would take more room than was counted."""
+    if values.dtype != np.float64:
+        raise ValueError(f"numbers of type {values.dtype}")
+    return values
 
 
 # What an arm's sensors felt and saw, in the base frame, from the columns of a recording.

@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS
 
 # A curve's height as a formula of ``x``, read by a small grammar of its own: nothing of it is ever run as a program.
 #
@@ -171,14 +172,10 @@ def _called(node: ast.Call, x: Array) -> Any:
 
 # The first path of an .svg file beside a scene; nothing else of the file is used and nothing it names is fetched.
 
-MAX_BYTES = 5_000_000
-"""Largest SVG file [bytes]."""
 MAX_PATH = 200_000
 """Longest ``d`` of a path [characters]."""
 MAX_SEGMENTS = 5_000
 """Most segments of a path."""
-MAX_XML_DEPTH = 100
-"""Deepest nesting of groups."""
 
 
 def first_path(name: str, folder: Path) -> Any:
@@ -202,7 +199,7 @@ def first_path(name: str, folder: Path) -> Any:
                          value=name[:60])
     if not there:
         raise InputError("no such SVG file", field="line.svg", value=name[:60])
-    text = read_text(file, "an SVG file", limit=MAX_BYTES)
+    text = read_text(file, "an SVG file", limit=SVG_BYTES)
     if "<!ENTITY" in text:
         raise InputError("declares entities, which are not read; save it without them", file=file)
     try:
@@ -223,13 +220,13 @@ def first_path(name: str, folder: Path) -> Any:
 def _first_d(text: str, file: Path) -> str | None:
     """``d`` of the first path element; read in pieces, so that deep nesting is refused before a tree is made of it."""
     reader: Any = ET.XMLPullParser(events=("start", "end"))
-    depth = 0
+    depth = count = 0
     for start in range(0, len(text), 20_000):
         reader.feed(text[start : start + 20_000])
         for event, element in reader.read_events():
-            depth += 1 if event == "start" else -1
-            if depth > MAX_XML_DEPTH:
-                raise InputError(f"groups nested deeper than {MAX_XML_DEPTH}", file=file)
+            depth, count = (depth + 1, count + 1) if event == "start" else (depth - 1, count)
+            SVG_DEPTH.check(depth, file)
+            SVG_ELEMENTS.check(count, file)
             if event == "start" and element.tag.rpartition("}")[2] == "path":
                 return str(element.get("d", ""))
     reader.close()

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ideal_robot.errors import InputError
+from ideal_robot.file_limits import RSI_BYTES
 from ideal_robot.rsi import PacketError
-from ideal_robot.rsi.message import MAX_FILE, MAX_PACKET, RsiFormat, format_sen, parse_rob
+from ideal_robot.rsi.message import MAX_PACKET, RsiFormat, format_sen, parse_rob
 
 PACKET = (b'<Rob Type="KUKA"><RIst X="1.0" Y="2.0" Z="3.0" A="0.0" B="0.0" C="0.0"/>'
           b'<AIPos A1="0.5" A2="-90.25" A3="90.0" A4="1e-3" A5="+45." A6="-.5"/>'
@@ -185,7 +186,7 @@ def test_of_two_elements_with_axes_one_has_to_be_named(tmp_path: Path) -> None:
     ("<SEND>", "<SEND><SEND>", "is not XML"),
     ("ROOT>", "RUT>", "no RSI ethernet configuration"),
     ("Mine", "a b", "plain XML name"),
-    ("<SEND>", "<SEND>" + " " * MAX_FILE, "more than"),
+    ("<SEND>", "<SEND>" + " " * RSI_BYTES.most, "at most 65536"),
 ])
 def test_what_cannot_be_used_is_refused_and_named(tmp_path: Path, old: str, new: str, says: str) -> None:
     assert old in CONFIG

@@ -189,7 +189,7 @@ def test_a_table_read_piece_by_piece_is_the_same(tmp_path: Path, monkeypatch: py
     place = long_recording(40_000).write(tmp_path / f"r{ending}")
     whole = Recording.read(place)
     monkeypatch.setattr(table_file, "AT_ONCE", 1000)
-    monkeypatch.setattr(table_file, "PIECE", 7000)
+    monkeypatch.setattr(table_file, "PIECE", 49_000)
     pieces = Recording.read(place)
     assert not in_file(whole.t)
     assert in_file(pieces.t)
@@ -199,7 +199,7 @@ def test_a_table_read_piece_by_piece_is_the_same(tmp_path: Path, monkeypatch: py
 
 def test_a_word_far_down_a_long_table_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table_file, "AT_ONCE", 100)
-    monkeypatch.setattr(table_file, "PIECE", 50)
+    monkeypatch.setattr(table_file, "PIECE", 100)
     lines = [f"{0.002 * i},{i}" for i in range(500)]
     lines[444] = "0.888,broken"
     place = tmp_path / "r.csv"

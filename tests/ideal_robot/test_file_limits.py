@@ -1,0 +1,193 @@
+"""Small files that unfold are refused by what they claim, before memory is taken for it."""
+
+from __future__ import annotations
+
+import resource
+import sqlite3
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2.storage_mcap import zstd
+from rosbags.typesys import Stores, get_typestore
+
+from ideal_robot import file_limits
+from ideal_robot.bounded_values import checked, parsed_json
+from ideal_robot.errors import InputError
+from ideal_robot.signals.recording import Recording
+from scenes.scene_files.shape import first_path
+
+ROOT = Path(__file__).resolve().parents[2]
+MAGIC = b"\x89MCAP0\r\n"
+
+
+def test_the_page_shows_the_table() -> None:
+    page = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
+    for limit in file_limits.ALL:
+        assert f"| {limit.most:,} | {limit.what} | {limit.why} |" in page
+
+
+def record(kind: int, content: bytes) -> bytes:
+    return bytes([kind]) + struct.pack("<Q", len(content)) + content
+
+
+def word(text: str) -> bytes:
+    return struct.pack("<I", len(text)) + text.encode()
+
+
+def chunk(records: bytes, packed: bytes, compression: str, claims: int | None = None) -> bytes:
+    head = struct.pack("<QQQI", 0, 1, len(records) if claims is None else claims, 0)
+    return record(6, head + word(compression) + struct.pack("<Q", len(packed)) + packed)
+
+
+def mcap(path: Path, *chunks: bytes) -> Path:
+    path.write_bytes(MAGIC + record(1, word("ros2") + word("")) + b"".join(chunks) + record(15, bytes(4))
+                     + record(2, bytes(20)) + MAGIC)
+    return path
+
+
+PACKERS: dict[str, Callable[[bytes], bytes]] = {"zstd": zstd.compress, "lz4": lz4.frame.compress, "": bytes}
+
+
+@pytest.mark.parametrize("compression", PACKERS)
+@pytest.mark.parametrize("claims", [None, 1000])
+def test_a_chunk_of_zeros_is_no_chunk(tmp_path: Path, compression: str, claims: int | None) -> None:
+    zeros = bytes(30_000_000)
+    path = mcap(tmp_path / "z.mcap", chunk(zeros, PACKERS[compression](zeros), compression, claims))
+    with pytest.raises(InputError, match="a record of kind 0 and 0 bytes in a chunk"):
+        Recording.read(path)
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_bag_of_many_equal_messages_unfolds_to_too_much(tmp_path: Path, compression: str) -> None:
+    message = record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + bytes(200))
+    records = message * (100_000_000 // len(message))
+    path = mcap(tmp_path / "m.mcap", chunk(records, PACKERS[compression](records), compression))
+    with pytest.raises(InputError, match="unfolds to more than 64 MB and 20 times its size"):
+        Recording.read(path)
+
+
+def joint_states(folder: Path, compression: str = "", storage: StoragePlugin = StoragePlugin.SQLITE3) -> Path:
+    """A bag that is sound."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    state, header, stamp = (store.types[name] for name in (
+        "sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
+    writer = Writer(folder, version=9, storage_plugin=storage)
+    if compression:
+        writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    with writer:
+        topic = writer.add_connection("/joint_states", state.__msgtype__, typestore=store)
+        for k in range(200):
+            message = state(header(stamp(1, 4_000_000 * k), ""), ["b", "a"], np.array([0.1, k / 100]),
+                            np.zeros(2), np.array([]))
+            writer.write(topic, 10**9 + 4_000_000 * k, store.serialize_cdr(message, state.__msgtype__))
+    return folder
+
+
+@pytest.mark.parametrize("compression", ["", "FILE", "MESSAGE"])
+def test_a_sound_bag_is_read_however_it_is_packed(tmp_path: Path, compression: str) -> None:
+    recording = Recording.read(joint_states(tmp_path / "bag", compression))
+    np.testing.assert_array_equal(recording.columns["q_2"], np.arange(200) / 100)
+    assert "tau_1" not in recording.columns
+    assert recording.meta["joints"] == ["b", "a"]
+
+
+def test_an_index_that_names_a_chunk_twice_or_another_way_is_refused(tmp_path: Path) -> None:
+    folder = joint_states(tmp_path / "bag", storage=StoragePlugin.MCAP)
+    file, = folder.glob("*.mcap")
+    sound = file.read_bytes()
+    begin = sound.index(b"\x08", struct.unpack_from("<Q", sound, len(sound) - 28)[0])
+    index = sound[begin : begin + 9 + struct.unpack_from("<Q", sound, begin + 1)[0]]
+    assert len(Recording.read(folder).t) == 200
+    for damaged in (sound[:begin] + index + sound[begin:],
+                    sound[:begin] + index[:-16] + struct.pack("<Q", 10**6) + sound[begin + len(index) - 8 :]):
+        file.write_bytes(damaged)
+        with pytest.raises(InputError, match="not a readable bag"):
+            Recording.read(folder)
+
+
+@pytest.mark.parametrize("made", [
+    "CREATE VIEW messages(id, topic_id, timestamp, data) AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 "
+    "FROM c) SELECT x, 1, x, zeroblob(1000) FROM c",
+    "CREATE TABLE messages(id INTEGER, topic_id INTEGER, timestamp INTEGER, data BLOB AS (zeroblob(900000000)))"])
+def test_messages_that_are_computed_are_refused(tmp_path: Path, made: str) -> None:
+    folder = joint_states(tmp_path / "bag")
+    file, = folder.glob("*.db3")
+    with sqlite3.connect(file) as base:
+        base.execute("DROP TABLE messages")
+        base.execute(made)
+    base.close()
+    with pytest.raises(InputError, match="messages is computed, not stored"):
+        Recording.read(folder)
+
+
+@pytest.mark.parametrize("text", [
+    "t,q_1\n" + "1," * 700_000 + "1\n", "t,q_1\n0,1\n" + "1," * 700_000 + "1\n", "a," * 700_000 + "\n1\n",
+    "t,q_1\n" + "1" * 1_500_000 + ",1\n"])
+def test_a_line_that_no_table_has_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match="bytes of a line of a CSV file; at most 1000000 are read"):
+        Recording.read(path)
+
+
+@pytest.mark.parametrize("text", ['t,q_1\n' + '"\n",' * 1000 + "1\n", 't,q_1\n0,"1\n1,2\n', 't,"q\n_1"\n0,1\n'])
+def test_a_quote_that_goes_on_in_the_next_line_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match="has a quote that does not end in it"):
+        Recording.read(path)
+
+
+def test_quotes_and_ends_of_lines_of_other_systems_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    for end in ("\n", "\r\n", "\r"):
+        path.write_bytes(end.join(['"t","q_1"', '"0.0","1.5"', "0.1,", ""]).encode())
+        np.testing.assert_array_equal(Recording.read(path).columns["q_1"], [1.5, np.nan])
+
+
+def test_columns_of_one_value_and_of_long_words_are_refused_unread(tmp_path: Path) -> None:
+    path = tmp_path / "r.parquet"
+    pd.DataFrame({"t": np.zeros(30_000_000)}).to_parquet(path, compression="zstd")
+    with pytest.raises(InputError, match="unfolds to more than 160 MB and 50 times its size"):
+        Recording.read(path)
+    long = pa.DictionaryArray.from_arrays(pa.array(np.zeros(1000, dtype=np.int32)), pa.array(["x" * 1_000_000]))
+    for words in (long, pa.array(["1.5"] * 9), pa.array([b"1"] * 9)):
+        pq.write_table(pa.table({"t": words}), path)
+        with pytest.raises(InputError, match="column is not numeric"):
+            Recording.read(path)
+    sound = pa.DictionaryArray.from_arrays(pa.array(np.arange(9, dtype=np.int32)), pa.array(np.arange(9.0)))
+    pq.write_table(pa.table({"t": sound}), path)
+    np.testing.assert_array_equal(Recording.read(path).t, np.arange(9.0))
+
+
+@pytest.mark.parametrize("text", ["[" + "[]," * 2_000_001 + "1]", "[" + "{}," * 2_000_001 + "1]",
+                                  "[" + "1," * 2_000_001 + "1]", '{"a": [' + '"",' * 2_000_001 + "1]}"])
+def test_too_many_values_are_counted_before_they_are_made(text: str) -> None:
+    with pytest.raises(InputError, match="values of a JSON or TOML file; at most 2000000 are read"):
+        parsed_json(text, None, "a model file")
+
+
+def test_many_values_under_a_long_key_take_no_more_room_than_the_text() -> None:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    parsed_json('{"' + "k" * 5_000_000 + '": [' + "1," * 300_000 + "1]}", None, "a model file")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000
+    with pytest.raises(InputError, match=r"a\.b\.1: expected a finite number"):
+        checked({"a": {"b": [1.0, float("nan")]}})
+
+
+def test_commas_within_words_are_no_values() -> None:
+    assert parsed_json('{"a": "' + "," * 2_500_000 + '"}', None, "a model file")["a"][0] == ","
+
+
+def test_a_drawing_of_groups_alone_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "g.svg").write_text("<svg>" + "<g/>" * 60_000 + "</svg>")
+    with pytest.raises(InputError, match="elements of an SVG file"):
+        first_path("g.svg", tmp_path)
