@@ -37,7 +37,7 @@ docs-figures: .venv/installed
 	$(BIN)/python docs/published_numbers.py
 
 bench: .venv/installed
-	for b in benchmarks/bench_*.py; do echo "== $$b"; $(BIN)/python $$b || exit 1; done
+	for s in speed line-cycles cycle planning growth; do echo "== $$s"; $(BIN)/python -m studies $$s || exit 1; done
 
 models: .venv/installed
 	$(BIN)/python -m scenes.identification.models

@@ -16,9 +16,8 @@ from textwrap import wrap
 
 ROOT = Path(__file__).resolve().parents[1]
 PICTURE = ROOT / "docs" / "pictures" / "architecture.svg"
-FOLDERS = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
-FILLS = {"ideal_robot": "#e3edf7", "sensing": "#e6f3e6", "planning": "#fdf1dc", "sim": "#f3e6f0", "scenes": "#f0f0f0",
-         "trials": "#f7e6e3"}
+FOLDERS = ("ideal_robot", "sensing", "planning", "sim", "scenes")
+FILLS = {"ideal_robot": "#e3edf7", "sensing": "#e6f3e6", "planning": "#fdf1dc", "sim": "#f3e6f0", "scenes": "#f0f0f0"}
 BOX, GAP, ROW = (154, 62), 18, 44
 """Size of a room, distance beside it, and distance between layers [px]."""
 PAD, HEAD = 16, 30

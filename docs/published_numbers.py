@@ -1,7 +1,7 @@
 """Makes the numbers that README and pages publish anew, and says which differ: ``make docs-figures``.
 
-``docs/numbers.toml`` says for each table or sentence which command makes it and where in the command's JSON its numbers
-stand, or after which words in what a benchmark prints. Every command runs once, however many numbers it makes.
+``docs/numbers.toml`` says for each table or sentence which command makes it. A study prints the page's table; of a verb
+the entry says where in its JSON the numbers stand. Every command runs once, however many numbers it makes.
 
     python docs/published_numbers.py --list            # what there is, how long it takes, nothing is run
     python docs/published_numbers.py --quick           # what takes less than a minute
@@ -79,10 +79,13 @@ def published(table: Path = ROOT / "docs" / "numbers.toml", root: Path = ROOT) -
 
 def _numbers(entry: dict[str, Any], root: Path) -> Iterator[Published]:
     page = (root / entry["page"]).read_text(encoding="utf-8")
-    # A regular expression for what is printed begins with ~ from here on.
-    values = entry["values"] if "values" in entry else [f"~{one}" for one in entry["printed"]]
     shared = {"page": entry["page"], "command": entry["command"], "tolerance": entry.get("tolerance", 0.02),
               "quick": entry.get("quick", False)}
+    if "values" not in entry and "printed" not in entry:
+        yield from _whole_table(entry, page, shared)
+        return
+    # A regular expression for what is printed begins with ~ from here on.
+    values = entry["values"] if "values" in entry else [f"~{one}" for one in entry["printed"]]
     factors = entry.get("factors", [1.0] * len(values))
     for label, key, text in _places(entry, page):
         found = _NUMBER.findall(text)
@@ -93,6 +96,38 @@ def _numbers(entry: dict[str, Any], root: Path) -> Iterator[Published]:
                             value=value.replace("{row}", key), factor=factor, **shared)
 
 
+def _whole_table(entry: dict[str, Any], page: str, shared: dict[str, Any]) -> Iterator[Published]:
+    """Every number of a table that its command prints as it stands there; ``columns`` and ``rows`` choose.
+
+    With ``first`` only the first number of each cell: what stands behind it in brackets is from elsewhere.
+    """
+    most = 1 if entry.get("first", False) else None
+    for title, cells in _table(page, entry["header"], entry["page"]):
+        if not any(title.startswith(begin) for begin in entry.get("rows", [""])):
+            continue
+        for column in entry.get("columns", range(1, len(cells))):
+            for i, text in enumerate(_NUMBER.findall(cells[column])[:most]):
+                yield Published(what=f"{title[:30]} ({column})", text=text, factor=1.0,
+                                value="|".join(["", entry["header"].strip("| "), title, str(column), str(i)]), **shared)
+
+
+def _table(text: str, header: str, where: str) -> list[tuple[str, list[str]]]:
+    """Rows of the table that begins so, each with its title; a title that comes again has its number behind it."""
+    lines = text.splitlines()
+    first = next((i for i, line in enumerate(lines) if line.strip("| ").startswith(header.strip("| "))
+                  and line.startswith("|")), None)
+    if first is None:
+        raise ValueError(f"{where}: there is no table {header!r}")
+    rows: list[tuple[str, list[str]]] = []
+    for line in lines[first + 2:]:
+        if not line.startswith("|"):
+            break
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        again = sum(title.partition("#")[0] == cells[0] for title, _ in rows)
+        rows.append((f"{cells[0]}#{again}" if again else cells[0], cells))
+    return rows
+
+
 def _places(entry: dict[str, Any], page: str) -> Iterator[tuple[str, str, str]]:
     """Label, key of the row and the text with the numbers: cells of a table, or a sentence's groups."""
     if "sentence" in entry:
@@ -101,16 +136,7 @@ def _places(entry: dict[str, Any], page: str) -> Iterator[tuple[str, str, str]]:
             raise ValueError(f"{entry['page']}: there is no {entry['sentence']!r}")
         yield entry["sentence"][:40], "", " ".join(found.groups())
         return
-    lines = page.splitlines()
-    first = next((i for i, line in enumerate(lines) if line.startswith(entry["header"])), None)
-    if first is None:
-        raise ValueError(f"{entry['page']}: there is no table {entry['header']!r}")
-    rows = {}
-    for line in lines[first + 2:]:
-        if not line.startswith("|"):
-            break
-        cells = [cell.strip() for cell in line.strip("|").split("|")]
-        rows[cells[0]] = cells
+    rows = dict(_table(page, entry["header"], entry["page"]))
     for begin, key in entry["rows"].items():
         label = next((label for label in rows if label.startswith(begin)), None)
         if label is None:
@@ -124,13 +150,18 @@ def value_of(content: Any, path: str) -> float:
 
     ``a.b.0.c`` goes down by keys and places in lists, ``runs[speed=0.7].x`` to all entries of a list with this value,
     ``*`` to all; ``max(…)``, ``min(…)`` and ``mean(…)`` make one number of several. ``~…`` is a regular expression
-    whose group is the number in what was printed.
+    whose group is the number in what was printed; ``|header|title|column|place`` a number of a printed table.
     """
+    if path.startswith("|"):
+        header, title, column, place = path[1:].rsplit("|", 3)
+        cells = dict(_table(content["printed"], header, "what is printed")).get(title, [])
+        found = _NUMBER.findall(cells[int(column)]) if int(column) < len(cells) else []
+        return float(found[int(place)].replace("−", "-")) if int(place) < len(found) else float("nan")
     if path.startswith("~"):
-        found = re.search(path[1:], content["printed"])
-        if found is None:
+        match = re.search(path[1:], content["printed"])
+        if match is None:
             raise ValueError(f"nothing printed is like {path[1:]}")
-        return float(found[1])
+        return float(match[1])
     reduced = re.fullmatch(r"(max|min|mean)\((.*)\)", path)
     values = [content]
     for part in re.findall(r"[^.\[\]]+(?:\[[^\]]*\])?", reduced[2] if reduced else path):
@@ -161,7 +192,7 @@ def made(command: str, folder: Path) -> dict[str, Any] | None:
     answer = folder / "answer.json"
     prints = words[0] == "python"
     words = words[1:] if prints else ["-m", "scenes.cli", *words, "--json", str(answer)]
-    done = subprocess.run([sys.executable, *words], cwd=ROOT if prints else folder, capture_output=True, text=True,
+    done = subprocess.run([sys.executable, *words], cwd=folder, capture_output=True, text=True,
                           check=False, env={**os.environ, "PYTHONPATH": str(ROOT)})
     if done.returncode != 0 or not (prints or answer.is_file()):
         raise RuntimeError(f"{typed(command)}: {done.stderr.strip()[-500:]}")

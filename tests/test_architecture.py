@@ -13,11 +13,11 @@ import pytest
 from docs.draw_architecture import PICTURE, layers, picture, reduced, structure
 from tests.sources import ROOT, trees
 
-OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "trials", "benchmarks", "examples", "tests", "docs"}
+OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "studies", "examples", "tests", "docs"}
 IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
                "import-linter": "importlinter", "pillow": "PIL", "rerun-sdk": "rerun"}
 """Where a package's name is not its module's."""
-PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 """Where files import without circles, and at their top."""
 IMPORTED_LATE = {"rerun", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters",
                  "pandas", "pyarrow"}

@@ -16,7 +16,7 @@ import pytest
 
 from tests.sources import ROOT, trees
 
-FOLDERS = ("ideal_robot", "planning", "scenes", "sensing", "sim", "trials")
+FOLDERS = ("ideal_robot", "planning", "scenes", "sensing", "sim", "studies/strangers", "studies/sensors")
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 

@@ -12,8 +12,8 @@ from scenes.cli import VERBS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
-FOLDERS = (*PACKAGES, "benchmarks", "docs", "examples", "tests")
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
+FOLDERS = (*PACKAGES, "docs", "examples", "tests")
 MOST_WORDS = 3500
 """A page at most: some twenty minutes of reading."""
 DATA = {"toml", "json", "html", "urdf", "md", "py"}

@@ -150,7 +150,7 @@ def test_the_site_is_built_without_warnings(rooms: dict[str, str], tmp_path: Pat
 
 # Examples in docstrings say what the program does.
 
-PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "trials")
+PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
 MODULES = [".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
            for path in sorted((ROOT / package).rglob("*.py")) if ">>> " in path.read_text(encoding="utf-8")]
 
@@ -174,11 +174,13 @@ def test_each_package_that_users_import_has_examples() -> None:
 
 def test_every_entry_finds_its_numbers_on_its_page_and_names_a_verb() -> None:
     from scenes.cli import VERBS
+    from studies.__main__ import STUDIES
 
     found = published_numbers.published()
     assert len(found) > 150
     printing = {one.command for one in found if one.command.startswith("python ")}
-    assert all((ROOT / command.split()[1]).is_file() for command in printing)
+    assert all(command.startswith("python -m studies ") for command in printing)
+    assert {command.split()[3] for command in printing} <= set(STUDIES)
     assert {one.command.split()[0] for one in found if one.command not in printing} <= set(VERBS)
     assert {one.page for one in found} >= {"README.md", "docs/ideal_robot.md", "docs/line_following.md",
                                            "docs/contact.md"}
@@ -195,7 +197,23 @@ def test_numbers_are_read_out_of_json_by_path() -> None:
         published_numbers.value_of(content, "runs[speed=0.7].e.mean")
 
 
-def test_numbers_are_read_out_of_what_a_benchmark_prints(tmp_path: Path) -> None:
+def test_a_study_prints_the_table_of_its_page(tmp_path: Path) -> None:
+    table = "| arm | mm | far |\n| --- | --- | --- |\n| a | 0.5 | 7 (9) |\n| b | 2.0 | |\n| b | −3.0 | 4 |\n"
+    (tmp_path / "page.md").write_text(table)
+    (tmp_path / "numbers.toml").write_text("""[[entry]]
+page = "page.md"
+header = "| arm | mm"
+first = true
+command = "python -m studies it"
+""")
+    numbers = published_numbers.published(tmp_path / "numbers.toml", tmp_path)
+    assert [one.text for one in numbers] == ["0.5", "7", "2.0", "−3.0", "4"]
+    printed = {"printed": table.replace("| 2.0 |", "| 2.5 |").replace("| 4 |", "| |")}
+    found = [published_numbers.value_of(printed, one.value) for one in numbers]
+    assert [one.holds(value) for one, value in zip(numbers, found, strict=True)] == [True, True, False, True, False]
+
+
+def test_numbers_are_read_out_of_what_a_study_prints(tmp_path: Path) -> None:
     (tmp_path / "page.md").write_text("| arm | mm |\n| --- | --- |\n| `a` | 0.5 / 7 |\n| `b` | 2.0 / 9 |\n")
     (tmp_path / "numbers.toml").write_text("""[[entry]]
 page = "page.md"

@@ -19,7 +19,7 @@ import pytest
 from tests.conftest import in_part
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = ("ideal_robot", "planning", "scenes", "sensing", "sim", "trials")
+PACKAGES = ("ideal_robot", "planning", "scenes", "sensing", "sim")
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SHOWS = {
     "diagnose_plot": "stribeck in tau_4", "identify_frame": "controller", "own_driver": "played to its end",

@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from trials.line import gantry
+from studies.sensors.line import gantry
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -1,6 +1,6 @@
 """A line detector made of OpenCV's functions alone: sheared mean profile, Sobel edges, robust line through deviations.
 
-The counterpart that our own detector is measured against (``benchmarks/bench_detectors.py``), and an example of the
+The counterpart that our own detector is measured against (``python -m studies detectors``), and an example of the
 seam ``LineDetector``.
 """
 

@@ -1,6 +1,6 @@
 """Broken files and words, a few hundred of them: no traceback, no hang, no half-written result.
 
-Thousands are played by ``benchmarks/fuzz.py``. Here the readers and checks get most of them, whole verbs a few.
+Thousands are played by ``python -m studies fuzz``. Here the readers and checks get most of them, whole verbs a few.
 """
 
 from __future__ import annotations

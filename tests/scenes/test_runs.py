@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks.safe_loops import INPUTS, LOOPS, ROWS
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.model.model import Model
@@ -25,6 +24,7 @@ from scenes.scene_files.scene import chosen
 from scenes.sweep import jobs
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
+from studies.limits import INPUTS, LOOPS, ROWS
 
 RADIUS, SPEED = 0.16, 0.63
 

@@ -20,8 +20,8 @@ from scenes.commands.devices import detect
 from scenes.commands.files import export
 from scenes.detection import pictures
 from scenes.rerun_file import write_rerun
+from tests.ideal_robot.diagnosis.poor_recording import URDF, poor_recording
 from tests.sensing.camera.synthetic import drawn_line
-from trials.rivals import draw_rivals
 
 app = typer.Typer()
 app.command()(detect)
@@ -147,9 +147,8 @@ OPEN = {"effects": [{"effect": "degressive", "joint": 2, "channel": "tau_2",
 
 @pytest.fixture
 def files(tmp_path):
-    trial = draw_rivals(38)
-    (tmp_path / "arm.urdf").write_text(trial.arm.urdf, encoding="utf-8")
-    trial.first.write(tmp_path / "run.parquet")
+    (tmp_path / "arm.urdf").write_text(URDF, encoding="utf-8")
+    poor_recording().write(tmp_path / "run.parquet")
     (tmp_path / "open.json").write_text(json.dumps(OPEN), encoding="utf-8")
     return tmp_path
 

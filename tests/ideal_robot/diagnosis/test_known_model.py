@@ -30,14 +30,13 @@ from ideal_robot.signals.recording import Recording
 from scenes.diagnosis.page import summary
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from studies.strangers.arm import STEP, arm_of, draw_motion
+from studies.strangers.engines import ENGINES
+from studies.strangers.logger import draw_logger, record
+from studies.strangers.plant import BRISTLE, TANH
 from tests.ideal_robot.diagnosis.test_adoption import STICKS, recorded, with_coulomb
 from tests.ideal_robot.diagnosis.test_diagnose import arm
-from tests.trials.strangers.plants import a_plant, an_arm
-from trials.strangers.arm import arm_of
-from trials.strangers.engines import ENGINES
-from trials.strangers.logger import draw_logger, record
-from trials.strangers.motion import STEP, draw_motion
-from trials.strangers.plant import BRISTLE, TANH
+from tests.studies.plants import a_plant, an_arm
 
 # What tests of causes beside a known model draw alike: a motion of all joints, and a body of no extent.
 

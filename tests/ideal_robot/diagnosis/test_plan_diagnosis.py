@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis import Open, plan_diagnosis, read_questions
+from ideal_robot.diagnosis import Open, diagnose, plan_diagnosis, read_questions
 from ideal_robot.diagnosis.next_motion.motion import require_within_limits
 from ideal_robot.diagnosis.next_motion.plan import planned_pair
 from ideal_robot.diagnosis.next_motion.questions import Asked, Named
@@ -20,13 +20,11 @@ from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.diagnosis.comparison import compared
-from trials.report import arm_of
-from trials.rivals import draw_rivals, limited, motion_of
+from tests.ideal_robot.diagnosis.poor_recording import TRUTH, poor_arm, poor_recording, recording_of
 
 ANYWHERE = Workspace(z_min=-np.inf, r_min=0.0)
-OPEN_SEED, RIVAL = 38, "torque_ripple"
-"""An arm of two joints whose poor recording does not tell its ``degressive`` friction from a ripple."""
+RIVAL = "torque_ripple"
+"""Of the cause, as the poor recording has it."""
 
 
 def asked(name: str, joint: int, rival: str) -> Open:
@@ -35,20 +33,16 @@ def asked(name: str, joint: int, rival: str) -> Open:
 
 @pytest.fixture(scope="module")
 def planned():
-    trial = draw_rivals(OPEN_SEED)
-    with arm_of(trial.arm.urdf) as plain:
-        robot = limited(plain, trial.arm)
-        plan = plan_diagnosis(trial.first, robot, asked(*trial.truth, RIVAL), workspace=ANYWHERE)
-        yield trial, plain, robot, plan
+    first = poor_recording()
+    with poor_arm() as (plain, robot):
+        yield first, plain, robot, plan_diagnosis(first, robot, asked(*TRUTH, RIVAL), workspace=ANYWHERE)
 
 
 def test_planned_motion_tells_apart_what_the_recording_did_not(planned):
-    trial, plain, robot, plan = planned
-    pair = (RIVAL, trial.truth[1])
-    assert compared(trial.first, plain, trial.truth, [pair])[pair].open
-    again = trial.recording(motion_of(plan.commands, robot.t_ipo), np.random.default_rng(3))
-    after = compared(again, plain, trial.truth, [pair])
-    assert pair not in after or after[pair].told_apart
+    first, plain, robot, plan = planned
+    assert not diagnose(first, plain).effects
+    (found,) = diagnose(recording_of(plan.commands, robot.t_ipo), plain).effects
+    assert (found.fitted.name, found.fitted.joint, found.indistinguishable_from) == (*TRUTH, ())
     (told,) = plan.pairs
     assert told.told_apart
     assert told.planned.sigma > 1.5 * told.before.sigma
@@ -80,11 +74,11 @@ def test_motion_that_leaves_a_limit_is_refused(planned, limit):
 
 def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planned):
     """What noise hides is computed; what would show it then follows from the library: some gears have an arm side."""
-    trial, _, _, _ = planned
+    first, _, _, _ = planned
     hidden = Separation(1.2, 0.9, 0.01)
     clear = Separation(12.0, 0.9, 0.4)
 
-    def said(name: str, after: Separation, recording: Recording = trial.first) -> str:
+    def said(name: str, after: Separation, recording: Recording = first) -> str:
         causes = [Cause(Candidate(find(one, "tau"), 2, ()), np.ones(1), ((),)) for one in (name, "dead_time")]
         pair = Pair(causes[0], causes[1], (), np.ones(2), 1.0, None)
         return planned_pair(Asked(MOTOR_TORQUE, pair), hidden, after, recording).only
@@ -92,7 +86,7 @@ def test_gear_that_motors_cannot_show_is_left_to_a_device_on_the_arm_side(planne
     assert "arm's side" in said("joint_elasticity", hidden)
     assert "clamped" in said("joint_elasticity", hidden)
     assert said("joint_elasticity", clear) == ""
-    assert "arm's side" not in said("joint_elasticity", Separation(1.2, 0.9, 0.01), with_arm_angles(trial.first))
+    assert "arm's side" not in said("joint_elasticity", Separation(1.2, 0.9, 0.01), with_arm_angles(first))
 
 
 def test_noise_hides_what_it_is_larger_than():
@@ -137,11 +131,9 @@ def with_arm_angles(recording: Recording) -> Recording:
 
 
 def test_undecided_joint_is_made_to_move():
-    trial = draw_rivals(OPEN_SEED)
-    columns = dict(trial.first.columns)
+    columns = dict(poor_recording().columns)
     columns["q_2"] = np.full_like(columns["q_2"], columns["q_2"][0])
-    with arm_of(trial.arm.urdf) as plain:
-        robot = limited(plain, trial.arm)
+    with poor_arm() as (_, robot):
         plan = plan_diagnosis(Recording(columns), robot, Open((), (2,)), workspace=ANYWHERE, longest=12.0)
     assert plan.useful
     assert not plan.still_undecided
@@ -150,8 +142,8 @@ def test_undecided_joint_is_made_to_move():
 
 
 def test_nothing_open_needs_no_motion(planned):
-    trial, _, robot, _ = planned
-    plan = plan_diagnosis(trial.first, robot, Open((Named("degressive", 2, "tau"),)))
+    first, _, robot, _ = planned
+    plan = plan_diagnosis(first, robot, Open((Named("degressive", 2, "tau"),)))
     assert not plan.pairs
     assert not plan.useful
     with pytest.raises(InputError, match="no motion"):

@@ -18,8 +18,8 @@ from ideal_robot.effects import SENSOR, TCP_POSITION, FittedEffect, library
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from trials.force import draw_force_trial
-from trials.line import AXIS, SIZES, draw_line_trial, gantry
+from studies.sensors.force import draw_force_trial
+from studies.sensors.line import AXIS, SIZES, draw_line_trial, gantry
 
 NOISE = 2e-5
 
@@ -114,7 +114,7 @@ def trial(seed: int, kind: str, folder: Path) -> tuple[Diagnosis, np.ndarray]:
     drawn = draw_force_trial(seed, kind)
     (folder / "arm.urdf").write_text(drawn.urdf, encoding="utf-8")
     only = (("force_bias", 0), ("force_compliance", 0))
-    return diagnose(drawn.recording, Robot.load(folder / "arm.urdf"), only=only), drawn.oracle
+    return diagnose(drawn.recording, Robot.load(folder / "arm.urdf"), only=only), drawn.size
 
 
 @pytest.mark.parametrize(("seed", "name"), [(3, "force_bias"), (4, "force_compliance")])

@@ -16,7 +16,7 @@ from ideal_robot.effects.camera import CameraEffect, CameraErrors, PointError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from trials.line import AXIS, draw_line_trial, gantry
+from studies.sensors.line import AXIS, draw_line_trial, gantry
 
 
 def stretched(out: Array) -> Array:

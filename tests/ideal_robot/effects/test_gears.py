@@ -13,9 +13,9 @@ from ideal_robot.effects import Signals, library
 from ideal_robot.effects.backlash import crossed
 from ideal_robot.effects.elasticity import swinging
 from ideal_robot.signals.preprocess import lowpass
-from trials.report import arm_of
-from trials.strangers.score import score
-from trials.strangers.trial import draw_trial
+from studies.strangers.arm import robot_of
+from studies.strangers.score import score
+from studies.strangers.trial import draw_trial
 
 INERTIA, WEIGHT, CUTOFF = 0.12, 3.0, 20.0
 STIFFNESS, DAMPING = INERTIA * (2.0 * np.pi * 8.0) ** 2, 0.07
@@ -105,7 +105,7 @@ def test_starts_lie_within_one_search_of_any_stiffness_in_the_band():
 def test_a_stranger_s_soft_gear_is_found_beside_a_delay():
     """It swings at 8 Hz; what a slow gear gives took 6 per cent of what is left, and it was missed."""
     trial = draw_trial(737265, size=(3.0, 10.0))
-    with arm_of(trial.urdf) as robot:
+    with robot_of(trial.urdf) as robot:
         found = diagnose(trial.recording, robot)
     assert score(trial, found).right
     stiffness = next(e.fitted.parameters[0] for e in found.effects if e.fitted.name == "joint_elasticity")
@@ -171,6 +171,6 @@ def test_a_gap_takes_its_time_to_be_crossed():
 @pytest.mark.slow
 def test_a_stranger_s_gap_is_found():
     trial = draw_trial(732001, size=(3.0, 10.0))
-    with arm_of(trial.urdf) as robot:
+    with robot_of(trial.urdf) as robot:
         found = diagnose(trial.recording, robot)
     assert [(e.fitted.name, e.fitted.joint) for e in [*found.effects, *found.unknown]] == [("backlash", 2)]

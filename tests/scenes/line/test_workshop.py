@@ -192,7 +192,7 @@ def test_reversals_meet_the_friction_that_falls_before_it_rises() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 3])
 def test_who_adapts_a_cold_arm_is_within_1_3_of_who_knew(seed: int) -> None:
-    """Seeds 2 and 3 of `benchmarks/adapted_and_knew.py`, and not worse than without by more than 3 %: 1.3 and 1.5 times
+    """Seeds 2 and 3 of `python -m studies knew`, and not worse than without by more than 3 %: 1.3 and 1.5 times
     when torques of the ends of cycles were taken for friction."""
     line = chosen(load_scene("line"), individual=1)
     before = own_model(line, Robot.load(line.robot))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.random_lines import drawn_error, drawn_line
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -14,6 +13,7 @@ from scenes import load_scene
 from scenes.line.close_loop import close_loop, undeclared_effects
 from scenes.online.line_task import assumed_latency
 from scenes.scene_files.line_scene import LineScene
+from studies.closings import drawn_error, drawn_line
 
 
 @pytest.mark.slow

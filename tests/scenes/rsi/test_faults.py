@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
-from benchmarks import rsi_hour
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.robot import Robot
@@ -22,6 +22,7 @@ from ideal_robot.rsi.message import RsiFormat, parse_rob
 from scenes.online.processes import stopping_on_signals
 from scenes.rsi.server import RsiRun
 from scenes.rsi.setup import rsi_server
+from studies.rsi import rsi_hour
 from tests.ideal_robot.rsi.test_message import PACKET
 from tests.scenes.rsi.test_rsi import motion, written
 from tests.sim.devices.controllers import PATIENCE, LaggingController, mutated, playing
@@ -253,7 +254,9 @@ def test_a_controller_that_no_one_answers_says_so(tmp_path: Path, capsys: pytest
 
 @pytest.mark.slow
 def test_an_hour_at_four_milliseconds_has_no_end_of_our_own_making() -> None:
-    assert rsi_hour.main(60.0, virtual=True) == 0
+    with pytest.raises(typer.Exit) as ended:
+        rsi_hour(60.0, virtual=True)
+    assert ended.value.exit_code == 0
 
 
 # A network that is not friendly: whatever comes from elsewhere, the commands are those of an undisturbed run.

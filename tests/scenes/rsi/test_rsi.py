@@ -16,8 +16,6 @@ import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
-from benchmarks.rsi_simulators import SIMULATORS, home_of
-from benchmarks.rsi_simulators import played as played_on
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.base import PassThrough
@@ -34,6 +32,8 @@ from scenes.scene_files.scene import SceneError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.rsi_controller import ControllerRun
+from studies.rsi import SIMULATORS, home_of
+from studies.rsi import played as played_on
 from tests.sim.devices.controllers import ENDLESS, PATIENCE, controlled
 
 ROBOT = Robot.load("kr6")

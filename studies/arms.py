@@ -1,0 +1,159 @@
+"""The line in the workshop with arms of one type: own models, a stranger's, adapted, and beside a run that knew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot
+from scenes import load_scene
+from scenes.commands.common import numbers, whole_numbers
+from scenes.line.kind import run
+from scenes.methods import ADAPTED, IDEAL
+from scenes.models import own_model
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import OWN, chosen
+from scenes.sweep import SweepFile, jobs, sweep
+from studies.report import head, listed, row
+
+WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.2}, 2.0: {"mean": 0.3}}
+"""Bounds by speed [mm]: of the mean over all runs, of the worst run's mean, of each run's 95 %."""
+HEAVY: dict[str, Any] = {"payload_mass": 2.0, "payload_com": (0.0, 0.0, -0.08)}
+COLD: dict[str, Any] = {"start_temperature": 20.0}
+CHANGES: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "tool 2 kg heavier than told": {"world": HEAVY},
+    "cold start, 20 °C": {"world": COLD},
+    "both": {"world": HEAVY | COLD},
+    "camera knocked by 0.5° midway": {"camera": {"knock_deg": 0.5}},
+    "all three": {"world": HEAVY | COLD, "camera": {"knock_deg": 0.5}},
+}
+
+
+def arms(lines: Path, individuals: str = "1-10", seeds: str = "1-3", speeds: str = "0.7,1.5,2",
+         processes: int = 2) -> None:
+    """Ten arms with the models of their own motions at three speeds, mean / 95 % in mm, beside what is wanted.
+
+    Answers go to the file LINES as they come; started again with the same file, the study goes on where it was. An
+    arm's model takes 20 s of processor time (kept in the user's cache folder), a run 3 s.
+    """
+    every, wanted, velocities = _whole(individuals), _whole(seeds), numbers(speeds, "--speeds")
+    file, answers = SweepFile(lines, resume=lines.exists()), list[dict[str, Any]]()
+    for individual in every:
+        # Arm by arm, so that what is finished early is a whole row; two processes would identify one arm twice.
+        work = jobs(["line"], speeds=velocities, seeds=wanted, individuals=[individual])
+        answers += [*sweep(work[:1], processes=1, file=file), *sweep(work[1:], processes=processes, file=file)]
+    head("individual", *(f"{v:g} m/s, seed {s}" for v in velocities for s in wanted))
+    for individual in every:
+        own = {(one["speed_m_s"], one["seed"]): one for one in answers if one["individual"] == individual}
+        row(individual, *(_cell(own[v, s]) for v in velocities for s in wanted))
+    print()
+    head("m/s", "runs", "mean of the means", "worst run's mean", "largest 95 %", "largest", "failed", "wanted")
+    for v in velocities:
+        runs = [one for one in answers if one["speed_m_s"] == v]
+        whole = [one["control_error_mm"] for one in runs if not one["failure"]]
+        mean, p95, most = (np.array([one[key] for one in whole] or [np.nan]) for key in ("mean", "p95", "max"))
+        row(f"{v:g}", len(runs), *(f"{x:.3f}" for x in (mean.mean(), mean.max(), p95.max(), most.max())),
+            len(runs) - len(whole), ", ".join(f"{key} ≤ {bound:g}" for key, bound in WANTED.get(v, {}).items()))
+
+
+def arms_models(individuals: str = "1-10", seeds: str = "1-3") -> None:
+    """Ten arms with their own models and with a stranger's, that of the next individual: mean error in mm.
+
+    A constant beside the line is the sensing's, not the arm's: what is left without each run's own stands apart.
+    """
+    every, wanted = _whole(individuals), _whole(seeds)
+    head("individual", "own, `ideal`", "own, `adapted`", "stranger's, `ideal`", "stranger's, `adapted`")
+    found = np.empty((3, len(every), 4, len(wanted)))
+    for i, individual in enumerate(every):
+        scene, other = (chosen(load_scene("line"), individual=which) for which in (individual, individual % 10 + 1))
+        for whose, columns in ((scene, slice(0, 2)), (other, slice(2, 4))):
+            found[:, i, columns] = _played(scene.changed(model=_model(whose)), wanted)
+        row(individual, *_mm(found[0, i].mean(axis=1)))
+    for title, values in (("mean", found[0].mean(axis=(0, 2))), ("worst run's mean", found[0].max(axis=(0, 2))),
+                          ("worst run's 95 %", found[1].max(axis=(0, 2))),
+                          ("mean without each run's constant", found[2].mean(axis=(0, 2)))):
+        row(title, *_mm(values))
+
+
+def arms_adapted(individuals: str = "1-10", seeds: str = "6-13") -> None:
+    """Each arm with its own model, adapted over not adapted: how much worse where nothing is to be adapted.
+
+    With the standard error of the ratio over the seeds.
+    """
+    head("individual", "`ideal`, mm", "`adapted`, mm", "`adapted` / `ideal`", "the same without each run's constant")
+    sums = []
+    for individual in _whole(individuals):
+        scene = chosen(load_scene("line"), individual=individual)
+        mean, _, varying = _played(scene.changed(model=_model(scene)), _whole(seeds))
+        sums.append([*mean.mean(axis=1), *varying.mean(axis=1)])
+        row(individual, *_mm(sums[-1][:2]), _ratio(*mean), _ratio(*varying))
+    whole = np.mean(sums, axis=0)
+    row("all", *_mm(whole[:2]), f"{whole[1] / whole[0]:.2f}", f"{whole[3] / whole[2]:.2f}")
+
+
+def knew(seeds: int = 2, individual: int = 1) -> None:
+    """A heavier tool, a cold start, a knocked camera: adapted beside the run that knew; mean errors in mm.
+
+    Who knew has the model that the arm's identification motions gave with that tool on, or at that temperature; the
+    camera was knocked before its calibration. Who adapts has the arm's model of before, warm and without the tool, and
+    learns on the way. Wanted: at most 1.3 times the mean error of who knew.
+    """
+    line = chosen(load_scene("line"), individual=individual)
+    before = _model(line)
+    head("change", "knew", "adapted", "adapted / knew", "not adapted")
+    for name, change in CHANGES.items():
+        changed = line.changed(**change)
+        # A knock that is over before calibration is a camera mounted otherwise: the same as none.
+        told = changed.changed(model=OWN, camera={"knock_deg": 0.0})
+        known, learned, fixed = (
+            [_error(scene, seed, method)[0] for seed in range(1, seeds + 1)]
+            for scene, method in ((told, IDEAL), (changed.changed(model=before), ADAPTED),
+                                  (changed.changed(model=before), IDEAL)))
+        row(name, listed(1e3 * np.array(known)), listed(1e3 * np.array(learned)),
+            f"{np.mean(learned) / np.mean(known):.2f}", listed(1e3 * np.array(fixed)))
+
+
+def _whole(text: str) -> list[int]:
+    return whole_numbers(text, "--individuals and --seeds")
+
+
+def _model(scene: LineScene) -> Path:
+    """The model that the scene's arm gave by motions of its own."""
+    return own_model(scene, Robot.load(scene.robot))
+
+
+def _error(scene: LineScene, seed: int, method: str) -> tuple[float, float, float]:
+    """Mean error, 95 %, and mean error less the run's constant [m]; NaN where the run failed."""
+    result = run(scene.changed(seed=seed), method=method)
+    if result.failure:
+        return np.nan, np.nan, np.nan
+    error = result.control_error
+    return error.mean, error.p95, float(np.mean(np.abs(error.lateral - np.mean(error.lateral))))
+
+
+def _played(scene: LineScene, seeds: Sequence[int]) -> Array:
+    """What ``_error`` gives, by `ideal` and `adapted` ``(3, 2, seeds)`` [m]."""
+    return np.array([[_error(scene, seed, method) for seed in seeds] for method in (IDEAL, ADAPTED)]).transpose(2, 0, 1)
+
+
+def _ratio(ideal: Array, adapted: Array) -> str:
+    """Ratio of the means over the seeds, with its standard error."""
+    ratio = adapted.mean() / ideal.mean()
+    if len(ideal) < 2:
+        return f"{ratio:.2f}"
+    return f"{ratio:.2f} ± {np.std(adapted - ratio * ideal, ddof=1) / np.sqrt(len(ideal)) / ideal.mean():.2f}"
+
+
+def _mm(values: Sequence[float] | Array) -> list[str]:
+    return [f"{1e3 * value:.3f}" for value in values]
+
+
+def _cell(answer: dict[str, Any]) -> str:
+    """Mean and 95 % of a run [mm], or that it failed."""
+    error = answer["control_error_mm"]
+    return "failed" if answer["failure"] else f"{error['mean']:.3f} / {error['p95']:.3f}"

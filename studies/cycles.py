@@ -1,0 +1,187 @@
+"""What one control cycle costs: of the ideal robot alone, of following a line with its camera, of planning alone."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections import defaultdict
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal, FrictionAdaptation
+from ideal_robot.feedforward.friction_curve import FrictionCurve
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.precorrection import Precorrection
+from ideal_robot.feedforward.training import LinearInverse
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.impulse_response import LinearLoop
+from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from planning.line.line_follower import FollowerSettings, LineFollower
+from scenes import load_scene
+from scenes.line import play
+from scenes.line.cell import prepared
+from scenes.line.kind import run
+from scenes.models import shipped_model
+from scenes.online.line_task import LineTask
+from scenes.scene_files.scene import chosen
+from sim.camera.bullet_camera import BulletCamera
+from studies.report import head, row
+from tests.planning.cell import Camera, T, displaced, distance, follow, joint_path, kr6, profile, reference, sine_points
+
+N_D = 30
+
+
+def cycle(cycles: int = 20000) -> None:
+    """A cycle of the ideal robot: six joints, n_d = 30, another horizon in every cycle, as with a sensor [ms]."""
+    robot = Robot.load("kr15")
+    model = Model.load(shipped_model("kr15"))
+    loop = loop_model(model, robot, delay=1)
+    t = 0.012 * np.arange(2000)
+    q_d = robot.home + 0.2 * np.sin(np.outer(t, 2 * np.pi * np.array([0.3, 0.4, 0.5, 0.6, 0.7, 0.8])))
+    tool = robot.tool_place
+    laws: dict[str, Feedforward] = {
+        "`linear`": LinearInverse(LinearLoop.of(loop, robot.home), N_D),
+        "`precorrected`": Precorrection.complete(model, robot, delay=1),
+        "`ideal`": IdealRobot(loop, N_D),
+        "`adapted`, a line": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool, curve=True)),
+        "`adapted`, a known path": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool),
+                                                curve=FrictionCurve(loop)),
+    }
+    head("[ms]", "median", "processor median", "processor p99.9")
+    gc.disable()
+    for name, law in laws.items():
+        elapsed, busy = (1e3 * seconds for seconds in _timed(law, q_d, cycles))
+        gc.collect()
+        row(name, f"{np.median(elapsed):.2f}", f"{np.median(busy):.2f}", f"{np.quantile(busy, 0.999):.2f}")
+
+
+def _timed(law: Feedforward, q_d: Array, cycles: int) -> tuple[Array, Array]:
+    """Elapsed and processor seconds of each cycle ``(cycles,)``, after a warm-up that compiles."""
+    state = law.init(q_d[0])
+    times, busy = np.empty(cycles), np.empty(cycles)
+    bends = np.random.default_rng(0).normal(scale=1e-5, size=(64, 1, q_d.shape[1]))
+    for k in range(-50, cycles):
+        start = k % (len(q_d) - N_D)
+        # Another path in every cycle: the planned one plus what a sensor has just found.
+        horizon = q_d[start : start + N_D] + bends[k % 64]
+        measured = RobotState(0.012 * k, q_d[start], np.zeros(q_d.shape[1]))
+        working, begun = time.thread_time(), time.perf_counter()
+        _, state = law.step(state, horizon)
+        if isinstance(law, AdaptedIdeal):
+            state = law.observe(state, measured)
+        if k >= 0:
+            times[k], busy[k] = time.perf_counter() - begun, time.thread_time() - working
+    return times, busy
+
+
+class _TimedTask(LineTask):
+    """A task that writes down how long its part of each cycle takes."""
+
+    cycles: list[float] = []  # noqa: RUF012 (of the run that is being played)
+
+    def observe(self, *arguments: Any) -> None:
+        self._begun = time.thread_time()
+        super().observe(*arguments)
+
+    def command(self, t: float, q_d: Array) -> Array:
+        q_c = super().command(t, q_d)
+        self.cycles.append(time.thread_time() - self._begun)
+        return q_c
+
+
+def line_cycles(runs: int = 5, world: str = "", tool_mm: float = 0.0) -> None:
+    """Following a line: real-time factor, and sensing, planning and feedforward of a cycle, by processor time.
+
+    All world effects are on, 320×240 at 50 Hz, rendering counts in the real-time factor. --tool-mm puts a tool on, and
+    the arm's links into the picture.
+    """
+    scene = chosen(load_scene("line"), world=world or None).changed(tool_mm=tool_mm)
+    vars(play)["LineTask"] = _TimedTask
+    with prepared(scene) as cell:
+        run(scene, method="ideal", shared=cell)
+        busy, factors, fields = [], [], []
+        for _ in range(runs):
+            _TimedTask.cycles.clear()
+            begun = time.process_time()
+            result = run(scene, method="ideal", shared=cell)
+            factors.append(result.timing.simulated / (time.process_time() - begun))
+            busy.append(np.array(_TimedTask.cycles))
+            fields.append(result.timing.with_field)
+        camera = cell.camera
+    times, with_field = 1e3 * np.concatenate(busy), np.concatenate(fields)
+    shown = len(camera.arm.bodies) if isinstance(camera, BulletCamera) and camera.arm is not None else 0
+    head("", "real-time factor", "a cycle with a new field", "one without")
+    kinds = [times[with_field], times[~with_field]]
+    row("now", f"{np.median(factors):.1f}", *(f"{np.median(one):.2f} ms" for one in kinds))
+    row("99 %", "", *(f"{np.quantile(one, 0.99):.2f} ms" for one in kinds))
+    print(f"\nmean error {1e3 * result.control_error.mean:.3f} mm, fields used {result.fields_used} of "
+          f"{result.fields_seen}; shapes of the arm that came into view: {shown}")
+
+
+LATENCIES, SPEEDS = (0.02, 0.04, 0.08, 0.12), (0.2, 0.4, 0.7, 1.0, 1.3)
+
+
+def planning(n_d: int = 25, speed: float = 0.7) -> None:
+    """Processor time of planning's calls, and the distance from a displaced line by speed and latency.
+
+    The line is seen with 0.03 mm of noise a point. Of a field's 3 ms and a cycle's 1 ms without one, the time is
+    planning's share.
+    """
+    head(f"processor time, n_d = {n_d}", "median", "99 %", "calls")
+    for name, seconds in _times(n_d, speed).items():
+        ms = 1e3 * np.array(seconds)
+        row(name, f"{np.median(ms):.2f} ms", f"{np.percentile(ms, 99):.2f} ms", len(ms))
+    print()
+    head("m/s", *(f"{1e3 * latency:.0f} ms" for latency in LATENCIES))
+    for v in SPEEDS:
+        row(v, *("{:.0f} / {:.0f}".format(*_error(v, latency)) for latency in LATENCIES))
+
+
+def _times(n_d: int, speed: float, passes: int = 3) -> dict[str, list[float]]:
+    """Processor times of each call [s]."""
+    names = ("`predict` where the line will be", "`update` with one field", "`horizon` with a new field",
+             "`horizon` without")
+    times: dict[str, list[float]] = defaultdict(list)
+    for seed in range(passes):
+        follower = LineFollower(kr6(), reference(), profile(speed), n_d, joint_path=joint_path(),
+                                settings=FollowerSettings())
+        camera = Camera(displaced(sine_points()), np.random.default_rng(seed))
+        under_way, exposure = [], 3 * T
+        for k in range(int(follower.duration / T)):
+            t = k * T
+            new = bool(under_way) and under_way[0].t + 0.04 <= t
+            while under_way and under_way[0].t + 0.04 <= t:
+                field = under_way.pop(0)
+                begin = time.thread_time()
+                follower.update(field)
+                times[names[1]].append(time.thread_time() - begin)
+            begin = time.thread_time()
+            q_d = follower.horizon(t)
+            times[names[2 if new else 3]].append(time.thread_time() - begin)
+            follower.observe(t, q_d[0])
+            while exposure <= t - 2 * T:
+                begin = time.thread_time()
+                pose = follower.history.pose(exposure)
+                follower.predict(exposure).seen_from(pose)
+                times[names[0]].append(time.thread_time() - begin)
+                under_way.append(camera.look(follower, exposure, pose))
+                exposure += 0.02
+    return {name: times[name] for name in names}
+
+
+def _error(speed: float, latency: float, seeds: int = 3) -> tuple[float, float]:
+    """Mean and 95 % of the distance from the line, from 0.5 s on [µm]."""
+    line, distances = displaced(sine_points()), []
+    for seed in range(seeds):
+        follower = LineFollower(kr6(), reference(), profile(speed), joint_path=joint_path(),
+                                settings=FollowerSettings(latency=latency))
+        run = follow(follower, Camera(line, np.random.default_rng(seed)), latency=latency)
+        inside = (run.t > 0.5) & (run.tcp[:, 1] < line[-1, 1] - 0.005)
+        distances.append(distance(run.tcp[inside], line))
+    whole = 1e6 * np.concatenate(distances)
+    return float(whole.mean()), float(np.percentile(whole, 95))

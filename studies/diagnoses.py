@@ -1,0 +1,143 @@
+"""Diagnoses of recordings with hidden causes: in strangers' physics with a strict score, and of sensors."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter, defaultdict
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+
+from ideal_robot.diagnosis import Options, diagnose
+from ideal_robot.effects import SENSOR
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.identification.idim import identify
+from scenes.commands.common import numbers, whole_numbers
+from studies.report import head, row, write_tables
+from studies.sensors.force import draw_force_trial
+from studies.sensors.line import KINDS, draw_line_trial, gantry
+from studies.sensors.tcp import draw_tcp_trial
+from studies.strangers.arm import robot_of
+from studies.strangers.score import Score, leaving_out, report, score
+from studies.strangers.trial import draw_trial
+
+GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
+"""What counts as the answer of a diagnosis that ends with an error."""
+Job = tuple[int, str | None, tuple[float, float], float]
+
+
+def strangers(seeds: str = "40000-40044", kind: str | None = None, sizes: str = "0.5,10", processes: int = 1,
+              lines: Path | None = None, share_scale: float = 1.0, write: bool = False) -> None:
+    """Trials of the diagnosis in three engines that nothing of the program wrote: named, and nothing else named.
+
+    Every recording follows from its seed; the engine goes by turns (mujoco, pybullet, integrator), the kind is drawn
+    (none, inside, new, outside, two, model, arm, known), --sizes are the least and most in multiples of visible. With
+    --lines each score is a line of that file, and seeds that have one are not played again. --write puts the tables
+    into the page. --kind none --share-scale 0.5 plays empty recordings with all shares of the residual that are asked
+    of an effect halved, and says which factor on them each two engines ask for and what it does in the third.
+    --kind known plays healthy recordings against the model that `identify` makes of another healthy recording.
+    """
+    wanted, (least, most) = whole_numbers(seeds, "--seeds"), numbers(sizes, "--sizes")
+    texts = lines.read_text(encoding="utf-8").splitlines() if lines is not None and lines.is_file() else []
+    scores = [s for s in map(Score.from_dict, map(json.loads, texts)) if s.seed in wanted and kind in (None, s.kind)]
+    done = {s.seed for s in scores}
+    jobs: list[Job] = [(seed, kind, (least, most), share_scale) for seed in wanted if seed not in done]
+    with ProcessPoolExecutor(processes) as pool:
+        for s in filter(None, pool.map(_play, jobs) if processes > 1 else map(_play, jobs)):
+            scores.append(s)
+            print(_line(s), flush=True)
+            if lines is not None:
+                with lines.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(s.to_dict()) + "\n")
+    text = report(scores) if share_scale == 1.0 else leaving_out(scores, share_scale)
+    print(text)
+    if write:
+        write_tables("stranger trials" if share_scale == 1.0 else "engines left out", text)
+
+
+def _play(job: Job) -> Score | None:
+    """Draws, diagnoses and scores one trial; None where nothing can be drawn from its seed.
+
+    A diagnosis that gives up has said nothing, and is never right.
+    """
+    seed, kind, size, scale = job
+    try:
+        trial = draw_trial(seed, kind, None, size)
+    except RuntimeError as error:
+        print(error, flush=True)
+        return None
+    with robot_of(trial.urdf) as robot:
+        model = None
+        try:
+            if trial.kind == "known":
+                model = identify([trial.reference], robot).model
+            elif trial.reference is not None:
+                # What is known before is a rigid body with friction, as an identification has it, and no effects.
+                model = diagnose(trial.reference, robot, only=()).model
+            start = time.process_time()
+            found = diagnose(trial.recording, robot, model=model, options=Options().scaled(scale))
+        except (IdealRobotError, ArithmeticError, ValueError) as error:
+            print(f"{seed}: {error}", flush=True)
+            return score(trial, GAVE_UP)
+        return score(trial, found, time.process_time() - start)
+
+
+def _line(s: Score) -> str:
+    """One trial for people."""
+    causes = ", ".join(f"{name} {joint} ×{size:.1f}" for name, joint, size in s.causes) or "nothing"
+    said = ", ".join([*(f"{name} {joint}" for name, joint in s.named), *(f"unknown {j}" for j in s.unknown)])
+    return (f"{'ok ' if s.right else 'BAD'} {s.seed} {s.engine:10s} {s.kind:7s} {s.arm:13s} {s.motion:7s} "
+            f"{s.logger:12s} {s.controller:15s} {s.friction:10s} {s.gears:7s} {s.seconds:5.1f} s  true: {causes}  "
+            f"said: {s.verdict} {said}")
+
+
+def sensors(channel: str, seeds: str) -> None:
+    """Effects that a device at the tool (CHANNEL tcp), a force sensor (force) or a camera (line) shows.
+
+    SEEDS as 6000-6069. Right: named at its joint, or of a group that the data do not separate; of nothing, nothing
+    named. Beside tcp the motor torque is diagnosed too; of force and line the sensor alone counts.
+    """
+    said: dict[str, Counter[str]] = defaultdict(Counter)
+    right, alone = Counter[str](), Counter[str]()
+    for seed in whole_numbers(seeds, "SEEDS"):
+        truth, groups = (_line_groups if channel == "line" else _arm_groups)(channel, seed)
+        name = truth[0] if truth else "none"
+        hits = [truth in group for group in groups]
+        right[name] += any(hits) if truth else not groups
+        alone[name] += len(groups) == sum(hits) and (truth is None or any(hits))
+        said[name][" + ".join(f"{group[0][0]} {group[0][1]}" for group in groups) or "nothing"] += 1
+    head(f"drawn, {channel}", "trials", "right", "and nothing else", "said where not")
+    for name, each in sorted(said.items()):
+        other = [words for words in each if words.partition(" ")[0] != name and (name != "none" or words != "nothing")]
+        row(f"`{name}`" if name != "none" else name, each.total(), right[name], alone[name], "; ".join(other))
+    row("all", sum(each.total() for each in said.values()), right.total(), alone.total(), "")
+
+
+Group = list[tuple[str, int]]
+"""What was said first, and what the data do not separate from it."""
+
+
+def _arm_groups(channel: str, seed: int) -> tuple[tuple[str, int] | None, list[Group]]:
+    """Truth of a seed, and what is said of it."""
+    trial = (draw_force_trial if channel == "force" else draw_tcp_trial)(seed)
+    with robot_of(trial.urdf) as robot:
+        found = diagnose(trial.recording, robot)
+    groups = []
+    for e in found.effects:
+        # Contact also shows in motor torques, of which trials of a force sensor do not ask.
+        if channel == "tcp" or e.fitted.domain == SENSOR:
+            rivals = [rival.partition(" of joint ") for rival in e.indistinguishable_from]
+            groups.append([(e.fitted.name, e.fitted.joint),
+                           *((name, int(joint) if joint else e.fitted.joint) for name, _, joint in rivals)])
+    return trial.truth, [*groups, *([("unknown", u.fitted.joint)] for u in found.unknown if channel == "tcp")]
+
+
+def _line_groups(channel: str, seed: int) -> tuple[tuple[str, int] | None, list[Group]]:
+    """The same of a camera over a line."""
+    kind, _, recording = draw_line_trial(seed)
+    with robot_of(gantry()) as robot:
+        found = [e for e in diagnose(recording, robot).effects if e.fitted.channel == channel]
+    assert kind in KINDS
+    return (None if kind == "none" else (kind, 0)), [[(e.fitted.name, 0), *((name, 0) for name in
+                                                                              e.indistinguishable_from)] for e in found]

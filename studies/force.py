@@ -1,0 +1,204 @@
+"""Force in the workshop, on contacts whose stiffness nobody told, and what its error is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import UnivariateSpline
+
+from ideal_robot.arrays import Array
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.feedforward.method import Setting
+from planning.force.contact import Phase
+from scenes import load_scene
+from scenes.commands.common import numbers, whole_numbers
+from scenes.force.cell import Cell, set_up, true_tip
+from scenes.force.kind import run
+from scenes.force.play import BRAKING, LONGEST, REST, calibrated, friction_shown, methods
+from scenes.force.result import ForceResult
+from scenes.methods import DIRECT, IDEAL, method_of
+from scenes.online.cycle import CycleSettings, play_cycles
+from scenes.online.force_task import ForceTask
+from scenes.scene_files.force_scene import ForceScene
+from sim.arm.arm import SimulatedArm
+from sim.contact.contact import TipContact
+from sim.equipped_arm import CarriedForceSensor, EquippedArm
+from studies.outside import with_true_friction
+from studies.report import head, row
+
+FRICTION = (0.05, 0.4)
+"""From the softest to the stiffest contact."""
+UNSTOPPED = {"force": 1e4, "lost": 60.0}
+"""Limits that no run of direct feedback reaches, so that it has a number where it loses contact."""
+DRIFT = (0.1, -0.1, 0.3, 0.0, 0.0, 0.0)
+"""By which the sensor's bias has changed since its calibration [N, N m]."""
+
+
+def contact_scene(stiffness: float, seed: int) -> ForceScene:
+    """`force_wave` on a contact of this stiffness [N/mm]."""
+    friction = float(np.interp(np.log(stiffness), np.log([2.0, 50.0]), FRICTION))
+    return load_scene("force_wave").changed(seed=seed, gains=None, sensor={"drift": DRIFT},
+                                            tip={"stiffness": 1e3 * stiffness, "friction": friction})
+
+
+def force(stiffness: str = "2,5,10,20,50", seeds: str = "1,2", direct: bool = False) -> None:
+    """`force_wave` over stiffnesses in N/mm, and `glue`: RMS and largest force, with --direct of direct feedback too.
+
+    Wanted: RMS at most 1 N and a quarter of direct feedback's, never above 40 N. Direct feedback has the best gains
+    that a search in the same cell finds, and no emergency stop.
+    """
+    wanted = whole_numbers(seeds, "--seeds")
+    scenes = {f"{k:g} N/mm": [contact_scene(k, seed) for seed in wanted] for k in numbers(stiffness, "--stiffness")}
+    glue = {"`glue`, 4 N/mm": [load_scene("glue").changed(seed=seed) for seed in wanted]}
+    ideal: dict[str, float] = {}
+    head("contact", *(f"RMS N, seed {seed}" for seed in wanted), *(f"largest N, seed {seed}" for seed in wanted))
+    for name, each in (scenes | glue).items():
+        runs = [run(scene, method=IDEAL) for scene in each]
+        ideal[name] = runs[0].figures.rms
+        title = f"{name}, μ = {each[0].tip.friction:.2f}" if name in scenes else name
+        row(title, *(_figure(one, "rms", 2) for one in runs), *(_figure(one, "largest", 1) for one in runs))
+    if direct:
+        print()
+        head("contact", "direct feedback, RMS N", "largest N", "least N", "ours, of it")
+        for name, each in scenes.items():
+            result = run(each[0].changed(emergency=UNSTOPPED), method=DIRECT)
+            row(name, _figure(result, "rms", 2), *(_figure(result, key, 1) for key in ("largest", "least")),
+                f"{ideal[name] / result.figures.rms:.2f}")
+
+
+def _figure(result: ForceResult, key: str, digits: int) -> str:
+    return f"{getattr(result.figures, key):.{digits}f}" + (f", {result.failure}" if result.failure else "")
+
+
+LATER = 10
+"""Cycles after which the forces of a cycle have arrived."""
+FULL = 0.95
+"""Share of the speed from which on it counts as full."""
+SMOOTH = 3e-6
+"""Standard deviation of the surface that is told from the one that was found [m]."""
+
+
+def force_parts(stiffness: str = "10,20,50", seed: int = 1, told: bool = False) -> None:
+    """Heights in µm over the travel: planned against right, tip against planned, believed against true tip.
+
+    *plan* is the height that was planned against the one at which the force would have been right, *arm* the height of
+    the tip against the planned one, *tip* where the program thinks, once its forces have arrived, that the tip was
+    against where it was; root mean squares. --told plays twice more: with the surface known beforehand (the height at
+    which the force would have been right in the first play), and with the true friction of all joints told besides.
+    """
+    five = ["plan µm", "arm µm", "tip µm", "RMS N", "at full speed"]
+    more = ["surface known: plan", *five[1:], "and friction: plan", *five[1:]]
+    head("contact", *five, *(more if told else []))
+    for k in numbers(stiffness, "--stiffness"):
+        scene = contact_scene(k, seed)
+        felt = _played(scene)
+        cells = felt.cells()
+        if told:
+            surface = _KnownSurface(felt.s, felt.right)
+            cells += _played(scene, surface=surface).cells()
+            cells += _played(scene, _knowing_friction(scene), surface).cells()
+        row(f"{k:g} N/mm", *cells)
+
+
+class _Watched(ForceTask):
+    """Writes down for each cycle of the travel what was planned, where the arm is, and later where it is thought."""
+
+    def watch(self, arm: SimulatedArm) -> None:
+        self.arm, self.rows, self.believed = arm, [], {}
+
+    def request(self, t0: float, t1: float) -> None:
+        super().request(t0, t1)
+        follower = self.follower
+        if follower.phase is Phase.TRAVEL:
+            self.rows.append((t0, follower.s_at(t0), follower.planned()[1], self.arm.q_a.copy()))
+        late = len(self.log.t) - 1 - LATER
+        if late >= 0:
+            self.believed[self.log.t[late]] = follower.history.q(self.log.t[late])
+
+
+class _KnownSurface:
+    """Takes the forecast's place."""
+
+    def __init__(self, s: Array, height: Array) -> None:
+        new = np.concatenate([[True], np.diff(s) > 1e-6])
+        self._end = float(s[-1])
+        self._spline = UnivariateSpline(s[new], height[new], s=np.count_nonzero(new) * SMOOTH**2, k=5)
+
+    def add(self, *_: Any) -> None:
+        """Nothing is learned."""
+
+    def height(self, s: Array) -> Array:
+        return np.asarray(self._spline(np.clip(s, 0.0, self._end)))
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Heights along the travel ``(N,)`` [m] at arc lengths ``s (N,)`` [m]; RMS of the force, also at full speed [N]."""
+
+    s: Array
+    right: Array
+    planned: Array
+    tip: Array
+    believed: Array
+    rms: float
+    at_speed: float
+
+    def cells(self) -> list[str]:
+        differences = (self.right - self.planned, self.planned - self.tip, self.believed - self.tip)
+        return [*(f"{1e6 * np.sqrt(np.mean(one**2)):.0f}" for one in differences), f"{self.rms:.2f}",
+                f"{self.at_speed:.2f}"]
+
+
+def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | None = None) -> _Parts:
+    """One play, taken apart; by a method's key or factory, on what is felt unless the surface is known."""
+    tool, elasticity = calibrated(scene)
+    cell = set_up(scene)
+    task = _Watched(cell, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0],
+                    friction_shown(scene))
+    if surface is not None:
+        task.follower._forecast = surface
+    with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:
+        contact = TipContact(arm, cell.surface, true_tip(scene.tip))
+        sensor = CarriedForceSensor(cell.sensor, arm, contact)
+        task.connect(sensor, None)
+        task.watch(arm)
+        duration = cell.profile.duration
+        play_cycles(EquippedArm(arm, [sensor]), cell.robot, task, task.log,
+                    CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, "ideal"),
+                    lambda *_: None)
+        history = contact.history()
+    if task.log.failure:
+        raise SystemExit(task.log.failure)
+    return _taken_apart(cell, task, scene, history)
+
+
+def _taken_apart(cell: Cell, task: _Watched, scene: ForceScene, history: dict[str, Array]) -> _Parts:
+    fk, reference = cell.robot.fk(), task.follower.reference
+
+    def height(q: Array, s: float) -> float:
+        return float(reference.project(fk(q).translation[None], s, span=0.06)[2][0])
+
+    rows = [one for one in task.rows if one[0] in task.believed]
+    t, s, planned = (np.array([one[i] for one in rows]) for i in range(3))
+    tip = np.array([height(q_a, at) for _, at, _, q_a in rows])
+    believed = np.array([height(task.believed[at], place) for at, place, _, _ in rows])
+    wrong = np.interp(t, history["t"], history["normal"]) - scene.force
+    travel = (history["t"] >= t[0]) & (history["t"] <= t[-1])
+    rms = float(np.sqrt(np.mean((history["normal"][travel] - scene.force) ** 2)))
+    fast = np.gradient(s, t) > FULL * scene.speed
+    at_speed = float(np.sqrt(np.mean(wrong[fast] ** 2)))
+    return _Parts(s, tip + wrong / scene.tip.stiffness, planned, tip, believed, rms, at_speed)
+
+
+def _knowing_friction(scene: ForceScene) -> Any:
+    """A factory of the ideal robot that is told the true friction of the scene's arm."""
+    cell = set_up(scene)
+
+    def ideal_with_true_friction(setting: Setting) -> Feedforward:
+        every = list(range(1, cell.robot.n + 1))
+        return IdealRobot(with_true_friction(setting.loop(), cell.robot, cell.world, every), setting.horizon(30))
+
+    return ideal_with_true_friction

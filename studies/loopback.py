@@ -1,0 +1,170 @@
+"""The main job over wires beside the same job in one process, on loopback, in real time."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from scenes import run_scene
+from scenes.scene_file import library, load_scene
+from studies.report import head, row
+from tests.scenes.follow.pair import Cell, served
+
+UNKIND = ("--loss", "0.02", "--late", "0.003", "--late-by", "30", "--drift", "50")
+SEEN = ("line", "glue")
+"""Scenes with a camera."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way of doing the job.
+
+    Attributes:
+        title: in the table.
+        scene: shipped scene.
+        allowed: of the error over wires: times that in one process, or [mm] where it is absolute.
+        follow, simulate: options of both verbs.
+        camera_rate: pictures a second instead of the scene's [Hz].
+        absolute: whether ``allowed`` is in mm.
+    """
+
+    title: str
+    scene: str
+    allowed: float
+    follow: tuple[str, ...] = ()
+    simulate: tuple[str, ...] = ()
+    camera_rate: float | None = None
+    absolute: bool = False
+
+
+FAST = ("--cycle", "0.004")
+CASES = {
+    "line": Case("`line`, 12 ms", "line", 1.3), "line_4ms": Case("`line`, 4 ms", "line", 1.5, FAST, FAST),
+    "line_unkind": Case("`line`, 12 ms, 2 % lost each way, stalls of 30 ms, 50 ppm, camera 10 Hz", "line", 0.3, (),
+                        UNKIND, 10.0, True),
+    "force_wave": Case("`force_wave`", "force_wave", 1.3), "contour": Case("`contour`", "contour", 1.3),
+    "glue": Case("`glue`, calibrated by moving", "glue", 1.3),
+}
+
+
+def loopback(runs: int = 20, only: str = ",".join(CASES), lines: Path | None = None) -> None:
+    """`follow` against `simulate --serve`, two processes and the camera's, beside the same scene in one process.
+
+    The camera of `line` and of `glue` is calibrated by moving over the same wires once. Error: mean distance of the
+    true tool from the drawn line [mm], or RMS error of the true normal force [N]: mean, worst, and in brackets in one
+    process. Late: answers the controller did not get in time; acceleration: largest commanded one as a share of the
+    limits; processor: both processes, of one core. A quiet computer with two cores is wanted; the load is said. Every
+    run is appended to --lines, if given.
+    """
+    print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores; {runs} runs each\n", flush=True)
+    head("", "runs", "error", "allowed", "ended early", "late %", "acceleration", "processor %",
+         "memory MB: arm + camera = together")
+    with tempfile.TemporaryDirectory(prefix="follow_loopback_") as name:
+        folder = Path(name)
+        wanted = {key: case for key, case in CASES.items() if key in only.split(",")}
+        cameras = {scene: _calibrated(scene, folder) for scene in SEEN
+                   if any(case.scene == scene for case in wanted.values())}
+        for key, case in wanted.items():
+            own = folder / key
+            own.mkdir()
+            row(case.title, *_cells(case, *_measured(key, runs, cameras.get(case.scene), own, lines)))
+    print(f"\nload {os.getloadavg()[0]:.1f}")
+
+
+def _scene_of(key: str, folder: Path) -> str:
+    """The shipped scene, or a copy of it with another camera rate."""
+    case = CASES[key]
+    if case.camera_rate is None:
+        return case.scene
+    file = folder / f"{key}.toml"
+    text = (library() / f"{case.scene}.toml").read_text(encoding="utf-8")
+    # Two pictures in a row may be lost: three periods of travel without one.
+    gap = 3.5 * load_scene(case.scene).speed / case.camera_rate
+    file.write_text(f"max_gap = {gap:.3f}\n{text}\n[camera]\nrate = {case.camera_rate}\n", encoding="utf-8")
+    return str(file)
+
+
+def _error_of(figures: dict[str, Any]) -> float:
+    """Mean distance [mm] where there is a line, RMS force error [N] otherwise."""
+    found = figures["control_error_mm"]["mean"] if "control_error_mm" in figures else figures["force_N"]["rms_error"]
+    return float("nan") if found is None else float(found)
+
+
+def _in_process(case: Case, scene: str) -> float:
+    result = run_scene(load_scene(scene))
+    if case.scene == "line":
+        return 1e3 * float(result.control_error.mean)
+    return float(result.lateral["control_error_mm"]["mean"] if case.scene == "glue" else result.figures.rms)
+
+
+def _calibrated(scene: str, folder: Path) -> Path:
+    """File of a scene's camera, calibrated by moving over the wires."""
+    file = folder / f"camera_{scene}.json"
+    with served(scene, folder) as cell:
+        follower = cell.follow(scene, "--calibration", str(file))
+        _, said = follower.communicate(timeout=400.0)
+        if follower.returncode:
+            raise SystemExit(f"calibration of {scene}: {said[-400:]}")
+    return file
+
+
+def _played(cell: Cell, scene: str, options: tuple[str, ...], session: int) -> dict[str, Any]:
+    """One run: what really happened, by the simulated cell, and what the follower said of itself."""
+    follower = cell.follow(scene, *options)
+    try:
+        _, said = follower.communicate(timeout=400.0)
+        truth = cell.truth(session, 30.0)
+    except (subprocess.TimeoutExpired, TimeoutError) as error:
+        follower.kill()
+        return {"code": -1, "failure": str(error)[-300:]}
+    figures = cell.figures() if (cell.folder / "follow.json").exists() else {}
+    link, timing = figures.get("devices", {}).get("arm", {}).get("link", {}), figures.get("timing", {})
+    code = follower.returncode
+    return {"code": code, "failure": figures.get("failure", said[-300:] if code else None),
+            "error": _error_of(truth), "share": truth["largest_acceleration_share"],
+            "held_up": truth.get("held_up", 0), "late": link.get("late", 0), "cycles": figures.get("cycles", 0),
+            "answer_ms": timing.get("answer_ms", {}), "processor": sum(timing.get("processor_share", {}).values()),
+            "memory": timing.get("peak_memory_MB", {}), "together": timing.get("memory_together_MB")}
+
+
+def _measured(key: str, runs: int, camera: Path | None, folder: Path,
+              lines: Path | None) -> tuple[list[dict[str, Any]], float]:
+    """All runs of a case against one served cell, and the error in one process."""
+    case, scene = CASES[key], _scene_of(key, folder)
+    options = (*case.follow, *(("--calibration", str(camera)) if camera is not None else ()))
+    own, found = _in_process(case, scene), list[dict[str, Any]]()
+    while len(found) < runs:
+        with served(scene, folder, *case.simulate) as cell:
+            (folder / "truth.json").unlink(missing_ok=True)
+            for session in range(1, runs - len(found) + 1):
+                found.append(_played(cell, scene, options, session))
+                if lines is not None:
+                    with lines.open("a", encoding="utf-8") as file:
+                        file.write(json.dumps({"case": key, "in_process": own, **found[-1]}) + "\n")
+                if found[-1]["code"] == -1:
+                    # Whatever it is that hangs, the next run begins with a fresh cell.
+                    break
+    return found, own
+
+
+def _cells(case: Case, runs: list[dict[str, Any]], own: float) -> list[str]:
+    """What the runs of a case say together."""
+    def all_of(key: str) -> list[Any]:
+        return [one[key] for one in runs if one.get(key) is not None]
+
+    errors = np.array([value for value in all_of("error") if np.isfinite(value)] or [np.nan])
+    memory = [max((one[key] for one in all_of("memory") if key in one), default=np.nan)
+              for key in ("follower", "camera")]
+    return [str(len(runs)), f"{errors.mean():.3f}, {errors.max():.3f} ({own:.3f})",
+            f"{case.allowed if case.absolute else case.allowed * own:.3f}", str(sum(one["code"] != 0 for one in runs)),
+            f"{1e2 * sum(all_of('late')) / max(sum(all_of('cycles')), 1):.2f}",
+            f"{max(all_of('share'), default=np.nan):.2f}", f"{1e2 * max(all_of('processor'), default=np.nan):.0f}",
+            " + ".join("–" if np.isnan(one) else f"{one:.0f}" for one in memory)
+            + f" = {max(all_of('together'), default=np.nan):.0f}"]

@@ -1,0 +1,168 @@
+"""Measured arms, from the folder of the public recordings: identification, and what adaptation is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import inverse_dynamics
+from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation
+from ideal_robot.identification.checks import checked
+from ideal_robot.identification.idim import identify
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import ControllerModel
+from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess
+from ideal_robot.signals.recording import Recording
+from scenes.commands.common import numbers
+from studies.report import head, row
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One measured arm: what it is identified on, what it is judged on, and what its authors reached [%].
+
+    Attributes:
+        files: URDF, estimation, validation, from the folder of the data. A validation file that is the estimation file
+            means its second half, and the first half is fitted.
+        authors: std(residual)/std(torque) per joint, where published [%].
+        live: how many joints, the first ones, have a torque channel that is alive; all if None.
+        band: position and torque band of the judgement [Hz].
+    """
+
+    files: tuple[str, str, str]
+    authors: tuple[float, ...] = ()
+    live: int | None = None
+    band: tuple[float, float] = (8.0, 4.0)
+
+
+ARMS = {
+    "panda": Arm(("panda/panda.urdf", "panda/panda_a.parquet", "panda/panda_b.parquet"),
+                 authors=(6.3, 2.5, 2.4, 5.1, 11.5, 7.4, 19.9)),
+    "tiago": Arm(("tiago/tiago.urdf", "tiago/tiago_a.parquet", "tiago/tiago_b.parquet"), live=5),
+    "ur5": Arm(("ur5/ur5.urdf", "ur5/ur5_no9.parquet", "ur5/ur5_no6.parquet")),
+    "ur10": Arm(("ur10/ur10.urdf", "ur10/ur10.db3", "ur10/ur10.db3")),
+    "ur10e": Arm(("ur10e/ur10e.urdf", "ur10e/free_12harm_50s.parquet", "ur10e/free_8harm_20s.parquet")),
+    "emps": Arm(("emps/emps.urdf", "emps/emps_estimation.parquet", "emps/emps_validation.parquet"), band=(100.0, 50.0)),
+}
+
+
+def measured(data: Path, arms: str = ",".join(ARMS), cutoffs: str = "4,6,8,10,15,20,30") -> None:
+    """Identification of measured arms: filters chosen from the data against fixed ones, on motion that was not fitted.
+
+    Every model is judged alike, whatever filters it was made with: positions below 8 Hz, measured and predicted torque
+    below 4 Hz (EMPS: 100 and 50 Hz), std(residual) / std(torque) per joint. DATA is the folder of the recordings.
+    """
+    head("", "std(residual) / std(torque) per joint [%]")
+    for name in arms.split(","):
+        arm = ARMS[name]
+        robot, estimation, validation = _loaded(arm, data)
+        if arm.authors:
+            _row(f"{name}, its authors", arm.authors, arm)
+        own = identify([estimation], robot).model
+        errors, fixed, filters = _judged(own, validation, arm), [], own.provenance["filters"]
+        _row(f"{name}, no switch ({filters['cutoff']:.3g} / {filters['cutoff_decimation']:.3g} Hz)", errors, arm)
+        for cutoff in numbers(cutoffs, "--cutoffs"):
+            if cutoff < 0.45 / float(np.median(np.diff(estimation.t))):
+                model = identify([estimation], robot, cutoff=cutoff, cutoff_decimation=0.5 * cutoff).model
+                fixed.append(_judged(model, validation, arm))
+                _row(f"{name}, {cutoff:g} Hz", fixed[-1], arm)
+        if fixed:
+            whole = np.mean(np.array(fixed)[:, : arm.live], axis=1)
+            _row(f"{name}, no switch over the best of them", errors / fixed[int(np.argmin(whole))], arm)
+            mean = np.mean(errors[: arm.live])
+            row(f"{name}, mean over joints", f"{mean:.2f} against {whole.min():.2f}: {mean / whole.min():.2f}")
+
+
+def measured_adapted(data: Path, arms: str = "ur10e,emps,panda,ur5") -> None:
+    """What adaptation is worth on measured arms: torques predicted before they are seen.
+
+    Along the motion that was left for judging, adaptation is told positions and torques once an interpolation cycle,
+    and what it knew before a cycle predicts that cycle's torque. On the second half of the motion counts
+    std(residual) / std(torque): by the model alone, with two factors per joint, with the curve over speed besides.
+    These recordings hold no commands, so no controller is known; adaptation needs one for the unit of apparent
+    inertias alone, and is given a usual one.
+    """
+    head("arm", "residual over torque, per joint [%]")
+    for name in arms.split(","):
+        arm = ARMS[name]
+        robot, estimation, validation = _loaded(arm, data)
+        model = identify([estimation], robot).model
+        loop = loop_model(replace(model, controller=_usual_controller(robot, validation.joints("q")[0])), robot)
+        s = preprocess(validation, cutoff=arm.band[0])
+        alone = model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
+        predicted = {"model alone": alone}
+        for title, curve in (("two factors", False), ("and a curve", True)):
+            adaptation = FrictionAdaptation(loop, tool=robot.tool_place, curve=curve, noise_std=model.noise_std)
+            predicted[title] = alone + _learned_on_the_way(model, loop, adaptation, validation, s)
+        for title, torque in predicted.items():
+            _row(f"{name}, {title}", _share_left(s, torque, arm.band[1], len(s.t) // 2), arm)
+
+
+def _loaded(arm: Arm, data: Path) -> tuple[Robot, Recording, Recording]:
+    """The arm, what is fitted, and what is judged."""
+    urdf, first, second = (data / file for file in arm.files)
+    robot, estimation = Robot.load(urdf), Recording.read(first)
+    if first == second:
+        middle = 0.5 * (estimation.t[0] + estimation.t[-1])
+        estimation, validation = (_part(estimation, estimation.t <= middle), _part(estimation, estimation.t > middle))
+    else:
+        validation = Recording.read(second)
+    return robot, estimation, checked([validation], robot)[0][0]
+
+
+def _part(recording: Recording, rows: np.ndarray) -> Recording:
+    return replace(recording, columns={name: np.ascontiguousarray(v[rows]) for name, v in recording.columns.items()})
+
+
+def _judged(model: Model, recording: Recording, arm: Arm) -> Array:
+    """std(residual) / std(torque) per joint ``(n,)`` [%] in the arm's band."""
+    s = preprocess(recording, cutoff=arm.band[0])
+    return _share_left(s, model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]), arm.band[1])
+
+
+def _share_left(s: FilteredSignals, predicted: Array, cutoff: float, begin: int = 0) -> Array:
+    """The same below ``cutoff`` [Hz] from sample ``begin`` on; a period of it at either end does not count."""
+    tau, predicted = (lowpass(values, s.dt, cutoff) for values in (s.tau, predicted))
+    period = round(1.0 / (s.dt * cutoff))
+    counts = slice(max(begin, period), -period)
+    return np.asarray(100.0 * np.std((tau - predicted)[counts], axis=0) / np.std(tau[counts], axis=0))
+
+
+def _row(name: str, values: Sequence[float] | Array, arm: Arm) -> None:
+    row(name, ", ".join(f"{v:.1f}" if arm.live is None or j < arm.live else "—" for j, v in enumerate(values)))
+
+
+def _usual_controller(robot: Robot, q: Array) -> ControllerModel:
+    """A cascade whose velocity loop takes away 0.3 of an error in a cycle, at a posture ``(n,)``."""
+    inertia = np.diag(pin.crba(robot.pinocchio, robot.pinocchio.createData(), q))
+    gain, zero = 0.3 * inertia / robot.t_ipo, np.zeros(robot.n)
+    return ControllerModel(robot.t_ipo, 15.0 * gain, gain, zero, zero, np.full(robot.n, 0.2), zero)
+
+
+def _learned_on_the_way(model: Model, loop: LoopModel, adaptation: FrictionAdaptation, recording: Recording,
+                        s: FilteredSignals) -> Array:
+    """Torque beyond the model's that was known before each cycle, between cycles by straight lines ``(N, n)`` [N m]."""
+    times = np.arange(recording.t[0], recording.t[-1], loop.t_ipo)
+    q, tau = (np.array([np.interp(times, recording.t, column) for column in recording.joints(name).T]).T
+              for name in ("q", "tau"))
+    moved = [np.array([np.interp(times, s.t, column) for column in values.T]).T
+             for values in (s.q, s.qd, s.qdd, model.friction.turned(s.q, s.qd))]
+    more, state = np.zeros_like(q), adaptation.init()
+    for k, (at, v, a, turned) in enumerate(zip(*moved, strict=True)):
+        friction = adaptation.friction(state)["friction_torque"] - loop.friction_torque
+        more[k] = [z * np.interp(abs(speed), loop.friction_velocity[:, i], friction[int(speed < 0.0), :, i])
+                   for i, (z, speed) in enumerate(zip(turned, v, strict=True))]
+        carried = adaptation.carried(state.mass)
+        if carried is not None:
+            more[k] += inverse_dynamics(carried, at[None], v[None], a[None])[0]
+        state = adaptation.update(state, RobotState(float(times[k]), q[k], tau[k]))
+    return np.array([np.interp(s.t, times, column) for column in more.T]).T

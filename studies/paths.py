@@ -1,0 +1,185 @@
+"""KR 15 on [G]'s paths: other arms, single effects of the world, and an hour from a cold start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ideal_robot.arrays import Array
+from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.robots.robot import Robot
+from scenes import load_scene
+from scenes.commands.common import whole_numbers
+from scenes.methods import ADAPTED, IDEAL, NONE
+from scenes.metrics import PathErrors
+from scenes.models import model_for, own_model
+from scenes.path.cell import PathCell
+from scenes.path.kind import run
+from scenes.scene_files.path_scene import PathScene, joint_path
+from scenes.scene_files.scene import chosen
+from sim.arm.arm import SimulatedArm
+from sim.arm.drive import steady_friction
+from sim.arm.specimen import draw_specimen
+from sim.arm.world import World
+from studies.report import head, row
+
+SCENES = "iso9283_1,iso9283_2,iso9283_3"
+OFF: dict[str, dict[str, Any]] = {
+    "nothing": {},
+    "all friction": {"friction": False},
+    "the part of friction that falls with speed": {"stribeck": 0.0},
+    "friction's growth with load": {"load_friction": 0.0},
+    "warming": {"thermal": False},
+    "torque ripple, encoder increments, noise": {"torque_ripple": 0.0, "quantisation": False, "current_noise": 0.0,
+                                                 "external_position_noise": 0.0},
+    "elastic gears": {"elasticity": False},
+}
+REST, LEAD = 0.3, 0.9
+"""Rest between two circles, and at the start before the first one [s]."""
+
+
+def paths(individuals: str = "1-10", scenes: str = SCENES) -> None:
+    """Ten arms: percent of E_car taken away with the own model and a stranger's, each not adapted and adapted.
+
+    A stranger's model is that of the next individual. Percent of E_car, the weaker of time-matched and aligned.
+    """
+    names, every = scenes.split(","), whole_numbers(individuals, "--individuals")
+    found = np.empty((len(every), len(names), 4))
+    head("individual", *(f"`{name}` own / adapted / stranger / adapted" for name in names))
+    for i, individual in enumerate(every):
+        for j, name in enumerate(names):
+            scene = chosen(load_scene(name), individual=individual)
+            other = chosen(load_scene(name), individual=individual % 10 + 1)
+            stranger = scene.changed(model=own_model(other, Robot.load(scene.robot)))
+            before = run(scene, method=NONE).errors
+            found[i, j] = [_reduction(before, run(one, method=method).errors)
+                           for one in (scene, stranger) for method in (IDEAL, ADAPTED)]
+        row(individual, *(" / ".join(f"{value:.1f}" for value in values) for values in found[i]))
+    row("least", *(" / ".join(f"{value:.1f}" for value in values) for values in found.min(axis=0)))
+
+
+def paths_causes(individual: int = 2, scene: str = "iso9283_1") -> None:
+    """What is left of the aligned E_car with single effects of the world off, each with a model of that arm."""
+    played = chosen(load_scene(scene), individual=individual)
+    head("off", "E_car aligned, none [mm]", "ideal [mm]", "less by %")
+    for what, change in OFF.items():
+        changed = played.changed(world={**played.world, **change})
+        before, after = (1e3 * run(changed, method=method).errors.aligned.E_car for method in (NONE, IDEAL))
+        row(what, f"{before:.3f}", f"{after:.3f}", f"{100.0 * (1.0 - after / before):.1f}")
+
+
+def _reduction(before: PathErrors, after: PathErrors) -> float:
+    return 100.0 * min(1.0 - after.time_matched.E_car / before.time_matched.E_car,
+                       1.0 - after.aligned.E_car / before.aligned.E_car)
+
+
+def warm_up(minutes: float = 60.0, compression: float = 20.0, individuals: str = "",
+            figure: Path | None = None) -> None:
+    """An hour from a cold start: fixed model, adapted, and an oracle that reads the true friction.
+
+    The arm starts at 22 °C and draws the circle of `iso9283_3` again and again; the model was identified at 35 °C.
+    Adapted is what the method `adapted` plays. The oracle has the true friction at the true gear temperatures and the
+    identified rest. Thermal time runs --compression times faster than the arm. With --individuals each arm has the
+    model of its own motions.
+    """
+    for individual in whole_numbers(individuals, "--individuals") or [None]:
+        if individual is not None:
+            print(f"\nindividual {individual}")
+        _hour(chosen(load_scene("iso9283_3"), individual=individual), minutes, compression, figure)
+
+
+def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | None) -> None:
+    robot = Robot.load(scene.robot)
+    world = World.from_table(robot.name, scene.arm_world).replace(
+        correction_delay=False, start_temperature=22.0, time_compression=compression)
+    path = joint_path(scene, robot, world.t_ipo)
+    place = PathCell(robot, world, model_for(scene, robot), path, "tcp", scene.seed)
+    loop, circle = place.loop(), path.q_d[path.counts]
+    # Back to the start without a jump: the circle ends where it began.
+    once = np.concatenate([circle, np.tile(circle[0], (round(REST / world.t_ipo), 1))])
+    count = max(2, round(60.0 * minutes / compression / (len(once) * world.t_ipo)))
+    truth, ideal = _true_friction(robot, world, loop), IdealRobot(loop)
+    results = {}
+    for name, law in (("fixed model", ideal), ("adapted", place.feedforward(ADAPTED)), ("oracle", ideal)):
+        told = (lambda warm: IdealRobot(loop.replace(**truth(warm)))) if name == "oracle" else None
+        results[name], temperature = _circles(robot, world, law, once, count, len(circle), told)
+    at = (np.arange(count) + 0.5) * len(once) * world.t_ipo * compression / 60.0
+    head("minute", *(f"{name}, E_car [mm]" for name in results))
+    for k in np.unique(np.linspace(0, count - 1, 9).astype(int)):
+        row(f"{at[k]:.1f}", *(f"{1e3 * results[name][k]:.3f}" for name in results))
+    print(f"\njoint 1 from 22 to {temperature[-1]:.0f} °C")
+    head("", "whole hour, E_car [mm]", "against the oracle")
+    whole = {name: float(np.sqrt(np.mean(values**2))) for name, values in results.items()}
+    for name, value in whole.items():
+        row(f"{name}: true friction at true temperatures, read from the simulator" if name == "oracle" else name,
+            f"{1e3 * value:.3f}", f"{value / whole['oracle']:.2f}")
+    if figure is not None:
+        figure.parent.mkdir(parents=True, exist_ok=True)
+        _figure(at, results, temperature).savefig(figure, dpi=130, bbox_inches="tight")
+
+
+def _circles(robot: Robot, world: World, law: Feedforward, once: Array, count: int, drawn: int,
+             told: Callable[[Array], Feedforward] | None) -> tuple[Array, Array]:
+    """E_car of each circle ``(count,)`` [m] and the temperature of joint 1 at its end [°C].
+
+    The first ``drawn`` rows of ``once`` count; ``told`` makes the law of a circle from temperatures at its begin.
+    """
+    fk = robot.fk()
+    lead, x_d = round(LEAD / world.t_ipo), np.array([fk(q).translation for q in once[:drawn]])
+    with SimulatedArm(robot, world, np.random.default_rng(1), once[0]) as arm:
+        state = law.init(once[0])
+        q_d = np.concatenate([np.tile(once[0], (lead, 1)), np.tile(once, (count, 1)), np.tile(once[-1], (30, 1))])
+        for k in range(lead + count * len(once)):
+            if told is not None and k >= lead and (k - lead) % len(once) == 0:
+                law = told(arm.history()["temperature"][-1])
+            q_c, state = law.step(state, q_d[k : k + law.n_d])
+            state = law.observe(state, arm.cycle(q_c))
+        log = arm.history()
+    every = round(world.t_ipo / 0.002)
+    q_a, temperature = log["q_a"][::every], log["temperature"][::every, 0]
+    errors = np.empty(count)
+    for i in range(count):
+        start = lead + i * len(once)
+        x = np.array([fk(q).translation for q in q_a[start : start + drawn]])
+        errors[i] = np.sqrt(np.mean(np.sum((x - x_d) ** 2, axis=1)))
+    return errors, temperature[lead + len(once) - 1 :: len(once)][:count]
+
+
+def _true_friction(robot: Robot, world: World, loop: LoopModel) -> Callable[[Array], dict[str, Array]]:
+    """True friction at given gear temperatures ``(n,)``, in the units of the measured torque."""
+    gain, n = draw_specimen(robot, world).drive_gain, robot.n
+    speeds = np.maximum(loop.friction_velocity, 1e-9)
+
+    def at(temperature: Array) -> dict[str, Array]:
+        columns = [steady_friction(world, n, speeds, temperature=float(temperature[i]))[:, i] for i in range(n)]
+        table = np.column_stack(columns) / gain
+        dry = np.exp(-world.dry_temperature * (temperature - world.reference_temperature))
+        load = dry * world.per_joint("coulomb", n) * world.per_joint("load_friction", n) / robot.tau_max
+        return {"friction_torque": np.stack([table, table]), "friction_load": load,
+                "friction_bend": world.per_joint("presliding", n)}
+
+    return at
+
+
+def _figure(minutes: Array, results: dict[str, Array], temperature: Array) -> Figure:
+    figure = Figure(figsize=(8.0, 4.0))
+    axes = figure.add_subplot()
+    colours = {"fixed model": "#8893a1", "adapted": "#e06a00", "oracle": "#1c2430"}
+    for name, values in results.items():
+        axes.plot(minutes, 1e3 * values, label=name, color=colours[name], lw=1.6, ls="--" if name == "oracle" else "-")
+    axes.set_xlabel("minutes since switch-on")
+    axes.set_ylabel("E_car of each circle, time-matched [mm]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False, loc="lower right")
+    axes.spines[["top"]].set_visible(False)
+    warm = axes.twinx()
+    warm.plot(minutes, temperature, color="#c2255c", lw=1, ls=":")
+    warm.set_ylabel("gear temperature of joint 1 [°C]", color="#c2255c")
+    warm.spines[["top"]].set_visible(False)
+    return figure

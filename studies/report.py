@@ -1,0 +1,54 @@
+"""What studies share: Markdown tables that are printed row by row, and the time and memory that work takes."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+def head(*titles: str) -> None:
+    """Begins a table."""
+    print(f"| {' | '.join(titles)} |\n{'| --- ' * len(titles)}|", flush=True)
+
+
+def row(*cells: object) -> None:
+    """Goes on with it."""
+    print(f"| {' | '.join(map(str, cells))} |", flush=True)
+
+
+def listed(values: Iterable[float], digits: int = 3) -> str:
+    """Numbers with commas between; ``failed`` for one that is none."""
+    return ", ".join("failed" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
+
+
+def used(job: Callable[[], object], clock: Callable[[], float] = time.process_time) -> float:
+    """Processor time of a job [s], of this process unless another clock is given."""
+    begun = clock()
+    job()
+    return clock() - begun
+
+
+def resident() -> float:
+    """Resident memory of this process now [MiB]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def write_tables(mark: str, text: str) -> None:
+    """Puts text between ``<!-- mark -->`` and ``<!-- end of mark -->`` of the page that has them.
+
+    Raises:
+        ValueError: no page has the mark.
+    """
+    first, last = f"<!-- {mark} -->\n", f"<!-- end of {mark} -->"
+    for page in sorted(DOCS.glob("*.md")):
+        before, found, rest = page.read_text(encoding="utf-8").partition(first)
+        if found:
+            page.write_text(f"{before}{first}{text}\n{last}{rest.partition(last)[2]}", encoding="utf-8")
+            return
+    raise ValueError(f"no page has <!-- {mark} -->")

@@ -1,0 +1,205 @@
+"""All speeds in one table, by processor time, which is what work costs also where other processes share the cores."""
+
+from __future__ import annotations
+
+import os
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ideal_robot.identification.excitation import design_excitation
+from ideal_robot.identification.idim import identify
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.preprocess import preprocess
+from ideal_robot.signals.recording import Recording
+from scenes import load_scene
+from scenes.identification.plan import fourier_commands
+from scenes.line import cell as line_cell
+from scenes.line.kind import run
+from sim.arm.arm import SimulatedArm
+from sim.arm.kernel import drive_step
+from sim.arm.world import STEP, World
+from sim.bullet import pybullet
+from studies.report import head, row, used
+
+ROOT = Path(__file__).resolve().parents[1]
+SECONDS = 6.0
+"""Arm time of the plant's motion [s]."""
+STEPS = 4000
+"""Steps of the plant that are timed together."""
+
+FIGAROH = r'''
+import sys, time, warnings
+warnings.filterwarnings("ignore")
+import numpy as np
+import pinocchio as pin
+from scipy import signal
+from figaroh.tools.regressor import RegressorBuilder, RegressorConfig
+from figaroh.tools.qrdecomposition import QRDecomposer
+begun = time.process_time()
+folder, urdf, factor = sys.argv[1], sys.argv[2], int(sys.argv[3])
+
+class Robot:
+    model = pin.buildModelFromUrdf(urdf)
+    data = model.createData()
+
+n = Robot.model.nv
+settings = {"act_idxv": list(range(n)), "has_coupled_wrist": False, "act_Jid": list(range(1, n + 1))}
+builder = RegressorBuilder(Robot, RegressorConfig(has_friction=True, has_actuator_inertia=True, has_joint_offset=True))
+d = np.load(f"{folder}/estimation.npz")
+W = builder.build_basic_regressor(d["q"], d["qd"], d["qdd"], settings)
+N = len(d["q"])
+# Rows are joint after joint, as FIGAROH stacks them.
+parts, y = [], []
+for j in range(n):
+    parts.append(signal.decimate(W[j * N:(j + 1) * N], factor, axis=0, zero_phase=True)[5:-5])
+    y.append(signal.decimate(d["tau"][:, j], factor, zero_phase=True)[5:-5])
+W, tau = np.concatenate(parts), np.concatenate(y)
+seen = np.flatnonzero(np.linalg.norm(W, axis=0) > 1e-3)
+base, _ = QRDecomposer()._identify_base_parameters(W[:, seen], [f"p{i}" for i in seen])
+phi = np.linalg.lstsq(W[:, seen][:, list(base)], tau, rcond=None)[0]
+print(f"({time.process_time() - begun:.2f} s CPU)")
+'''
+"""FIGAROH's regressor, base parameters by QR, and least squares, with the decimation of its own pipeline."""
+
+
+def speed(repeats: int = 7, first: bool = False) -> None:
+    """Line, plant, identification, command line: minimum, median and maximum, beside peers and what is wanted.
+
+    FIGAROH is no dependency. It is compared where it is installed apart (python3.11 -m venv figaroh-env;
+    figaroh-env/bin/pip install figaroh) and FIGAROH_PYTHON names that Python. --first adds the first run in a new
+    environment, with and without the compile step of the installation, each in an empty cache.
+    """
+    head(f"of {repeats}", "minimum", "median", "maximum", "", "wanted")
+    _line(repeats, "bench", "≥ 5")
+    _line(repeats, "workshop")
+    _plant(repeats)
+    _identification(repeats)
+    _show("help of the command line", [_used_by([sys.executable, "-m", "scenes.cli", "--help"])
+                                       for _ in range(repeats)], "s", "≤ 0.3")
+    if first:
+        _first_runs()
+
+
+def kr15_recording(seed: int, seconds: float) -> Recording:
+    """A recording at 500 Hz of the simulated KR 15 moving along an optimised Fourier series."""
+    robot = Robot.load("kr15")
+    motion = design_excitation(robot, np.random.default_rng(seed), period=seconds - 10.0)
+    commands = fourier_commands(robot, motion, robot.home, robot.t_ipo)[: round(seconds / robot.t_ipo)]
+    with SimulatedArm(robot, World.default("kr15"), np.random.default_rng(seed), robot.home) as arm:
+        for q_c in commands:
+            arm.cycle(q_c)
+        return arm.recording()
+
+
+def _show(name: str, values: list[float], unit: str, wanted: str = "") -> None:
+    row(name, *(f"{value:.3g}" for value in (min(values), np.median(values), max(values))), unit, wanted)
+
+
+def _used_by(words: list[str], **environment: str) -> float:
+    """Processor time of a command with its children [s]."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(words, check=True, capture_output=True,
+                   env={**os.environ, "PYTHONPATH": str(ROOT), **environment})
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def _line(repeats: int, world: str, wanted: str = "") -> None:
+    """The main job and what precedes it."""
+    scene = load_scene("line").changed(world=world)
+    calibrating: list[float] = []
+    inner = line_cell.calibrate_by_moving
+
+    def timed(*arguments: object, **named: object) -> object:
+        begun = time.process_time()
+        result = inner(*arguments, **named)  # type: ignore[arg-type]
+        calibrating.append(time.process_time() - begun)
+        return result
+
+    line_cell.calibrate_by_moving = timed  # type: ignore[assignment]
+    try:
+        for _ in range(repeats + 1):
+            with line_cell.prepared(scene):
+                pass
+    finally:
+        line_cell.calibrate_by_moving = inner
+    factors, runs = [], []
+    with line_cell.prepared(scene) as shared:
+        run(scene, method="ideal", shared=shared)
+        for _ in range(repeats):
+            begun = time.process_time()
+            result = run(scene, method="ideal", shared=shared)
+            runs.append(time.process_time() - begun)
+            factors.append(float(result.recording.t[-1]) / runs[-1])
+    _show(f"`line` in the {world}, real time over processor time", factors, "×", wanted)
+    _show(f"`line` in the {world}, the run", runs, "s")
+    _show(f"`line` in the {world}, camera calibration before it", calibrating[1:], "s", "≤ the run")
+
+
+def _plant(repeats: int) -> None:
+    """The simulated arm alone, with elastic and with rigid gears, and what a step of it consists of."""
+    robot = Robot.load("kr6")
+    for name, world in (("arm alone", World.default("kr6")), ("arm alone, rigid gears", World.ideal("kr6"))):
+        with SimulatedArm(robot, world, np.random.default_rng(0)) as arm:
+            path = [robot.home + 0.2 * np.sin(np.pi * k * arm.t_ipo) ** 2 for k in range(round(SECONDS / arm.t_ipo))]
+
+            def moves(arm: SimulatedArm = arm, path: list[np.ndarray] = path) -> None:
+                arm.reset(robot.home)
+                for q_c in path:
+                    arm.cycle(q_c)
+
+            moves()
+            _show(f"{name}, real time over processor time", [SECONDS / used(moves) for _ in range(repeats)], "×",
+                  "≥ 40" if name == "arm alone" else "")
+    with SimulatedArm(robot, World.default("kr6"), np.random.default_rng(0)) as arm:
+        arm.cycle(robot.home)
+        zero, joints = np.zeros(robot.n), list(range(robot.n))
+        parts = {
+            "PyBullet's step": lambda: pybullet.stepSimulation(physicsClientId=arm.client),
+            "its joint states": lambda: pybullet.getJointStates(arm.body, joints, physicsClientId=arm.client),
+            "controller, motors, gears, friction": lambda: drive_step(
+                1, arm._p, arm._shared, arm._counts, arm._x, arm._links, zero, arm._history.next_row),
+        }
+        for name, job in parts.items():
+            spent = [used(lambda job=job: [job() for _ in range(STEPS)]) for _ in range(repeats)]  # type: ignore[misc]
+            _show(f"{name} alone, real time over processor time", [STEP * STEPS / one for one in spent], "×")
+
+
+def _identification(repeats: int) -> None:
+    """60 s × 6 joints at 500 Hz of the KR 15 in its default world; both get the same filtered signals."""
+    robot, estimation = Robot.load("kr15"), kr15_recording(1, 60.0)
+    identify([estimation], robot, friction="viscous_coulomb")
+    for friction, name, wanted in (("viscous_coulomb", "fixed law", "≤ a third of FIGAROH"),
+                                   ("auto", "law chosen", "≤ FIGAROH")):
+        times = [used(lambda friction=friction: identify([estimation], robot, friction=friction))  # type: ignore[misc]
+                 for _ in range(repeats)]
+        _show(f"identification of 60 s × 6 joints at 500 Hz, {name}", times, "s", wanted)
+    python = os.environ.get("FIGAROH_PYTHON")
+    if python is None:
+        return
+    with tempfile.TemporaryDirectory() as name:
+        folder, s = Path(name), preprocess(estimation)
+        np.savez(folder / "estimation.npz", q=s.q, qd=s.qd, qdd=s.qdd, tau=s.tau)
+        (folder / "figaroh_run.py").write_text(FIGAROH)
+        words = [python, str(folder / "figaroh_run.py"), str(folder), str(robot.urdf), str(s.factor)]
+        said = [subprocess.run(words, capture_output=True, text=True, check=True).stdout for _ in range(repeats)]
+        _show("the same by FIGAROH", [float(re.findall(r"\(([\d.]+) s CPU\)", one)[0]) for one in said], "s")
+
+
+def _first_runs() -> None:
+    """`run line` with an empty cache of compiled code, and after the compile step."""
+    words = [sys.executable, "-m", "scenes.cli", "run", "line", "--out"]
+    with tempfile.TemporaryDirectory() as name:
+        cold = _used_by([*words, f"{name}/a"], NUMBA_CACHE_DIR=f"{name}/cold")
+        step = _used_by([sys.executable, "-m", "scenes.compiled"], NUMBA_CACHE_DIR=f"{name}/warm")
+        warm = _used_by([*words, f"{name}/b"], NUMBA_CACHE_DIR=f"{name}/warm")
+    _show("first `run line`, nothing compiled", [cold], "s")
+    _show("compile step of the installation", [step], "s")
+    _show("first `run line` after it, report included", [warm], "s", "≤ 15")

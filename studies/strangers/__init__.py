@@ -1,0 +1,1 @@
+"""Recordings in strangers' physics, for trials of the diagnosis."""
