@@ -115,6 +115,11 @@ def write_text(path: str | Path, text: str) -> Path:
     return Path(path)
 
 
+def inert(text: str) -> str:
+    """A text that a spreadsheet shows as it stands: where it would take it for a formula, after an apostrophe."""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+
+
 def is_device(place: Path) -> bool:
     """Whether there is something that is neither file nor folder: a file that is moved there would be in its stead."""
     return place.exists() and not (place.is_file() or place.is_dir())

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import ideal_robot
+from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
@@ -51,7 +53,7 @@ def cache_folder() -> Path:
 
 
 def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> PreparedModel:
-    """The model that an arm's own identification motions give; they are played only where nothing is kept of them.
+    """The model that an arm's own identification motions give; they are played where nothing sound is kept of them.
 
     The world says how the simulated arm moves, as a real arm's mechanics do; the model sees its recordings alone.
 
@@ -65,7 +67,10 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
     """
     path = cache_folder() / f"{robot.name}_{_digest(robot, world)}.json"
     if os.path.isfile(path):
-        return PreparedModel(path, fresh=False)
+        # One that was cut off, or cannot be read for another reason, is made anew as if there were none.
+        with suppress(InputError):
+            model_at(str(path), robot)
+            return PreparedModel(path, fresh=False)
     # Found now, not after the arm has been moved for minutes.
     check_outputs({"IDEAL_ROBOT_CACHE": path.parent})
     model, _ = identified_model(world.robot, world=world, progress=progress)

@@ -17,7 +17,7 @@ from ideal_robot.results import Summarised, over_time, plain
 from ideal_robot.row_log import in_file, let_go
 from ideal_robot.signals.bag import SUFFIXES, read_joint_states
 from ideal_robot.signals.table_file import read_table
-from ideal_robot.whole_file import whole_file
+from ideal_robot.whole_file import inert, whole_file
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,9 +219,10 @@ class Recording(Summarised):
         parts = [slice(first, first + WRITTEN_ROWS) for first in range(0, max(len(self.t), 1), WRITTEN_ROWS)]
         with whole_file(path) as partial:
             if path.suffix == ".csv":
+                titles = [inert(name) for name in names]
                 for part in parts:
                     pd.DataFrame({name: self.columns[name][part] for name in names}).to_csv(
-                        partial, index=False, header=part.start == 0, mode="a")
+                        partial, index=False, header=titles if part.start == 0 else False, mode="a")
                     let_go(*self.columns.values())
             else:
                 schema = pa.schema([(name, pa.array(self.columns[name][:0]).type) for name in names], metadata=meta)

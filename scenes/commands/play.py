@@ -145,7 +145,7 @@ def sweep(
     Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10 --lines runs.jsonl --resume`
     """
     from ideal_robot.errors import InputError
-    from ideal_robot.whole_file import whole_files
+    from ideal_robot.whole_file import inert, whole_files
     from scenes.commands.common import numbers, whole_numbers
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -168,7 +168,7 @@ def sweep(
         if json_file is not None:
             write_json(json_file, {"runs": answers})
         if csv_file is not None:
-            table.to_csv(csv_file, index=False)
+            table.map(lambda value: inert(value) if isinstance(value, str) else value).to_csv(csv_file, index=False)
     missing = sum("not_played" in answer for answer in answers)
     if missing:
         typer.echo(f"{missing} of {len(answers)} runs were not played; with --lines FILE and --resume the next sweep "

@@ -176,6 +176,11 @@ def test_the_model_is_identified_once_and_kept_by_what_it_depends_on(tmp_path: P
     scene = load_scene("line").changed(world={"base": "bench", "individual": 3}, model="own")
     assert model_for(scene, ROBOT) is not None
     assert len(worlds) == 2
+    for damaged in ("", first.path.read_text()[:1000], "{}"):
+        first.path.write_text(damaged)
+        assert models.prepared_model(ROBOT, world.replace(individual=2)).fresh
+        assert not models.prepared_model(ROBOT, world.replace(individual=2)).fresh
+    assert len(worlds) == 5
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
@@ -275,3 +276,13 @@ def test_times_that_no_stamp_holds_are_refused(t: np.ndarray, tmp_path: Path) ->
     with pytest.raises(InputError, match="give t in seconds"):
         write_mcap(Recording.from_arrays(t, q=np.zeros((50, 2))), tmp_path / "run.mcap")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_spreadsheet_shows_columns_titles_as_they_stand(tmp_path: Path) -> None:
+    """Titles come from files of others, and a spreadsheet would reckon with some of them."""
+    formulas = ("=1+1|cmd", "+1", "-1", "@sum", "\tq", "q_1")
+    place = Recording({"t": np.arange(3.0), **{name: np.zeros(3) for name in formulas}}).write(tmp_path / "r.csv")
+    with place.open(newline="") as file:
+        titles, *rows = csv.reader(file)
+    assert titles == ["t", "'=1+1|cmd", "'+1", "'-1", "'@sum", "'\tq", "q_1"]
+    assert [row[0] for row in rows] == ["0.0", "1.0", "2.0"]
