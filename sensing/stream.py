@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import IntEnum
 
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from sensing.clock_relation import ClockRelation
 from sensing.sensing_error import SensingError
@@ -123,6 +124,10 @@ ASKED_EVERY = 0.1
 """Time between two questions for the device's clock [s]."""
 AGAIN = 0.5
 """Time between two attempts to connect [s]."""
+_CONNECTS = 0.5
+"""Time that an attempt to connect may take, or as long as is waited if that is less [s]."""
+_LEAST = 1e-3
+"""A timeout of a socket that waits at all [s]."""
 _PIECE = 1 << 18
 _FORGET = 1.001
 """Growth of the quickest time a question, so that a network that has become slower is believed in the end."""
@@ -152,9 +157,9 @@ class StreamConnection:
         self._socket: socket.socket | None = None
         self._tried = self._asked = 0.0
         self._quickest = float("inf")
-        end = time.perf_counter() + patience
-        while not self._connected():
-            if time.perf_counter() > end:
+        deadline = Deadline.within(patience)
+        while not self._connected(_CONNECTS):
+            if deadline.passed:
                 raise InputError("no device listens there", field="host:port", value=f"{host}:{port}")
             time.sleep(0.1)
 
@@ -163,15 +168,14 @@ class StreamConnection:
 
         A connection that breaks, or brings what is no stream, is closed and tried again from then on.
         """
-        end = time.perf_counter() + timeout
+        deadline = Deadline.within(timeout)
         while not self._found:
-            now = time.perf_counter()
-            if now >= end:
+            if deadline.passed:
                 return None
-            if self._socket is None and not self._again(now):
-                time.sleep(min(end - now, 0.05))
+            if self._socket is None and not self._again(deadline.left):
+                time.sleep(min(deadline.left, 0.05))
                 continue
-            self._read(min(end - now, ASKED_EVERY))
+            self._read(min(deadline.left, ASKED_EVERY))
         return self._found.pop(0)
 
     def close(self) -> None:
@@ -180,18 +184,18 @@ class StreamConnection:
             self._socket.close()
             self._socket = None
 
-    def _connected(self) -> bool:
+    def _connected(self, timeout: float) -> bool:
         self._tried = time.perf_counter()
         try:
-            self._socket = socket.create_connection(self._where, 0.5)
+            self._socket = socket.create_connection(self._where, max(timeout, _LEAST))
         except (OSError, OverflowError):
             return False
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._reader, self._quickest = Reader(), float("inf")
         return True
 
-    def _again(self, now: float) -> bool:
-        return now - self._tried > AGAIN and self._connected()
+    def _again(self, left: float) -> bool:
+        return time.perf_counter() - self._tried > AGAIN and self._connected(min(left, _CONNECTS))
 
     def _read(self, timeout: float) -> None:
         link = self._socket
@@ -202,7 +206,7 @@ class StreamConnection:
             if now - self._asked > ASKED_EVERY:
                 self._asked = now
                 link.sendall(packed(Kind.ASK, now, struct.pack(">d", now)))
-            link.settimeout(max(timeout, 1e-3))
+            link.settimeout(max(timeout, _LEAST))
             piece = link.recv(_PIECE)
             if not piece:
                 raise StreamError("the device has closed the connection")

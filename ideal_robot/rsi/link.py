@@ -14,6 +14,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.rsi.message import MAX_PACKET, RobMessage, parse_rob
 from ideal_robot.rsi.rsi_error import PacketError, RsiError
@@ -231,13 +232,13 @@ class PacketLink:
         """Who the controller is, as soon as it is known."""
         return "" if self._peer is None else "{}:{}".format(*self._peer)
 
-    def next(self, end: float, patience: float) -> RobMessage:
-        """The next message before ``end`` by ``time.perf_counter``, ``patience`` [s] after the last one that counted.
+    def next(self, deadline: Deadline) -> RobMessage:
+        """The next message before the deadline.
 
         Raises:
             RsiError: none came, or the system closed the port.
         """
-        while (left := end - time.perf_counter()) > 0:
+        while (left := deadline.left) > 0.0:
             self._socket.settimeout(left)
             try:
                 message = self._read()
@@ -247,7 +248,7 @@ class PacketLink:
                 return message
         self._look_at_the_door(_QUEUE)
         known = "" if self._peer is None else f", which is {self.controller}"
-        raise RsiError(f"no packet from the controller within {patience:.3g} s{known}{self.counts.others}")
+        raise RsiError(f"no packet from the controller within {deadline.seconds:.3g} s{known}{self.counts.others}")
 
     def newest(self, message: RobMessage, stamps: Stamps, most: int = _QUEUE) -> tuple[RobMessage, int]:
         """The newest of ``message`` and those that wait, and how many were passed over for it.

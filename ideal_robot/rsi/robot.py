@@ -14,6 +14,7 @@ from types import TracebackType
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import CatchUp, FollowingWatch, RobotState, checked_command
 from ideal_robot.robots.robot import Robot
@@ -183,7 +184,7 @@ class RsiRobot:
                 than its controller says.
         """
         # Packets may have queued up since the port was opened.
-        oldest = self._link.next(time.perf_counter() + patience, patience)
+        oldest = self._link.next(Deadline.within(patience))
         time.sleep(_GRACE * self.t_ipo)
         first, _ = self._link.newest(oldest, self.stamps, _QUEUED)
         if self.counts.second:
@@ -265,9 +266,9 @@ class RsiRobot:
         """
         if self._first is None:
             raise RsiError("connect to the controller first")
-        end = time.perf_counter() + self.timeout
+        deadline = Deadline.within(self.timeout)
         while True:
-            message = self._link.next(end, self.timeout)
+            message = self._link.next(deadline)
             since = self.stamps.cycles(self._last.ipoc, message.ipoc)
             if since == 0:
                 self.counts.repeated += 1

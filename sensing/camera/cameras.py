@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.registry import Registry
 from sensing.camera.camera_device import Gray
@@ -106,8 +107,8 @@ class StreamCamera:
 
     def _described(self, patience: float) -> Package | None:
         """Waits until it is known what the device is; what came meanwhile."""
-        end, found = time.perf_counter() + patience, None
-        while self._connection.described is None and found is None and time.perf_counter() < end:
+        deadline, found = Deadline.within(patience), None
+        while self._connection.described is None and found is None and not deadline.passed:
             found = self._connection.next(0.1)
         return found
 
