@@ -10,7 +10,6 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from scenes import load_scene
 from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
 from scenes.methods import ADAPTED, IDEAL
@@ -18,7 +17,7 @@ from scenes.models import own_model
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import OWN, chosen
 from scenes.sweep import SweepFile, jobs, sweep
-from studies.report import head, listed, row
+from studies.report import head, listed, row, scene_of
 
 WANTED = {0.7: {"mean": 0.10, "worst mean": 0.15, "p95": 0.35}, 1.5: {"mean": 0.2}, 2.0: {"mean": 0.3}}
 """Bounds by speed [mm]: of the mean over all runs, of the worst run's mean, of each run's 95 %."""
@@ -70,7 +69,8 @@ def arms_models(individuals: str = "1-10", seeds: str = "1-3") -> None:
     head("individual", "own, `ideal`", "own, `adapted`", "stranger's, `ideal`", "stranger's, `adapted`")
     found = np.empty((3, len(every), 4, len(wanted)))
     for i, individual in enumerate(every):
-        scene, other = (chosen(load_scene("line"), individual=which) for which in (individual, individual % 10 + 1))
+        scene, other = (chosen(scene_of(LineScene, "line"), individual=which)
+                        for which in (individual, individual % 10 + 1))
         for whose, columns in ((scene, slice(0, 2)), (other, slice(2, 4))):
             found[:, i, columns] = _played(scene.changed(model=_model(whose)), wanted)
         row(individual, *_mm(found[0, i].mean(axis=1)))
@@ -88,7 +88,7 @@ def arms_adapted(individuals: str = "1-10", seeds: str = "6-13") -> None:
     head("individual", "`ideal`, mm", "`adapted`, mm", "`adapted` / `ideal`", "the same without each run's constant")
     sums = []
     for individual in _whole(individuals):
-        scene = chosen(load_scene("line"), individual=individual)
+        scene = chosen(scene_of(LineScene, "line"), individual=individual)
         mean, _, varying = _played(scene.changed(model=_model(scene)), _whole(seeds))
         sums.append([*mean.mean(axis=1), *varying.mean(axis=1)])
         row(individual, *_mm(sums[-1][:2]), _ratio(*mean), _ratio(*varying))
@@ -103,7 +103,7 @@ def knew(seeds: int = 2, individual: int = 1) -> None:
     camera was knocked before its calibration. Who adapts has the arm's model of before, warm and without the tool, and
     learns on the way. Wanted: at most 1.3 times the mean error of who knew.
     """
-    line = chosen(load_scene("line"), individual=individual)
+    line = chosen(scene_of(LineScene, "line"), individual=individual)
     before = _model(line)
     head("change", "knew", "adapted", "adapted / knew", "not adapted")
     for name, change in CHANGES.items():
@@ -122,7 +122,7 @@ def _whole(text: str) -> list[int]:
     return whole_numbers(text, "--individuals and --seeds")
 
 
-def _model(scene: LineScene) -> Path:
+def _model(scene: LineScene) -> str:
     """The model that the scene's arm gave by motions of its own."""
     return own_model(scene, Robot.load(scene.robot))
 

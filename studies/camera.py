@@ -17,11 +17,11 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
-from scenes import load_scene
 from scenes.commands.common import whole_numbers
 from scenes.line.calibration import calibrate_by_moving
 from scenes.line.cell import set_up
 from scenes.models import model_for
+from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CalibrationError, CameraModel
 from sensing.camera.hand_eye import Observation, calibrate, calibration_poses
 from sensing.camera.line_detection import DetectionSettings, PredictedLine, detect_line, search_windows
@@ -30,7 +30,7 @@ from sensing.camera.opencv_detector import DETECTORS
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.camera.surface import DrawnLine, Feature
-from studies.report import head, row, used
+from studies.report import head, row, scene_of, used
 
 AHEAD = np.linspace(0.02, 0.11, 5)
 UP = np.array([0.0, 0.0, 1.0])
@@ -271,13 +271,14 @@ def _calibrated(seed: int, spread: float) -> tuple[float, float]:
 
 def _calibrated_in(scene: str, seed: int, deflected: bool) -> tuple[float, float]:
     """The same by the simulated arm of a scene on the bench, gears' deflection from the model or ignored."""
-    cell = set_up(load_scene(scene).changed(seed=seed, world="bench"))
-    bending = GearDeflection(model_for(cell.scene, cell.robot), cell.world.t_ipo) if deflected else None
-    with (SimulatedArm(cell.robot, cell.world, cell.noise, cell.follower.q_start) as arm,
+    cell = set_up(scene_of(LineScene, scene).changed(seed=seed, world="bench"))
+    known = cell.known
+    bending = GearDeflection(model_for(known.scene, known.robot), cell.world.t_ipo) if deflected else None
+    with (SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, CameraSettings(), cell.camera_noise) as eye):
-        result = calibrate_by_moving(cell.robot, cell.reference, cell.camera, arm, eye, bending,
-                                     0.5 * cell.reference.length, DetectionSettings(), cell.detector)
-    return _aside(cell.camera, cell.true_camera), _aside(result.camera, cell.true_camera)
+        result = calibrate_by_moving(known.robot, known.reference, known.camera, arm, eye, bending,
+                                     0.5 * known.reference.length, DetectionSettings(), known.detector)
+    return _aside(known.camera, cell.true_camera), _aside(result.camera, cell.true_camera)
 
 
 def detectors(fields: int = 300, many: int = 10_000, seeds: str = "1") -> None:

@@ -22,15 +22,15 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning.line.line_follower import FollowerSettings, LineFollower
-from scenes import load_scene
 from scenes.line import play
 from scenes.line.cell import prepared
 from scenes.line.kind import run
 from scenes.models import shipped_model
 from scenes.online.line_task import LineTask
+from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import chosen
 from sim.camera.bullet_camera import BulletCamera
-from studies.report import head, row
+from studies.report import head, row, scene_of
 from tests.planning.cell import Camera, T, displaced, distance, follow, joint_path, kr6, profile, reference, sine_points
 
 N_D = 30
@@ -100,7 +100,7 @@ def line_cycles(runs: int = 5, world: str = "", tool_mm: float = 0.0) -> None:
     All world effects are on, 320×240 at 50 Hz, rendering counts in the real-time factor. --tool-mm puts a tool on, and
     the arm's links into the picture.
     """
-    scene = chosen(load_scene("line"), world=world or None).changed(tool_mm=tool_mm)
+    scene = chosen(scene_of(LineScene, "line"), world=world or None).changed(tool_mm=tool_mm)
     vars(play)["LineTask"] = _TimedTask
     with prepared(scene) as cell:
         run(scene, method="ideal", shared=cell)
@@ -151,7 +151,8 @@ def _times(n_d: int, speed: float, passes: int = 3) -> dict[str, list[float]]:
         follower = LineFollower(kr6(), reference(), profile(speed), n_d, joint_path=joint_path(),
                                 settings=FollowerSettings())
         camera = Camera(displaced(sine_points()), np.random.default_rng(seed))
-        under_way, exposure = [], 3 * T
+        under_way: list[Any] = []
+        exposure = 3 * T
         for k in range(int(follower.duration / T)):
             t = k * T
             new = bool(under_way) and under_way[0].t + 0.04 <= t

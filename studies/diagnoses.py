@@ -70,11 +70,10 @@ def _play(job: Job) -> Score | None:
     with robot_of(trial.urdf) as robot:
         model = None
         try:
-            if trial.kind == "known":
-                model = identify([trial.reference], robot).model
-            elif trial.reference is not None:
+            if trial.reference is not None:
                 # What is known before is a rigid body with friction, as an identification has it, and no effects.
-                model = diagnose(trial.reference, robot, only=()).model
+                model = (identify([trial.reference], robot).model if trial.kind == "known" else
+                         diagnose(trial.reference, robot, only=()).model)
             start = time.process_time()
             found = diagnose(trial.recording, robot, model=model, options=Options().scaled(scale))
         except (IdealRobotError, ArithmeticError, ValueError) as error:

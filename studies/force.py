@@ -13,7 +13,6 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
 from planning.force.contact import Phase
-from scenes import load_scene
 from scenes.commands.common import numbers, whole_numbers
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.force.kind import run
@@ -27,7 +26,7 @@ from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
 from sim.equipped_arm import CarriedForceSensor, EquippedArm
 from studies.outside import with_true_friction
-from studies.report import head, row
+from studies.report import head, row, scene_of
 
 FRICTION = (0.05, 0.4)
 """From the softest to the stiffest contact."""
@@ -40,7 +39,7 @@ DRIFT = (0.1, -0.1, 0.3, 0.0, 0.0, 0.0)
 def contact_scene(stiffness: float, seed: int) -> ForceScene:
     """`force_wave` on a contact of this stiffness [N/mm]."""
     friction = float(np.interp(np.log(stiffness), np.log([2.0, 50.0]), FRICTION))
-    return load_scene("force_wave").changed(seed=seed, gains=None, sensor={"drift": DRIFT},
+    return scene_of(ForceScene, "force_wave").changed(seed=seed, gains=None, sensor={"drift": DRIFT},
                                             tip={"stiffness": 1e3 * stiffness, "friction": friction})
 
 
@@ -52,7 +51,7 @@ def force(stiffness: str = "2,5,10,20,50", seeds: str = "1,2", direct: bool = Fa
     """
     wanted = whole_numbers(seeds, "--seeds")
     scenes = {f"{k:g} N/mm": [contact_scene(k, seed) for seed in wanted] for k in numbers(stiffness, "--stiffness")}
-    glue = {"`glue`, 4 N/mm": [load_scene("glue").changed(seed=seed) for seed in wanted]}
+    glue = {"`glue`, 4 N/mm": [scene_of(ForceScene, "glue").changed(seed=seed) for seed in wanted]}
     ideal: dict[str, float] = {}
     head("contact", *(f"RMS N, seed {seed}" for seed in wanted), *(f"largest N, seed {seed}" for seed in wanted))
     for name, each in (scenes | glue).items():
@@ -107,7 +106,9 @@ class _Watched(ForceTask):
     """Writes down for each cycle of the travel what was planned, where the arm is, and later where it is thought."""
 
     def watch(self, arm: SimulatedArm) -> None:
-        self.arm, self.rows, self.believed = arm, [], {}
+        self.arm = arm
+        self.rows: list[tuple[float, float, float, Array]] = []
+        self.believed: dict[float, Array] = {}
 
     def request(self, t0: float, t1: float) -> None:
         super().request(t0, t1)
@@ -156,17 +157,17 @@ def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | Non
     """One play, taken apart; by a method's key or factory, on what is felt unless the surface is known."""
     tool, elasticity = calibrated(scene)
     cell = set_up(scene)
-    task = _Watched(cell, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0],
+    task = _Watched(cell.known, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0],
                     friction_shown(scene))
     if surface is not None:
-        task.follower._forecast = surface
-    with SimulatedArm(cell.robot, cell.world, cell.noise, task.q_start) as arm:
+        vars(task.follower)["_forecast"] = surface
+    with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)
         task.connect(sensor, None)
         task.watch(arm)
-        duration = cell.profile.duration
-        play_cycles(EquippedArm(arm, [sensor]), cell.robot, task, task.log,
+        duration = cell.known.profile.duration
+        play_cycles(EquippedArm(arm, [sensor]), cell.known.robot, task, task.log,
                     CycleSettings(BRAKING, REST * arm.t_ipo, duration + LONGEST, duration + 2.0, "ideal"),
                     lambda *_: None)
         history = contact.history()
@@ -176,7 +177,7 @@ def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | Non
 
 
 def _taken_apart(cell: Cell, task: _Watched, scene: ForceScene, history: dict[str, Array]) -> _Parts:
-    fk, reference = cell.robot.fk(), task.follower.reference
+    fk, reference = cell.known.robot.fk(), vars(task.follower)["reference"]
 
     def height(q: Array, s: float) -> float:
         return float(reference.project(fk(q).translation[None], s, span=0.06)[2][0])
@@ -198,7 +199,7 @@ def _knowing_friction(scene: ForceScene) -> Any:
     cell = set_up(scene)
 
     def ideal_with_true_friction(setting: Setting) -> Feedforward:
-        every = list(range(1, cell.robot.n + 1))
-        return IdealRobot(with_true_friction(setting.loop(), cell.robot, cell.world, every), setting.horizon(30))
+        every = list(range(1, cell.known.robot.n + 1))
+        return IdealRobot(with_true_friction(setting.loop(), cell.known.robot, cell.world, every), setting.horizon(30))
 
     return ideal_with_true_friction

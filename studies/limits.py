@@ -263,7 +263,7 @@ def _through_rsi(law: Feedforward, robot: Robot, kind: str, cycles: int) -> Shar
         arm.connect()
         if rng.random() < 0.2:
             stop_at = int(rng.integers(1, PLAY))
-            arm.send = _stopping(arm.send, server, stop_at)  # type: ignore[method-assign]
+            arm.send = _stopping(arm.send, server, stop_at)  # type: ignore[method-assign,assignment]
         # A run that ends with a reason has commanded something all the same.
         with suppress(IdealRobotError):
             server._answer(q_d, RsiLog(4 * len(q_d) + 1000, robot.n), silent)

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from scenes import load_scene
 from scenes.line.cell import prepared
 from scenes.line.compare import best_gains
 from scenes.line.kind import run
 from scenes.line.play import play
 from scenes.line.result import LineResult
 from scenes.methods import ADAPTED, DIRECT, IDEAL, NONE, SENSOR_PATH
+from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import chosen
-from studies.report import head, listed, row
+from studies.report import head, listed, row, scene_of
 
 TITLES = {NONE: ("`none`: the reference path", "#8893a1"),
           DIRECT: ("`direct_feedback`: [L] (1) at its best gain", "#0a6ebd"),
@@ -34,7 +34,7 @@ def methods(seed: int = 1, speed: float | None = None, figure: Path | None = Non
     Direct sensor feedback has the best gains that a search on this very scene finds. The page's picture is
     docs/pictures/line_methods.png.
     """
-    scene = chosen(load_scene("line"), seed=seed, speed=speed)
+    scene = chosen(scene_of(LineScene, "line"), seed=seed, speed=speed)
     with prepared(scene) as shared:
         gains, _ = best_gains(scene, shared)
         runs = {title: play(scene, key, shared=shared, gains=gains) for key, title in TITLES.items()}
@@ -79,7 +79,7 @@ def horizon(seeds: int = 3) -> None:
     played = [(SENSOR_PATH, 1), *((IDEAL, n_d) for n_d in (1, 2, 3, 4, 6, 25))]
     means = np.empty((len(played), seeds))
     for seed in range(1, seeds + 1):
-        scene = load_scene("line").changed(seed=seed)
+        scene = scene_of(LineScene, "line").changed(seed=seed)
         with prepared(scene) as shared:
             for i, (method, n_d) in enumerate(played):
                 means[i, seed - 1] = _mean(run(scene.changed(n_d=n_d), method=method, shared=shared))
@@ -92,7 +92,7 @@ def latency() -> None:
     """Mean error in mm over the camera's latency: the ideal robot, and direct sensor feedback with K_p = 0.09."""
     head("latency ms", "`ideal`", "`direct_feedback`, K_p = 0.09")
     for late in (0.02, 0.04, 0.08):
-        scene = load_scene("line").changed(camera={"latency": late})
+        scene = scene_of(LineScene, "line").changed(camera={"latency": late})
         ideal, direct = run(scene, method=IDEAL), run(scene, method=DIRECT, gains=(0.09, 0.0))
         row(f"{1e3 * late:.0f}", f"{_mean(ideal):.3f}", f"{_mean(direct):.2f}")
 
@@ -106,7 +106,7 @@ def causes(seeds: int = 3, individual: int | None = None) -> None:
 
     The world of an individual with kinematic errors is another one to the identification too, so models are its own.
     """
-    workshop = load_scene("line")
+    workshop = scene_of(LineScene, "line")
     line, wear, camera = workshop.changed(world="bench"), workshop.workshop["wear"], workshop.workshop["camera"]
 
     def worn(*keys: str) -> dict[str, Any]:
@@ -131,7 +131,8 @@ def causes(seeds: int = 3, individual: int | None = None) -> None:
     for name, scene in scenes.items():
         runs = [run(chosen(scene, seed=seed, individual=individual)) for seed in range(1, seeds + 1)]
         row(name, listed(map(_mean, runs)), f"{1e3 * np.max([one.control_error.max for one in runs]):.2f}",
-            min(one.fields_used for one in runs), listed(1e3 * np.mean(one.control_error.lateral) for one in runs),
+            min(one.fields_used for one in runs),
+            listed(1e3 * float(np.mean(one.control_error.lateral)) for one in runs),
             listed((1e3 * _height(one) for one in runs), 2))
 
 

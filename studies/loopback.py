@@ -14,7 +14,8 @@ import numpy as np
 
 from scenes import run_scene
 from scenes.scene_file import library, load_scene
-from studies.report import head, row
+from scenes.scene_files.line_scene import LineScene
+from studies.report import head, row, scene_of
 from tests.scenes.follow.pair import Cell, served
 
 UNKIND = ("--loss", "0.02", "--late", "0.003", "--late-by", "30", "--drift", "50")
@@ -86,7 +87,7 @@ def _scene_of(key: str, folder: Path) -> str:
     file = folder / f"{key}.toml"
     text = (library() / f"{case.scene}.toml").read_text(encoding="utf-8")
     # Two pictures in a row may be lost: three periods of travel without one.
-    gap = 3.5 * load_scene(case.scene).speed / case.camera_rate
+    gap = 3.5 * scene_of(LineScene, case.scene).speed / case.camera_rate
     file.write_text(f"max_gap = {gap:.3f}\n{text}\n[camera]\nrate = {case.camera_rate}\n", encoding="utf-8")
     return str(file)
 

@@ -221,7 +221,7 @@ def _rtde(count: int, rng: np.random.Generator) -> str:
     connections = taken = 0
     with socket.create_server(("127.0.0.1", 0)) as listener:
         while some := list(islice(packets, 50)):
-            link = RtdeConnection(*listener.getsockname(), 2.0)
+            link = RtdeConnection("127.0.0.1", listener.getsockname()[1], 2.0)
             connections += 1
             with listener.accept()[0] as controller:
                 controller.sendall(b"".join([*agreed, *some]))

@@ -14,7 +14,6 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
-from scenes import load_scene
 from scenes.commands.common import whole_numbers
 from scenes.methods import ADAPTED, IDEAL, NONE
 from scenes.metrics import PathErrors
@@ -27,7 +26,7 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
-from studies.report import head, row
+from studies.report import head, row, scene_of
 
 SCENES = "iso9283_1,iso9283_2,iso9283_3"
 OFF: dict[str, dict[str, Any]] = {
@@ -54,8 +53,8 @@ def paths(individuals: str = "1-10", scenes: str = SCENES) -> None:
     head("individual", *(f"`{name}` own / adapted / stranger / adapted" for name in names))
     for i, individual in enumerate(every):
         for j, name in enumerate(names):
-            scene = chosen(load_scene(name), individual=individual)
-            other = chosen(load_scene(name), individual=individual % 10 + 1)
+            scene = chosen(scene_of(PathScene, name), individual=individual)
+            other = chosen(scene_of(PathScene, name), individual=individual % 10 + 1)
             stranger = scene.changed(model=own_model(other, Robot.load(scene.robot)))
             before = run(scene, method=NONE).errors
             found[i, j] = [_reduction(before, run(one, method=method).errors)
@@ -66,7 +65,7 @@ def paths(individuals: str = "1-10", scenes: str = SCENES) -> None:
 
 def paths_causes(individual: int = 2, scene: str = "iso9283_1") -> None:
     """What is left of the aligned E_car with single effects of the world off, each with a model of that arm."""
-    played = chosen(load_scene(scene), individual=individual)
+    played = chosen(scene_of(PathScene, scene), individual=individual)
     head("off", "E_car aligned, none [mm]", "ideal [mm]", "less by %")
     for what, change in OFF.items():
         changed = played.changed(world={**played.world, **change})
@@ -88,10 +87,11 @@ def warm_up(minutes: float = 60.0, compression: float = 20.0, individuals: str =
     identified rest. Thermal time runs --compression times faster than the arm. With --individuals each arm has the
     model of its own motions.
     """
-    for individual in whole_numbers(individuals, "--individuals") or [None]:
+    arms: list[int | None] = [*whole_numbers(individuals, "--individuals")]
+    for individual in arms or [None]:
         if individual is not None:
             print(f"\nindividual {individual}")
-        _hour(chosen(load_scene("iso9283_3"), individual=individual), minutes, compression, figure)
+        _hour(chosen(scene_of(PathScene, "iso9283_3"), individual=individual), minutes, compression, figure)
 
 
 def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | None) -> None:
@@ -109,7 +109,7 @@ def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | N
     for name, law in (("fixed model", ideal), ("adapted", place.feedforward(ADAPTED)), ("oracle", ideal)):
         told = (lambda warm: IdealRobot(loop.replace(**truth(warm)))) if name == "oracle" else None
         results[name], temperature = _circles(robot, world, law, once, count, len(circle), told)
-    at = (np.arange(count) + 0.5) * len(once) * world.t_ipo * compression / 60.0
+    at = (np.arange(count, dtype=float) + 0.5) * len(once) * world.t_ipo * compression / 60.0
     head("minute", *(f"{name}, E_car [mm]" for name in results))
     for k in np.unique(np.linspace(0, count - 1, 9).astype(int)):
         row(f"{at[k]:.1f}", *(f"{1e3 * results[name][k]:.3f}" for name in results))

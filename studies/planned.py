@@ -61,6 +61,9 @@ def planned(seeds: str = "800000-800099", pairs: int = 10, longest: float = 30.0
             except IdealRobotError as error:
                 row(seed, poor.cause, rival, "", error, "")
                 continue
+            if len(plan.commands) < 2:
+                row(seed, f"`{poor.cause[0]}`", f"`{rival}`", "no motion helps", "", "")
+                continue
             motions = {"planned": _along(plan.commands, robot.t_ipo),
                        "random": draw_motion(np.random.default_rng([seed, 31]), arm, plan.seconds, "fourier")}
             said = {key: _decided(diagnose(poor.again(motion), robot), poor.cause) for key, motion in motions.items()}
@@ -81,11 +84,13 @@ def _open(seed: int) -> Iterator[tuple[Poor, str, Arm, Robot]]:
     try:
         twin = Twin(Setup(draw_plant(rng, arm), logger), ENGINE, _poor_motion(rng, arm))
         effect = INSIDE[name](rng, twin.setup, joint)
-        scaled = effect and twin.scaled(effect, float(np.exp(rng.uniform(*np.log((3.0, 10.0))))), "inside")
+        if effect is None:
+            return
+        scaled = twin.scaled(effect, float(np.exp(rng.uniform(*np.log((3.0, 10.0))))), "inside")
     except RuntimeError:
         # A plant that its controller cannot hold is no trial.
         return
-    if not scaled:
+    if scaled is None:
         return
     setup = effect.apply(twin.setup, scaled[0])
     poor = Poor(setup, (name, joint + 1), record(setup.logger, setup.plant, scaled[2]))
@@ -106,7 +111,7 @@ def _decided(found: Diagnosis, cause: tuple[str, int]) -> str:
 
 def _poor_motion(rng: np.random.Generator, arm: Arm) -> Motion:
     """Two frequencies a joint, slow and narrow, for 8 to 14 s, from rest."""
-    t = np.arange(round(rng.uniform(8.0, 14.0) / STEP)) * STEP
+    t = np.arange(round(rng.uniform(8.0, 14.0) / STEP), dtype=float) * STEP
     x = np.zeros((len(t), arm.n))
     for j in range(arm.n):
         for w in 2.0 * np.pi / 8.0 * rng.choice([1.0, 2.0, 3.0, 5.0], 2, replace=False):
@@ -122,7 +127,7 @@ def _poor_motion(rng: np.random.Generator, arm: Arm) -> Motion:
 
 def _along(commands: Array, t_ipo: float) -> Motion:
     """Commands ``(N, n)`` [rad] every ``t_ipo`` [s] as a desired motion."""
-    t = np.arange(round(t_ipo * (len(commands) - 1) / STEP)) * STEP
+    t = np.arange(round(t_ipo * (len(commands) - 1) / STEP), dtype=float) * STEP
     return _motion(t, CubicSpline(t_ipo * np.arange(float(len(commands))), commands, axis=0)(t))
 
 

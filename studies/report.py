@@ -6,9 +6,14 @@ import os
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
+from scenes import load_scene
+from scenes.scene_files.scene import Scene
+
+S = TypeVar("S", bound=Scene)
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
@@ -25,6 +30,13 @@ def row(*cells: object) -> None:
 def listed(values: Iterable[float], digits: int = 3) -> str:
     """Numbers with commas between; ``failed`` for one that is none."""
     return ", ".join("failed" if np.isnan(value) else f"{value:.{digits}f}" for value in values)
+
+
+def scene_of(kind: type[S], name: str) -> S:
+    """A shipped scene of a kind."""
+    found = load_scene(name)
+    assert isinstance(found, kind)
+    return found
 
 
 def used(job: Callable[[], object], clock: Callable[[], float] = time.process_time) -> float:

@@ -11,7 +11,7 @@ import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -58,7 +58,7 @@ class _Pace:
 def _controller(port: int, virtual: bool) -> None:
     """The other process."""
     robot, pace = Robot.load("kr6"), _Pace()
-    hooks = {} if virtual else {"held_back": pace.wait, "late": pace.too_late}
+    hooks: dict[str, Any] = {} if virtual else {"held_back": pace.wait, "late": pace.too_late}
     with RsiRobot(robot, port=0) as link:
         start = link.axes.angles(robot.home)
     with undisturbed(priority=60):

@@ -18,15 +18,15 @@ from ideal_robot.identification.idim import identify
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
-from scenes import load_scene
 from scenes.identification.plan import fourier_commands
 from scenes.line import cell as line_cell
 from scenes.line.kind import run
+from scenes.scene_files.line_scene import LineScene
 from sim.arm.arm import SimulatedArm
 from sim.arm.kernel import drive_step
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
-from studies.report import head, row, used
+from studies.report import head, row, scene_of, used
 
 ROOT = Path(__file__).resolve().parents[1]
 SECONDS = 6.0
@@ -113,7 +113,7 @@ def _used_by(words: list[str], **environment: str) -> float:
 
 def _line(repeats: int, world: str, wanted: str = "") -> None:
     """The main job and what precedes it."""
-    scene = load_scene("line").changed(world=world)
+    scene = scene_of(LineScene, "line").changed(world=world)
     calibrating: list[float] = []
     inner = line_cell.calibrate_by_moving
 

@@ -226,8 +226,8 @@ class SceneError(IdealRobotError):
 
 # Speed, seed, arm, horizon and world given from outside in place of a scene's own.
 
-def chosen(scene: Scene, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
-           n_d: int | None = None, world: str | None = None) -> Scene:
+def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
+           n_d: int | None = None, world: str | None = None) -> S:
     """The scene with options in place of its own values.
 
     Args:

@@ -73,7 +73,7 @@ def _swung(rng: np.random.Generator, kind: str, arm: Arm) -> Trial | None:
         direction /= np.sqrt(np.mean(direction**2))
         tool.bias[:count] = rng.uniform(3.0, 10.0) * DETECTABLE * tool.noise[:count] * direction
     every, motion = int(rng.choice([20, 8])), draw_motion(rng, arm, float(rng.uniform(12.0, 25.0)))
-    t, q = every * STEP * np.arange(len(motion.t[::every])), motion.q[::every]
+    t, q = every * STEP * np.arange(len(motion.t[::every]), dtype=float), motion.q[::every]
     rotation, place = poses(*chain(arm), q)
     pull = np.einsum("kij,i->kj", rotation, G / 9.81)
     if np.linalg.norm(np.std(pull, axis=0)) < 0.2 and not tool.calibrated:

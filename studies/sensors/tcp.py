@@ -43,8 +43,8 @@ def draw_tcp_trial(seed: int, kind: str | None = None) -> Trial:
     for _ in range(200):
         arm = draw_tooled_arm(rng)
         every, motion = int(rng.choice([20, 10, 8])), draw_motion(rng, arm, float(rng.uniform(25.0, 45.0)))
-        trial = _with_effect(rng, kind, scene(rng, arm, every * STEP * np.arange(len(motion.t[::every])),
-                                              motion.q[::every]))
+        q = motion.q[::every]
+        trial = _with_effect(rng, kind, scene(rng, arm, every * STEP * np.arange(len(q), dtype=float), q))
         if trial is not None:
             return trial
     raise RuntimeError(f"no trial of kind {kind} from seed {seed}")

@@ -182,7 +182,7 @@ def draw_motion(rng: np.random.Generator, arm: Arm, seconds: float, kind: str | 
         kind: one of ``KINDS``; drawn if None.
     """
     kind = str(rng.choice(KINDS)) if kind is None else kind
-    t = np.arange(round(seconds / STEP)) * STEP
+    t = np.arange(round(seconds / STEP), dtype=float) * STEP
     make = {"fourier": _fourier, "strokes": _strokes, "cycles": _cycles}[kind]
     q = make(rng, arm, t)
     qd = np.gradient(q, STEP, axis=0)

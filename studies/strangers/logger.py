@@ -156,7 +156,8 @@ def _torque_read(logger: Logger, tau: Array) -> Array:
         tau = filtered(np.full(logger.every, 1.0 / logger.every), np.array([1.0]), tau)
     elif logger.torque in ("first_order", "second_order"):
         order = 1 if logger.torque == "first_order" else 2
-        tau = filtered(*signal.butter(order, logger.corner * 2.0 * STEP), tau)
+        b, a = signal.butter(order, logger.corner * 2.0 * STEP)
+        tau = filtered(b, a, tau)
     if logger.lag > 0.0:
         keep = np.exp(-STEP / logger.lag)
         tau = filtered(np.array([1.0 - keep]), np.array([1.0, -keep]), tau)
