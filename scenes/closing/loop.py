@@ -43,30 +43,30 @@ class Form:
         label: what it is.
         change: makes the changed model of the present one and the play with that.
         places: effects that it adds; none where it fits parameters anew and that is all.
-        moves: whether joints move otherwise with it; where the tool is for given joints does not show there.
     """
 
     label: str
     change: Callable[[Model, Any], Model]
     places: tuple[Place, ...] = ()
-    moves: bool = True
 
     @classmethod
     def adding(cls, label: str, effects: Sequence[FittedEffect]) -> Form:
         """Effects on top of the model."""
-        own = tuple(effects)
-        changes = [one.effect.loop_change(one.coefficients, one.theta) for one in own]
-        return cls(label, lambda model, _: model.with_effects(own), tuple((one.name, one.joint) for one in own),
-                   not all(change.geometry is not None or change.zero for change in changes))
+        return cls(label, lambda model, _: model.with_effects(tuple(effects)), places_of(effects))
 
 
 Forms = tuple[Form, ...]
 """Of one change: the first that stands the trial stays."""
 
 
-def name(effect: FittedEffect) -> str:
+def places_of(effects: Sequence[FittedEffect]) -> tuple[Place, ...]:
+    """Name and joint of each."""
+    return tuple((one.name, one.joint) for one in effects)
+
+
+def said(name: str, joint: int) -> str:
     """An effect for people."""
-    return effect.name.replace("_", " ") + (f" in joint {effect.joint}" if effect.joint else "")
+    return name.replace("_", " ") + (f" in joint {joint}" if joint else "")
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class Group:
         """Effects on top of the model, together and each alone."""
         label = " and ".join(dict.fromkeys(one.name.replace("_", " ") for one in effects))
         together = (Form.adding(label, effects),) if len(effects) > 1 else ()
-        return cls(together, tuple((Form.adding(name(one), (one,)),) for one in effects))
+        return cls(together, tuple((Form.adding(said(one.name, one.joint), (one,)),) for one in effects))
 
 
 @dataclass(frozen=True)

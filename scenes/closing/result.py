@@ -14,7 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis import Diagnosis
 from ideal_robot.results import plain
 from ideal_robot.signals.recording import Recording
-from scenes.closing.loop import MODEL, Closed, Place, Step
+from scenes.closing.loop import MODEL, Closed, Place, Step, places_of, said
 from scenes.diagnosis.page import add_diagnosis, summary
 from scenes.outputs import whole_folder
 from scenes.report.page import Report
@@ -117,11 +117,10 @@ class Closing(ShownTable):
         """One sentence for each effect that a diagnosis names and that does not stay."""
         stay = {place for step in self.steps if step.taken for place in step.places}
         why = {place: step.refused for step in self.steps if not step.taken for place in step.places}
-        named = dict.fromkeys((one.fitted.name, one.fitted.joint) for found in self.closed.found if found.diagnosis
-                              for one in found.diagnosis.effects)
-        return [f"{name.replace('_', ' ')}{f' in joint {joint}' if joint else ''} named, refused: "
-                f"{why.get((name, joint), f'a scene of kind {self.scene.kind} does not close it')}"
-                for name, joint in named if (name, joint) not in stay]
+        named = dict.fromkeys(place for found in self.closed.found if found.diagnosis
+                              for place in places_of([one.fitted for one in found.diagnosis.effects]))
+        otherwise = f"a scene of kind {self.scene.kind} does not close it"
+        return [f"{said(*place)} named, refused: {why.get(place, otherwise)}" for place in named if place not in stay]
 
     def json(self) -> dict[str, Any]:
         """The content of ``--json``."""
@@ -149,8 +148,7 @@ class Closing(ShownTable):
 
     def page(self) -> Report:
         """The report."""
-        hidden = " and ".join(f"{name.replace('_', ' ')}{f' in joint {joint}' if joint else ''}"
-                              for name, joint in self.undeclared)
+        hidden = " and ".join(said(*place) for place in self.undeclared)
         plays = ", ".join(f"{played.error:.3g} {_MODELS[name][0]}" for name, played in self.plays.items())
         page = Report(f"{self.scene.title or self.scene.name}: the loop closed",
                       f"The model did not know {hidden or 'what the world holds'}. {self.words.error}: {plays}."

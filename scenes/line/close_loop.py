@@ -60,6 +60,11 @@ WORDS = Words(
     "itself measures of its camera. Of a change of the arm, how far the tool was from where the follower wanted it.",
     ("arc length of the line [m]", "distance [mm]", "Distance of the true TCP from the line."))
 
+EFFECTS = {"camera_latency": ("camera", "stamp_offset"), "clock_drift": ("camera", "stamp_drift"),
+           "camera_scale": ("calibration", "focal_percent", "height_mm"),
+           "camera_offset": ("calibration", "yaw_deg", "pitch_deg"), "lens_distortion": ("calibration", "k1")}
+"""What a camera that is wrong is called in the effect library: table of the scene and its keys."""
+
 
 def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = None,
                progress: Progress = silent) -> Closing:
@@ -237,25 +242,16 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
     Raises:
         InputError: none, nor any of the arm, or one that cannot be seen along a line; names the keys.
     """
-    camera, wrong = scene.camera, scene.calibration
-    found = []
+    wrong = scene.calibration
     if not wrong.by_moving:
         for key in ("lateral_mm", "roll_deg", "principal_px"):
             if getattr(wrong, key):
                 raise InputError("along a line nobody can see it: a camera that is shifted across the line, or rolled, "
                                  "sees another line; set it to 0, or let the camera be calibrated (by_moving = true)",
                                  file=scene.source, field=f"calibration.{key}", value=getattr(wrong, key))
-    if camera.stamp_offset != 0.0 and not scene.stamp_estimate:
-        found.append("camera_latency")
-    if camera.stamp_drift != 0.0 and not scene.stamp_estimate:
-        found.append("clock_drift")
-    if not wrong.by_moving:
-        if wrong.focal_percent or wrong.height_mm:
-            found.append("camera_scale")
-        if wrong.yaw_deg or wrong.pitch_deg:
-            found.append("camera_offset")
-        if wrong.k1:
-            found.append("lens_distortion")
+    known = {"camera": scene.stamp_estimate, "calibration": wrong.by_moving}
+    found = tuple(effect for effect, (table, *keys) in EFFECTS.items() if not known[table]
+                  and any(getattr(getattr(scene, table), key) for key in keys))
     keys = keys_of_arm(scene)
     if not found and keys and all(key in GEOMETRY for key in keys):
         raise InputError("along a line nothing of it is left to be found: the camera rides on the arm, and sees the "
@@ -267,7 +263,7 @@ def undeclared_effects(scene: LineScene) -> tuple[str, ...]:
                          "camera.stamp_offset or camera.stamp_drift with stamp_estimate = false, or the sizes in "
                          "[calibration] with by_moving = false, or one of the arm's keys in [world]",
                          file=scene.source, field="camera")
-    return tuple(found)
+    return found
 
 
 def _true_stamps(scene: LineScene) -> tuple[FittedEffect, ...]:

@@ -14,7 +14,7 @@ from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION, FittedEffect
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.closing.loop import Form, Forms, Group, Step, name
+from scenes.closing.loop import Form, Forms, Group, Step, places_of, said
 from scenes.measured import Measured
 
 _ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
@@ -70,7 +70,7 @@ class Candidates:
         whole = [*([Form.adding(f"all that was found, {_HELD}", (*held, *of_gears))] if held or of_gears else []),
                  *self._predicting(), *explaining]
         by_joint, no_size = self._by_joint(torque, held)
-        apart = [*((Form.adding(name(one), (one,)),) for one in behind), *by_joint, *hidden,
+        apart = [*((Form.adding(said(one.name, one.joint), (one,)),) for one in behind), *by_joint, *hidden,
                  *self._friction_anew(regression)]
         return (Group(tuple(whole), tuple(apart)), Group.adding(at_tool)), (*refused, *no_size)
 
@@ -82,8 +82,7 @@ class Candidates:
         changed = more or any(a is not b for a, b in laws)
         if not changed or any(_not_of_currents(effect, self.measured) for effect in more):
             return []
-        form = Form.adding("all that predict the run better", more)
-        return [Form(form.label, lambda model, run: predicting, form.places, not more or form.moves)]
+        return [Form("all that predict the run better", lambda model, run: predicting, places_of(more))]
 
     def _beside_known(self, regression: Regression, of_gears: Effects) -> tuple[list[Form], list[Forms]]:
         """What explains most with the parameters held: together, and each change of a parameter by itself."""
@@ -96,7 +95,8 @@ class Candidates:
                 if effect.effect.absorbed_by_base:
                     known = sizes.setdefault((effect.name, effect.joint), [])
                     known += [effect] if known else [*beside_held_model(regression, self.model, (effect,)), effect]
-        return whole, [tuple(Form.adding(f"{name(one)}, {_HELD}", (one,)) for one in own) for own in sizes.values()]
+        return whole, [tuple(Form.adding(f"{said(*place)}, {_HELD}", (one,)) for one in own)
+                       for place, own in sizes.items()]
 
     def _by_joint(self, torque: Sequence[FittedEffect], held: Effects) -> tuple[list[Forms], list[Step]]:
         """The effects of each joint's torque, and those that come in no form."""
@@ -104,12 +104,12 @@ class Candidates:
         for joint in dict.fromkeys(effect.joint for effect in torque):
             own = tuple(effect for effect in torque if effect.joint == joint)
             of_held = tuple(effect for effect in held if effect.joint == joint)
-            label = " and ".join(name(effect) for effect in own)
+            label = " and ".join(said(effect.name, effect.joint) for effect in own)
             forms = [Form.adding(f"{label}, {_HELD}", of_held)] if of_held else []
             if self.found.model is not None and joint:
                 forms.append(self._refitted(f"{label}, {_REFITTED}", self.found.model, joint, own))
             result += [tuple(forms)] if forms else []
-            refused += [] if forms else [Step(label, _NO_SIZE, places=tuple((one.name, one.joint) for one in own))]
+            refused += [] if forms else [Step(label, _NO_SIZE, places=places_of(own))]
         return result, refused
 
     def _friction_anew(self, regression: Regression) -> list[Forms]:
@@ -121,8 +121,7 @@ class Candidates:
 
     @staticmethod
     def _refitted(label: str, fitted: Model, joint: int, effects: Effects) -> Form:
-        return Form(label, lambda model, run: with_joint(model, fitted, joint, effects),
-                    tuple((effect.name, effect.joint) for effect in effects))
+        return Form(label, lambda model, run: with_joint(model, fitted, joint, effects), places_of(effects))
 
 
 def _sorted(effects: Sequence[FittedEffect],
@@ -134,7 +133,7 @@ def _sorted(effects: Sequence[FittedEffect],
         if effect.domain == SENSOR:
             nowhere = "no sensor takes part in this path"
         if reason := f"does not act: {nowhere}" if nowhere else _not_of_currents(effect, measured):
-            refused.append(Step(name(effect), reason, places=((effect.name, effect.joint),)))
+            refused.append(Step(said(effect.name, effect.joint), reason, places=places_of((effect,))))
         else:
             (torque if effect.domain == MOTOR_TORQUE else behind).append(effect)
     return refused, torque, behind

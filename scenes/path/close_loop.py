@@ -151,7 +151,7 @@ class _Path(Subject[Play]):
         compared = [Comparison.of(present, self._left(one, run)) for one in models]
         order = sorted(range(len(forms)), key=lambda k: compared[k].after)
         best = compared[order[0]]
-        return ([k for k in order if not (forms[0].moves and compared[k].rises)],
+        return ([k for k in order if not compared[k].rises],
                 f"played on the identified loop it explains less of the run: {1e3 * best.before:.3g} to "
                 f"{1e3 * best.after:.3g} mm are left")
 
