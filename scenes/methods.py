@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.method import Factory, Method, Needs, Setting
 from ideal_robot.feedforward.registry import method as registered
 from ideal_robot.feedforward.registry import methods as registered_methods
+from scenes.result import Progress
 
 NONE = "none"
 """The reference path, no correction."""
@@ -128,3 +131,49 @@ def compared(wanted: Sequence[Any] | None, allowed: Sequence[str], left_out: Seq
             raise InputError("two methods have that name; give one of the classes another", field="methods",
                              value=one.key)
     return found
+
+
+# The search for the gains of direct sensor feedback, [L] (1): a scan of K_p, then refinements around the best.
+
+@dataclass(frozen=True)
+class GainTrial:
+    """One pair of gains and the error that it leaves; infinite where the run failed."""
+
+    k_p: float
+    k_d: float
+    error: float
+
+
+class GainSearch:
+    """Tries gains one after another and keeps what came of them.
+
+    Args:
+        error: the error that a pair K_p, K_d leaves in the scene; infinite or NaN where it fails.
+        total: trials to expect, for the progress.
+        progress: called after each trial.
+    """
+
+    def __init__(self, error: Callable[[float, float], float], total: int, progress: Progress) -> None:
+        self._error, self._total, self._progress = error, total, progress
+        self.trials: list[GainTrial] = []
+
+    def scan(self, k_p: Sequence[float], k_d: Sequence[float] = (0.0,)) -> None:
+        """Tries every K_p with every K_d."""
+        for p in k_p:
+            for d in k_d:
+                error = self._error(p, d)
+                self.trials.append(GainTrial(p, d, error if np.isfinite(error) else float("inf")))
+                self._progress(min(len(self.trials) / self._total, 1.0), "searching the gains of direct feedback")
+
+    def between(self, k_p: Sequence[float]) -> None:
+        """Tries the geometric means of the best K_p and its neighbours in ``k_p``, which was scanned."""
+        best = list(k_p).index(self.best().k_p)
+        self.scan([float(np.sqrt(k_p[best] * k_p[other])) for other in (best - 1, best + 1) if 0 <= other < len(k_p)])
+
+    def ranked(self) -> list[GainTrial]:
+        """All trials, the best first."""
+        return sorted(self.trials, key=lambda trial: trial.error)
+
+    def best(self) -> GainTrial:
+        """The trial with the smallest error; the first one of equals."""
+        return self.ranked()[0]

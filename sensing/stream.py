@@ -11,8 +11,8 @@ from enum import IntEnum
 
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
+from sensing import SensingError
 from sensing.clock_relation import ClockRelation
-from sensing.sensing_error import SensingError
 
 # The wire format of our own stream: packages with stamps over TCP, and a parser that nothing can make grow.
 #

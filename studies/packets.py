@@ -19,9 +19,9 @@ from ideal_robot.rsi import RsiRobot
 from ideal_robot.rtde.wire import Kind, Recipe, RtdeConnection, RtdeError
 from ideal_robot.rtde.wire import package as rtde_package
 from scenes.rsi.server import RsiServer
+from sensing import SensingError
 from sensing.camera.cameras import StreamCamera
 from sensing.force.sensors import NetFT, StreamForce
-from sensing.sensing_error import SensingError
 from sensing.stream import Reader, StreamError
 from sim.devices.stream_server import NetFTServer, StreamServer, camera_description
 from studies.report import resident

@@ -54,8 +54,8 @@ from ideal_robot.feedforward.friction_curve import (
 )
 from ideal_robot.feedforward.ideal import IdealRobot, IdealState
 from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
+from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds
-from ideal_robot.loop.rotors import further_torque
 from ideal_robot.robots.interface import RobotState
 
 _GRAVITY = 9.81

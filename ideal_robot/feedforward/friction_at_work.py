@@ -24,8 +24,8 @@ from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.friction_curve import LARGEST, SHAPE, between_nodes, likeness
 from ideal_robot.friction.presliding import sliding_direction
+from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds, ripple_torque
-from ideal_robot.loop.rotors import further_torque
 from ideal_robot.signals.preprocess import FilteredSignals, preprocess
 from ideal_robot.signals.recording import Recording
 

@@ -24,7 +24,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.precorrection import command_inverse, spline_operators
 from ideal_robot.jit import jit
-from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.from_model import further_torque, loop_model
 from ideal_robot.loop.loop_model import (
     Drives,
     LoopModel,
@@ -35,7 +35,6 @@ from ideal_robot.loop.loop_model import (
     ripple_torque,
     unevenness,
 )
-from ideal_robot.loop.rotors import further_torque
 from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot

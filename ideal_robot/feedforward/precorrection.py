@@ -24,9 +24,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.from_model import further_torque, loop_model
 from ideal_robot.loop.loop_model import LoopModel, behind_uneven_gears, bristles, low_pass_taps, ripple_torque
-from ideal_robot.loop.rotors import further_torque
 from ideal_robot.model.arm_with_effects import side_of_gap
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel

@@ -20,7 +20,7 @@ from ideal_robot.identification.checks import checked, excitation_warnings, requ
 from ideal_robot.identification.joint_fit import JointFit, JointProblem
 from ideal_robot.identification.weighted_least_squares import Solution, prior_of
 from ideal_robot.model.model import Model
-from ideal_robot.model.prediction import Prediction
+from ideal_robot.model.parametrisation import Prediction
 from ideal_robot.results import Summarised, listed
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.channels import ChannelFinding, channel_findings, dead_joints

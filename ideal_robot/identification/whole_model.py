@@ -20,7 +20,7 @@ from ideal_robot.identification.idim import Identification, identify, relative_e
 from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.model.model import Model
-from ideal_robot.model.prediction import Prediction
+from ideal_robot.model.parametrisation import Prediction
 from ideal_robot.progress import Progress, Steps, silent
 from ideal_robot.results import Summarised, listed, over_time, plain
 from ideal_robot.robots.robot import Robot

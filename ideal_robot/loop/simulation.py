@@ -15,8 +15,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, joint_frames, mass_matrix, torque_at
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.jit import jit
+from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop_model import Drives, LoopModel, bristles, friction_of_load, ripple_torque, unevenness
-from ideal_robot.loop.rotors import further_torque
 
 
 @dataclass(frozen=True)

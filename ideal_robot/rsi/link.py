@@ -16,8 +16,7 @@ from typing import Any
 
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
-from ideal_robot.rsi.message import MAX_PACKET, RobMessage, parse_rob
-from ideal_robot.rsi.rsi_error import PacketError, RsiError
+from ideal_robot.rsi.message import MAX_PACKET, PacketError, RobMessage, RsiError, parse_rob
 
 # When a packet came, by the system's word: a program that was not let run meanwhile does not take it for late.
 

@@ -17,10 +17,19 @@ from xml.etree import ElementTree
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
+from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.file_limits import RSI_BYTES
 from ideal_robot.robots.robot import Robot
-from ideal_robot.rsi.rsi_error import PacketError
+
+# What can go wrong between us and a controller.
+
+class RsiError(IdealRobotError):
+    """The link to the controller cannot go on; the arm stays where the controller holds it."""
+
+
+class PacketError(RsiError):
+    """A packet that is no message of a controller; it is counted and gets no answer."""
+
 
 # How one controller's messages are named: tags, sender type, decimals; read from its own RSI ethernet XML if given.
 

@@ -19,8 +19,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.interface import CatchUp, FollowingWatch, RobotState, checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi.link import PacketLink, Stamps
-from ideal_robot.rsi.message import Axes, RobMessage, RsiFormat, format_sen
-from ideal_robot.rsi.rsi_error import RsiError
+from ideal_robot.rsi.message import Axes, RobMessage, RsiError, RsiFormat, format_sen
 
 # Which corrections the controller has in force: it is told what was sent and what of it came too late.
 

@@ -12,10 +12,10 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from planning import PlanningError
 from planning.line.deviation_model import PathDeviation
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.planning_error import PlanningError
 
 FORCE_ERRORS = (0.3, 0.002)
 """Standard deviations of what is estimated of the force sensor on the way: relative error of E, and the time constant

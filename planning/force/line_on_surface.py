@@ -20,11 +20,11 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from planning import LineLostError, LineNeverSeenError, PlanningError
 from planning.force.force_follower import SurfaceFollower
 from planning.line.fusion import Fused, Measurement
 from planning.line.line_view import LineAhead, SeenLine
 from planning.path.path_kernels import cross, dot, unit
-from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 OBLIQUE = 0.1
 """Slope of the rays across the path from which a field says something of the height, too."""

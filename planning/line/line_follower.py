@@ -10,6 +10,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from planning import LineLostError, LineNeverSeenError, PlanningError
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter, Fused, Measurement
 from planning.line.line_view import LineAhead, SeenLine, polynomial_measurement
@@ -18,7 +19,6 @@ from planning.path.path_kernels import displaced_frames, sensor_errors
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import JointPath, SpeedProfile
-from planning.planning_error import LineLostError, LineNeverSeenError, PlanningError
 
 MEASUREMENTS = ("polynomial", "points")
 KNOCK = 0.01

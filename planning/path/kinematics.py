@@ -14,7 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
-from planning.planning_error import OutOfReachError
+from planning import OutOfReachError
 
 # Newton's method on many poses of a serial arm in one call, compiled.
 #

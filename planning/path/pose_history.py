@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from planning.planning_error import PlanningError
+from planning import PlanningError
 
 _ROWS = 0.05
 """How far from a picture's middle row another row's exposure may be at most [s]."""

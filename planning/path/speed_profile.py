@@ -13,9 +13,9 @@ from scipy.ndimage import minimum_filter1d
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.planning_error import OutOfReachError
 
 STEP = 0.002
 """Spacing of the joint path on which limits are checked [m]."""

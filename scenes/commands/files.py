@@ -31,10 +31,9 @@ def list_(
 
     Example: `ideal-robot list scenes`
     """
-    from scenes.catalogue import catalogue
     from scenes.commands.common import show_table
     from scenes.report.page import write_json
-    from scenes.schema import json_schema
+    from scenes.schema import catalogue, json_schema
 
     columns, rows = catalogue(what.value, kind)
     show_table(what.value, columns, rows)

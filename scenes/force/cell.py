@@ -17,9 +17,9 @@ from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import let_go, new_array
+from planning import OutOfReachError
 from planning.force.contact import dry_run
 from planning.path.kinematics import InverseKinematics
-from planning.planning_error import OutOfReachError
 from scenes.camera_world import camera_settings
 from scenes.models import model_for
 from scenes.online.force_task import START_HEIGHT, GlueCamera, Known, force_reference

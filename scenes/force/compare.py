@@ -9,8 +9,7 @@ from typing import Any
 
 from scenes.force.play import play
 from scenes.force.result import ForceResult
-from scenes.gains import GainSearch, GainTrial
-from scenes.methods import DIRECT, IDEAL, SceneMethod
+from scenes.methods import DIRECT, IDEAL, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, silent
 from scenes.scene_files.force_scene import ForceScene
 

@@ -13,7 +13,7 @@ from ideal_robot.identification.controller import ControllerIdentification
 from ideal_robot.identification.two_step import TwoStep
 from ideal_robot.identification.whole_model import IdentificationResult, friction_points, residual_std
 from ideal_robot.model.model import Model
-from ideal_robot.model.prediction import Prediction
+from ideal_robot.model.parametrisation import Prediction
 from ideal_robot.signals.channels import segments
 from ideal_robot.signals.preprocess import preprocess
 from scenes.report.page import Report

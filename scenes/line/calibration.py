@@ -15,18 +15,18 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from planning.planning_error import OutOfReachError
 from scenes.online.line_known import CalibrationView, calibration_postures
 from scenes.scene_files.scene import SceneError
+from sensing import SensingError
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_appearance import line_appearance
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
 from sensing.camera.opencv_detector import LineDetector
-from sensing.sensing_error import SensingError
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import ArmShape

@@ -23,11 +23,11 @@ from scenes.result import Progress, silent
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.line_scene import LineScene, Wear
 from scenes.scene_files.scene import SceneError
+from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
 from sensing.camera.opencv_detector import DETECTORS
-from sensing.sensing_error import SensingError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.camera.bullet_camera import BulletCamera

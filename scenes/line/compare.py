@@ -12,11 +12,10 @@ import numpy as np
 from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised
 from planning.line.deviation_sensor import DeviationSensor
-from scenes.gains import GainSearch, GainTrial
 from scenes.line.cell import Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.result import LineResult
-from scenes.methods import DIRECT, SceneMethod
+from scenes.methods import DIRECT, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.line_scene import LineScene
 

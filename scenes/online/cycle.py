@@ -16,7 +16,7 @@ from ideal_robot.execution.command_governor import CommandGovernor, stopping_row
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
-from planning.planning_error import PlanningError
+from planning import PlanningError
 from scenes.result import Progress
 
 PARTED = 0.02

@@ -14,10 +14,10 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
+from planning import OutOfReachError
 from planning.force.contact import LEAP, ContactSettings, most_force
 from planning.force.felt_by_motors import FeltByMotors
 from planning.path.kinematics import InverseKinematics
-from planning.planning_error import OutOfReachError
 from scenes.online.force_task import START_HEIGHT, Known
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce

@@ -10,8 +10,8 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from planning import PlanningError
 from planning.force.contact import EmergencyStopError, Phase, most_force
-from planning.planning_error import PlanningError
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cycle import Task

@@ -20,11 +20,11 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
+from planning import OutOfReachError
 from planning.follower import ForceFollower
 from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, StopConditions, Tare
 from planning.force.contour import ContourFollower, ContourSettings
-from planning.force.direct_force import DirectForceFeedback
-from planning.force.force_follower import SurfaceFollower
+from planning.force.force_follower import DirectForceFeedback, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import FeltArm
 from planning.line.deviation_model import PathDeviation
@@ -32,7 +32,6 @@ from planning.line.fusion import DeviationFilter
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
-from planning.planning_error import OutOfReachError
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
 from scenes.scene_files.force_scene import ForceScene

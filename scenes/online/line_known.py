@@ -10,12 +10,12 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
+from planning import OutOfReachError
 from planning.line.line_follower import FollowerSettings, LineFollower
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
-from planning.planning_error import OutOfReachError
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field

@@ -18,7 +18,7 @@ from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
-from planning.planning_error import PlanningError
+from planning import PlanningError
 from scenes.online.journal import Journal
 from scenes.scene_files.scene import SceneError
 from sensing.clock_relation import ClockRelation

@@ -19,6 +19,7 @@ from ideal_robot.row_log import RowLog
 from scenes.online.camera_process import CameraProcess, Evaluated, Header
 from scenes.online.cycle import Task
 from scenes.online.live_arm import LiveArm
+from sensing import SensingError
 from sensing.camera.camera_device import Field, WindowsAt
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye, Observation
@@ -27,7 +28,6 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine
 from sensing.force.sensors import WrenchSource
 from sensing.force.wrench import WrenchSample
 from sensing.life_signs import LifeSigns
-from sensing.sensing_error import SensingError
 
 OLDEST = 0.4
 """Age from which on a picture is of no use: the arm's poses of that time are forgotten [s]."""

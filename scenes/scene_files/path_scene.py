@@ -12,8 +12,8 @@ import pydantic
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError, LimitError
 from ideal_robot.robots.robot import Robot
+from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
-from planning.planning_error import OutOfReachError
 from scenes.scene_files.scene import Scene
 from scenes.scene_files.tool_path import ToolPath, shape_of, tool_path
 

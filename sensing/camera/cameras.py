@@ -15,9 +15,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import InputError
 from ideal_robot.registry import Registry
+from sensing import SensingError
 from sensing.camera.camera_device import Gray
 from sensing.clock_relation import ClockRelation
-from sensing.sensing_error import SensingError
 from sensing.stream import Package, StreamConnection, host_and_port
 
 # The seam of cameras on cables: whole pictures with stamps of the camera's own clock.

@@ -27,9 +27,9 @@ import pinocchio as pin
 from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
+from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_polynomial import Polyline
-from sensing.sensing_error import SensingError
 
 TILT = "surface_tilt"
 PRIOR = {

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sensing import SensingError
 from sensing.camera.camera_device import Gray
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.picture_line import RoughLine, find_rough_line
-from sensing.sensing_error import SensingError
 
 AHEAD = (0.025, 0.2)
 """Distances ahead of the TCP that are looked at [m]."""

@@ -19,7 +19,7 @@ from scipy.special import chdtri
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
-from sensing.sensing_error import SensingError
+from sensing import SensingError
 
 
 @dataclass(frozen=True)

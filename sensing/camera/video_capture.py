@@ -11,9 +11,9 @@ import numpy as np
 
 from ideal_robot.bounded_values import kept_words
 from ideal_robot.errors import InputError
+from sensing import SensingError
 from sensing.camera.cameras import Frame
 from sensing.clock_relation import ClockRelation
-from sensing.sensing_error import SensingError
 
 _LARGEST = 4096
 """Columns or rows of a picture that are taken at most."""

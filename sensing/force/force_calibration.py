@@ -13,7 +13,7 @@ from itertools import permutations, product
 import numpy as np
 
 from ideal_robot.arrays import Array
-from sensing.sensing_error import SensingError
+from sensing import SensingError
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 

@@ -15,6 +15,7 @@ from ideal_robot.robots.interface import RobotState, checked_command
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import let_go, new_array
 from ideal_robot.signals.recording import Recording
+from sim import SimError
 from sim.arm import kernel
 from sim.arm.body import RigidRotors, load_links, start_physics
 from sim.arm.drive import drive_parameters, drive_start
@@ -23,7 +24,6 @@ from sim.arm.kernel import P_ELASTIC, P_ROTOR, P_STIFFNESS
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
-from sim.simulation_error import SimError
 
 # What the simulated arm refuses: postures and gears that cannot be.
 

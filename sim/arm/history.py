@@ -13,9 +13,9 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import KEPT, ColumnStore, RowLog
 from ideal_robot.signals.recording import Recording
+from sim import SimError
 from sim.arm.kernel import LOGGED
 from sim.arm.world import World
-from sim.simulation_error import SimError
 
 _ANGLE, _SPEED = LOGGED.index("q_a"), LOGGED.index("qd_a")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

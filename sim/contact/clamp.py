@@ -21,8 +21,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.jit import jit
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from sim import SimError
 from sim.contact.clamp_world import ClampWorld
-from sim.simulation_error import SimError
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 

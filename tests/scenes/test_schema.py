@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from ideal_robot.errors import InputError
-from scenes.catalogue import catalogue
 from scenes.commands.files import new
 from scenes.kind import KINDS
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape
-from scenes.schema import commented_scene, json_schema, keys_pages, scene_keys, world_keys
+from scenes.schema import catalogue, commented_scene, json_schema, keys_pages, scene_keys, world_keys
 
 EXAMPLES = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1"}
 

@@ -14,8 +14,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
 from planning.force import surface_forecast
 from planning.force.contact import ContactSettings, Phase, surface_model
-from planning.force.direct_force import DirectForceFeedback
-from planning.force.force_follower import SurfaceFollower
+from planning.force.force_follower import DirectForceFeedback, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import (
     BETTER,

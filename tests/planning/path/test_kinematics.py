@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
+from planning import OutOfReachError, PlanningError
 from planning.path.kinematics import InverseKinematics, log6, tool_jacobian
 from planning.path.pose_history import PoseHistory
-from planning.planning_error import OutOfReachError, PlanningError
 from tests.planning.cell import T, joint_path, kr6, reference
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.rsi.rsi_error import RsiError
+from ideal_robot.rsi.message import RsiError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError
 from scenes.online.camera_process import CalibratedCamera, Header, calibrated_camera

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from sensing import SensingError
 from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
 from sensing.camera.hand_eye import PRIOR, TILT, HandEye, Observation, calibrate, calibration_poses
 from sensing.camera.line_polynomial import Polyline
-from sensing.sensing_error import SensingError
 
 lens = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.01, 0.01), st.floats(-0.01, 0.01),
                  st.floats(-0.05, 0.05))

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
+from sensing import SensingError
 from sensing.camera.cameras import Frame, GenICamCamera, StreamCamera, open_camera
 from sensing.camera.video_capture import VideoCapture
-from sensing.sensing_error import SensingError
 from tests.sensing.stream.device import device, package
 
 

@@ -14,6 +14,7 @@ from ideal_robot.errors import InputError, LimitError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import KEPT
 from ideal_robot.signals.recording import Recording
+from sim import SimError
 from sim.arm import history as of_arm
 from sim.arm.arm import SimulatedArm
 from sim.arm.body import picture
@@ -22,7 +23,6 @@ from sim.arm.kernel import LOGGED
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
-from sim.simulation_error import SimError
 
 ROBOT = Robot.load("kr6")
 DEFAULT, IDEAL = World.default("kr6"), World.ideal("kr6")
