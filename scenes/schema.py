@@ -28,7 +28,7 @@ from scenes.kind import KINDS
 from scenes.scene_file import library as scene_folder
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import WORLDS
-from sensing.camera.opencv_detector import DETECTORS
+from sensing.camera.detector import DETECTORS
 from sim.arm.world import World
 
 

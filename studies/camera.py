@@ -23,10 +23,10 @@ from scenes.line.cell import set_up
 from scenes.models import model_for
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CalibrationError, CameraModel
+from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import Observation, calibrate, calibration_poses
 from sensing.camera.line_detection import DetectionSettings, PredictedLine, detect_line, search_windows
 from sensing.camera.line_polynomial import fit_line_polynomial
-from sensing.camera.opencv_detector import DETECTORS
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.camera.surface import DrawnLine, Feature

@@ -16,6 +16,7 @@ import numpy as np
 import typer
 
 from ideal_robot.arrays import Array
+from ideal_robot.deadline import Deadline
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
 from ideal_robot.execution.play import play
@@ -183,7 +184,7 @@ class _Wire:
         self.link: RsiRobot | None = None
         self.commands = [robot.home] * 3
 
-    def next(self, end: float, patience: float) -> RobMessage:
+    def next(self, deadline: Deadline) -> RobMessage:
         assert self.link is not None
         self._ipoc += self._step
         self.arrived += 1e-3 * self._step

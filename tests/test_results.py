@@ -119,7 +119,7 @@ for package in (ideal_robot, scenes):
 
 RESULT = re.compile(r"(Result|Comparison|Identification|Analysis|Plan|Diagnosis|Prediction)$")
 """How classes are called that public functions return."""
-OTHERS = {"ideal_robot.diagnosis.validation.result:ChannelResult",
+OTHERS = {"scenes.closing.rule:Comparison", "ideal_robot.diagnosis.validation.result:ChannelResult",
           "ideal_robot.diagnosis.validation.domain_diagnosis:DomainResult",
           "ideal_robot.diagnosis.validation.domain_diagnosis:DomainDiagnosis"}
 """A line of numbers, and parts of a diagnosis that nobody is handed."""

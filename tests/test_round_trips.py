@@ -28,7 +28,8 @@ def recordings(draw: st.DrawFn) -> Recording:
     count = draw(st.integers(2, 20))
     values = arrays(np.float64, count, elements=st.floats(allow_infinity=False))
     columns = draw(st.dictionaries(NAMES, values, max_size=5))
-    meta = draw(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | st.integers() | st.text(max_size=5)))
+    whole = st.integers(-10**15, 10**15)
+    meta = draw(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | whole | st.text(max_size=5)))
     return Recording({"t": np.arange(float(count)), **columns}, meta)
 
 

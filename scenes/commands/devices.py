@@ -164,7 +164,7 @@ def detect(
     from scenes.report.page import write_json
     from scenes.terminal import progress_bar
     from sensing.camera.camera_device import Gray
-    from sensing.camera.opencv_detector import DETECTORS
+    from sensing.camera.detector import DETECTORS
     from sensing.camera.picture_line import PictureLine, detect_in_picture
 
     chosen = DETECTORS.get(detector)()

@@ -23,10 +23,10 @@ from scenes.scene_files.scene import SceneError
 from sensing import SensingError
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_appearance import line_appearance
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
-from sensing.camera.opencv_detector import LineDetector
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import ArmShape

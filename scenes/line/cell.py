@@ -25,9 +25,9 @@ from scenes.scene_files.line_scene import LineScene, Wear
 from scenes.scene_files.scene import SceneError
 from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
-from sensing.camera.opencv_detector import DETECTORS
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.camera.bullet_camera import BulletCamera

@@ -19,10 +19,10 @@ from scenes.online.processes import give_back
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.cameras import Frame, FrameSource, open_camera
+from sensing.camera.detector import DETECTORS
 from sensing.camera.hand_eye import calibrate
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
-from sensing.camera.opencv_detector import DETECTORS
 
 _KEPT = 12
 """Pictures that wait for their prediction."""

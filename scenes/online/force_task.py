@@ -37,8 +37,8 @@ from scenes.online.cycle import CycleLog
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_device import Camera, Field, Window
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
-from sensing.camera.opencv_detector import DETECTORS, LineDetector
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sensing.force.wrench import ForceSensor, WrenchFilter
 

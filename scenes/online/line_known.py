@@ -20,10 +20,10 @@ from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import Observation, calibration_poses
 from sensing.camera.line_detection import predicted_by_rows
 from sensing.camera.line_search import DetectionSettings, PredictedLine
-from sensing.camera.opencv_detector import LineDetector
 
 HORIZON = 0.3
 """Time for which desired positions are handed to the ideal robot, several of its main time constants ([L] 2.2) [s]."""

@@ -7,17 +7,16 @@ seam ``LineDetector``.
 from __future__ import annotations
 
 import math
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import cv2
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from ideal_robot.registry import Registry
 from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.line_detection import LineField, confirmed_points, detect_line
+from sensing.camera.line_detection import LineField, confirmed_points
 from sensing.camera.line_search import DetectionSettings, PredictedImage, PredictedLine, predict_image
 
 _FINER = 8
@@ -166,52 +165,3 @@ def _agreeing(along: Array, deviation: Array, smoothness: float) -> np.ndarray:
     used = there.copy()
     used[there] = off < 1.0
     return used
-
-
-# The seam of line detectors: a field cut to windows and a prediction in, line points out.
-
-class LineDetector(Protocol):
-    """Finds the line in the windows of a field, one point a window.
-
-    Attributes:
-        name: key in tables and options.
-    """
-
-    name: ClassVar[str]
-
-    def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
-               settings: DetectionSettings) -> LineField:
-        """Line points of a field, in the tool frame.
-
-        Args:
-            field: patches of the windows that ``search_windows`` asked for.
-            camera: the camera as it is calibrated.
-            prediction: where the line should be, in the tool frame; point i belongs to window i.
-            settings: how the line looks and what is accepted.
-        """
-        ...
-
-
-class EdgePairs:
-    """Edge pairs with gates of width and contrast, then a least-squares fit of a blurred box to all pixels."""
-
-    name: ClassVar[str] = "edge_pairs"
-
-    def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
-               settings: DetectionSettings) -> LineField:
-        """As ``LineDetector.detect``.
-
-        Args:
-            field: patches of the windows that ``search_windows`` asked for.
-            camera: the camera as it is calibrated.
-            prediction: where the line should be, in the tool frame; point i belongs to window i.
-            settings: how the line looks and what is accepted.
-        """
-        return detect_line(field, camera, prediction, settings)
-
-
-DETECTORS: Registry[type[LineDetector]] = Registry("detector", "ideal_robot.line_detectors", {
-    "edge_pairs": "sensing.camera.opencv_detector:EdgePairs",
-    "opencv": "sensing.camera.opencv_detector:OpenCVProfiles",
-})
-"""Line detectors by name."""

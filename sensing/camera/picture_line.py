@@ -24,10 +24,10 @@ from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.camera.camera_device import Field, Gray
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import LineDetector
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_polynomial import LinePolynomial, fit_line_polynomial
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
-from sensing.camera.opencv_detector import LineDetector
 
 SCALES = (1.5, 2.5, 4.0, 6.5, 10.0, 16.0)
 """Half widths of the ridges looked for [px]."""

@@ -154,7 +154,7 @@ def files(tmp_path):
 
 
 def arguments(files, *more):
-    return ["plan-diagnosis", str(files / "run.parquet"), "--urdf", str(files / "arm.urdf"), "--length", "12", *more]
+    return ["plan-diagnosis", str(files / "run.parquet"), "--urdf", str(files / "arm.urdf"), "--length", "40", *more]
 
 
 def test_motion_is_written_and_read(files):
@@ -164,7 +164,7 @@ def test_motion_is_written_and_read(files):
     assert answer.exit_code == 0, answer.output
     plan = json.loads((files / "plan.json").read_text())
     motion = Recording.read(files / "motion.csv")
-    assert plan["duration_s"] <= 12.0
+    assert plan["duration_s"] <= 40.0
     assert len(motion.t) == plan["samples"]
     assert plan["pairs"][0]["sigma"]["planned"] > plan["pairs"][0]["sigma"]["before"]
     assert np.all(np.isfinite(np.column_stack([motion.columns["q_d_1"], motion.columns["q_c_2"]])))

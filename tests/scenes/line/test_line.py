@@ -26,9 +26,9 @@ from scenes.scene_files.drawn_line import geometry
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import EdgePairs
 from sensing.camera.hand_eye import HandEye
 from sensing.camera.line_detection import DetectionSettings
-from sensing.camera.opencv_detector import EdgePairs
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.equipped_arm import CarriedCamera

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.camera.camera_model import CameraModel
+from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_polynomial import Polyline, fit_line_polynomial, fit_of_lowest_order
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
-from sensing.camera.opencv_detector import DETECTORS, LineDetector, OpenCVProfiles
+from sensing.camera.opencv_detector import OpenCVProfiles
 from sensing.camera.picture_line import detect_in_picture
 from tests.sensing.camera.synthetic import NORMAL, drawn_line, make_field, stroke
 
