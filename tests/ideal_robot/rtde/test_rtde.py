@@ -29,9 +29,10 @@ ROBOT = Robot.load("kr6")
 
 
 @contextmanager
-def connected(timeout: float = 5.0, patience: float = 5.0, **faults) -> Iterator[tuple[RtdeRobot, RtdeController]]:
+def connected(timeout: float = 5.0, patience: float = 5.0, register: int = 24,
+              **faults) -> Iterator[tuple[RtdeRobot, RtdeController]]:
     with (SimulatedArm(ROBOT, World.ideal("kr6"), np.random.default_rng(1)) as arm,
-          serving(RtdeController(arm, RtdeFaults(**faults), timeout=timeout)) as controller,
+          serving(RtdeController(arm, RtdeFaults(**faults), register=register, timeout=timeout)) as controller,
           RtdeRobot(ROBOT, controller.address[0], port=controller.address[1], timeout=patience) as link):
         link.connect(patience=0.5)
         yield link, controller
@@ -116,8 +117,8 @@ def test_missed_cycles_are_made_good_within_the_limits() -> None:
 
 
 def test_an_arm_that_does_not_move_is_noticed() -> None:
-    with connected() as (link, controller):
-        controller.register = 30
+    """The controller's program reads other registers than those that are written."""
+    with connected(register=30) as (link, _):
         until(link, lambda k: link.fault is not None)
         assert "does not move" in str(link.fault)
 
