@@ -38,6 +38,7 @@ GROUPS = {
     "closings": {"closings": "closings", "outside": "outside", "true-friction": "outside"},
     "robustness": {
         "limits": "limits", "fuzz": "broken", "kill": "broken", "rsi-packets": "packets", "packets": "packets",
+        "mutations": "mutations",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback",
     },
 }

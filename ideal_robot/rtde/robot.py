@@ -25,6 +25,8 @@ _OUTPUTS = {"timestamp": "DOUBLE", "actual_q": "VECTOR6D", "target_q": "VECTOR6D
             "runtime_state": "UINT32", "safety_status_bits": "UINT32"}
 _AXES = 6
 _MANY = 2.0**31
+_LARGEST = 1e9
+"""No number is as large, in seconds, radians or ampere."""
 _PLAYING = 2
 """``runtime_state`` of a running program."""
 _SAFETY = {2: "protective stop", 4: "safeguard stop", 5: "emergency stop (system)", 6: "emergency stop (robot)",
@@ -225,8 +227,8 @@ class RtdeRobot:
             raise RtdeError(f"the controller has stopped the arm: {', '.join(stopped)}"
                             + (f"; it says: {self._connection.texts[-1]}" if self._connection.texts else ""))
         told = [data[name] for name in ("timestamp", "actual_q", "target_q", "actual_current")]
-        if not np.isfinite(np.concatenate(told)).all():
-            raise RtdeError("the controller tells times, positions or currents that are not finite")
+        if not (np.abs(np.concatenate(told)) < _LARGEST).all():
+            raise RtdeError("the controller tells times, positions or currents that cannot be")
         return data
 
     def _since(self, data: Values) -> int:

@@ -109,7 +109,7 @@ class StreamCamera:
         """Waits until it is known what the device is; what came meanwhile."""
         deadline, found = Deadline.within(patience), None
         while self._connection.described is None and found is None and not deadline.passed:
-            found = self._connection.next(0.1)
+            found = self._connection.next(min(deadline.left, 0.1))
         return found
 
     def read(self, timeout: float) -> Frame | None:

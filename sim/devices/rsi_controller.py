@@ -27,7 +27,8 @@ from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
-_ANSWER = re.compile(r'<Sen Type="ImFree">.*<AK((?: A\d="[-+.\d]+")+)/>.*<IPOC>(\d+)</IPOC></Sen>')
+_ANSWER = re.compile(r'<Sen Type="ImFree">.*<AK((?: A\d="[-+.\d]+")+)/>.*<IPOC>(\d{1,18})</IPOC></Sen>', re.ASCII)
+_AXIS = re.compile(r' A(\d)="([-+]?\d{1,9}(?:\.\d{0,18})?)"', re.ASCII)
 
 Disturbance = Callable[[int, bytes], list[bytes]]
 """What is sent in place of the packet of a cycle: called with its number and the packet."""
@@ -151,10 +152,22 @@ class RsiController:
                 continue
             except ConnectionError:
                 continue
-            found = _ANSWER.fullmatch(packet.decode("ascii", "replace"))
-            if found is not None and int(found[2]) == stamp and arrived <= end:
-                return np.array([float(value) for value in re.findall(r'"([^"]+)"', found[1])])
+            if arrived > end:
+                return None
+            correction = self._correction(packet.decode("ascii", "replace"), stamp)
+            if correction is not None:
+                return correction
         return None
+
+    def _correction(self, answer: str, stamp: int) -> Array | None:
+        """The corrections of a sound answer to the cycle [deg]; None for any other."""
+        found = _ANSWER.fullmatch(answer)
+        if found is None or int(found[2]) != stamp:
+            return None
+        axes = _AXIS.findall(found[1])
+        if [int(number) for number, _ in axes] != list(range(1, self.arm.robot.n + 1)):
+            return None
+        return np.array([float(value) for _, value in axes])
 
 
 def main(words: Sequence[str] | None = None) -> int:
