@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from scenes.cli import VERBS
+from tests.sources import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 FOLDERS = (*PACKAGES, "docs", "examples", "tests")

@@ -13,8 +13,8 @@ import pytest
 import typer
 
 from scenes.cli import function_of
+from tests.sources import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 INDEX = ROOT / "docs" / "howto" / "index.md"
 PAGES = sorted(page for page in INDEX.parent.glob("*.md") if page != INDEX)
 BLOCK = re.compile(r"```(sh|python)\n(.*?)```", re.DOTALL)

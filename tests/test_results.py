@@ -23,8 +23,9 @@ from scenes import compare_scene, load_scene, run_scene, shipped_model
 from scenes.line.compare import Fastest
 from scenes.result import ShownRun, ShownTable
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+from tests.sources import ROOT
 
-TABLE = ir.Robot.load(Path(__file__).resolve().parents[1] / "examples" / "own_robot.urdf")
+TABLE = ir.Robot.load(ROOT / "examples" / "own_robot.urdf")
 
 
 class Echo:

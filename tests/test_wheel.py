@@ -17,8 +17,8 @@ import pinocchio
 import pytest
 
 from tests.conftest import in_part
+from tests.sources import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("ideal_robot", "planning", "scenes", "sensing", "sim")
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SHOWS = {

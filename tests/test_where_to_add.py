@@ -14,13 +14,12 @@ from pathlib import Path
 
 from studies.sensors.line import gantry
 
-ROOT = Path(__file__).resolve().parents[1]
-
 LAW = '''
 import numpy as np
 
 from ideal_robot.effects.friction import LawTerm
 from ideal_robot.friction import FrictionModel
+from tests.sources import ROOT
 
 
 class Drag(FrictionModel):
@@ -78,6 +77,7 @@ class Ahead(Feedforward):
 KIND = '''
 from typing import Literal
 
+from tests.sources import ROOT
 from scenes.kind import SceneKind
 from scenes.line.kind import LINE
 from scenes.scene_files.line_scene import LineScene

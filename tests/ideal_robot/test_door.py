@@ -12,8 +12,8 @@ import pytest
 
 import ideal_robot as ir
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+from tests.sources import MODELS
 
-MODELS = Path(__file__).parents[2] / "scenes" / "models"
 KR15 = ir.Model.load(MODELS / "kr15.json")
 
 

@@ -23,8 +23,8 @@ from ideal_robot.bounded_values import checked, parsed_json
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from scenes.scene_files.shape import first_path
+from tests.sources import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 MAGIC = b"\x89MCAP0\r\n"
 
 

@@ -18,8 +18,8 @@ from scipy.io import savemat
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.signals.recording import Recording
 from scenes.data_sets import data_sets, fetch, values_hash
+from tests.sources import DATA
 
-DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 ROWS = b"10.0,0.5,2.0\n10.1,0.6,-1.0\n10.2,0.7,3.0\n"
 
 

@@ -30,6 +30,7 @@ from scenes.scene_files.scene import Scene
 from scenes.view.viewer import Viewer
 from sim.arm.world import World
 from sim.devices import rsi_controller
+from tests.sources import DATA
 
 CALIBRATED = {"by_moving": False, "roll_deg": 0.01, "pitch_deg": 0.02, "yaw_deg": 0.02, "height_mm": 0.2,
               "lateral_mm": 0.02, "focal_percent": 0.1, "principal_px": 0.05, "k1": 0.001}
@@ -212,7 +213,7 @@ def _free_port() -> int:
         return int(link.getsockname()[1])
 
 
-UR10E = Path(__file__).resolve().parents[3] / "shared" / "data" / "ur10e" / "ur10e.urdf"
+UR10E = DATA / "ur10e" / "ur10e.urdf"
 
 
 @pytest.mark.skipif(not UR10E.is_file(), reason="needs the public data sets beside the repository")

@@ -25,6 +25,7 @@ from scenes.sweep import jobs
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
 from studies.limits import INPUTS, LOOPS, ROWS
+from tests.sources import ROOT
 
 RADIUS, SPEED = 0.16, 0.63
 
@@ -200,7 +201,6 @@ def test_an_own_model_knows_its_arm_better_than_another_s(tmp_path: Path, monkey
 
 # After the compile step of the installation, a run has nothing left to compile.
 
-ROOT = Path(__file__).resolve().parents[2]
 COUNT = """
 from numba.core import event
 from scenes import load_scene, run_scene

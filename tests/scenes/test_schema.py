@@ -19,6 +19,7 @@ from scenes.kind import KINDS
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import STEP, Shape
 from scenes.schema import catalogue, commented_scene, json_schema, keys_pages, scene_keys, world_keys
+from tests.sources import ROOT
 
 EXAMPLES = {"line": "line", "path": "iso9283_1", "force": "force_wave", "clamped": "clamped_kr500_1"}
 
@@ -63,7 +64,7 @@ def test_every_commented_default_is_accepted(kind: str, tmp_path: Path) -> None:
 
 def test_the_pages_name_every_kind_and_key() -> None:
     pages = keys_pages()
-    docs = Path(__file__).resolve().parents[2] / "docs"
+    docs = ROOT / "docs"
     for name, text in pages.items():
         assert (docs / name).read_text(encoding="utf-8") == text, "python -m scenes.schema docs"
     for kind in KINDS.names():

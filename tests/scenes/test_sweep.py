@@ -18,8 +18,8 @@ from scenes import cluster, workers
 from scenes.commands.common import numbers, whole_numbers
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
+from tests.sources import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 WORK = jobs(["line", "straight"], seeds=[1, 2])
 
 

@@ -29,6 +29,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.diagnosis.page import summary
 from tests.ideal_robot.diagnosis.test_diagnose import arm
+from tests.sources import ROOT
 
 
 def moved(seconds: float = 40.0, *, vibration: float = 0.0, stribeck: float = 0.0, kicks: float = 0.0,
@@ -261,7 +262,7 @@ def test_a_fast_recording_is_looked_at_no_finer_than_needed_and_says_the_same(on
 
 # What a diagnosis makes of a model's parameters: an arm that can be, and one joint is an arm too.
 
-OWN = Path(__file__).resolve().parents[3] / "examples" / "own_robot.urdf"
+OWN = ROOT / "examples" / "own_robot.urdf"
 
 
 def test_a_refitted_model_has_bodies_that_can_be() -> None:

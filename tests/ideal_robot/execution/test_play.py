@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -13,9 +11,10 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.precorrect import path_at_cycles
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
+from tests.sources import MODELS
 
 ROBOT = ir.Robot.load("kr6")
-MODEL = ir.Model.load(Path(__file__).parents[3] / "scenes" / "models" / "kr6.json")
+MODEL = ir.Model.load(MODELS / "kr6.json")
 
 
 class Follower:

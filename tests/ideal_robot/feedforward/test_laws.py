@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +25,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.robots.robot import Robot
 from tests.ideal_robot.feedforward.plant import ROBOT, T, commands, motion, plant
+from tests.sources import MODELS
 
 LIMITS = ROBOT.q_min, ROBOT.q_max
 
@@ -132,7 +132,6 @@ def test_a_horizon_of_one_is_borne(named):
 
 # Methods by their key: laws over all of them, and one that a user adds.
 
-MODELS = Path(__file__).parents[3] / "scenes" / "models"
 KR6 = Robot.load("kr6")
 MODEL = Model.load(MODELS / "kr6.json")
 

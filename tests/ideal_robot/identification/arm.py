@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -14,8 +13,6 @@ from ideal_robot.friction.laws import ViscousCoulomb
 from ideal_robot.identification.excitation import FourierMotion, design_excitation
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-
-SHARED = Path(__file__).resolve().parents[3].parent / "shared" / "data"
 
 
 @cache

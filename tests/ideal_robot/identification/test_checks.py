@@ -15,7 +15,8 @@ from ideal_robot.identification.idim import identify
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import lowpass, preprocess
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.arm import SHARED, base, record, robot, truth
+from tests.ideal_robot.identification.arm import base, record, robot, truth
+from tests.sources import DATA
 
 
 @pytest.fixture(scope="module")
@@ -136,8 +137,8 @@ def test_an_arm_at_rest_tells_nothing(good: Recording) -> None:
 
 # Filters, channels and errors of the motion are found from the data, and a known truth behind them is recovered.
 
-PANDA = SHARED / "panda" / "panda_a.parquet"
-TIAGO = SHARED / "tiago" / "tiago_a.parquet"
+PANDA = DATA / "panda" / "panda_a.parquet"
+TIAGO = DATA / "tiago" / "tiago_a.parquet"
 
 
 def altered(recording: Recording, **columns: np.ndarray) -> Recording:

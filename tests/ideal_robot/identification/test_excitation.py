@@ -13,6 +13,7 @@ from ideal_robot.identification.excitation import Workspace, approach, clear_of_
 from ideal_robot.identification.program import plan_two_step, trapezoid
 from ideal_robot.robots.robot import Robot
 from tests.ideal_robot.identification.arm import motion, robot
+from tests.sources import ROOT
 
 
 def test_motion_keeps_to_limits_and_workspace_and_starts_at_rest() -> None:
@@ -93,7 +94,7 @@ def test_program_has_every_axis_at_every_operating_point_within_the_limits() -> 
 
 # Where an arm may go by default, from its own reach.
 
-OWN = Path(__file__).resolve().parents[3] / "examples" / "own_robot.urdf"
+OWN = ROOT / "examples" / "own_robot.urdf"
 
 
 @pytest.mark.parametrize("name", ["kr6", "kr15", "manutec_r15", "kr500"])

@@ -15,10 +15,11 @@ from ideal_robot.identification.weighted_least_squares import weighted_least_squ
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from tests.ideal_robot.identification.arm import SHARED, base, motion, record, robot, truth, wrong_by_half
+from tests.ideal_robot.identification.arm import base, motion, record, robot, truth, wrong_by_half
+from tests.sources import DATA
 
-EMPS = SHARED / "emps" / "emps_estimation.parquet"
-UR10E = SHARED / "ur10e" / "free_12harm_50s.parquet"
+EMPS = DATA / "emps" / "emps_estimation.parquet"
+UR10E = DATA / "ur10e" / "free_12harm_50s.parquet"
 
 
 def deviations(seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -123,7 +124,7 @@ def test_exported_urdf_moves_like_the_consistent_model(tmp_path) -> None:  # typ
     ("asymmetric", {"m_1": 95.1540, "Fv+_1": 166.7061, "Fc+_1": 20.1440, "Fv-_1": 240.4236, "Fc-_1": 20.6277}, 3.1117),
 ])
 def test_published_estimates_of_the_emps_axis(law: str, published: dict[str, float], error: float) -> None:
-    axis = Robot.load(SHARED / "emps" / "emps.urdf")
+    axis = Robot.load(DATA / "emps" / "emps.urdf")
     result = identify([Recording.read(EMPS)], axis, friction=law, cutoff=100.0, cutoff_decimation=50.0)
     assert relative_error(result.estimation)[0] == pytest.approx(error, rel=1e-3)
     found = {p.name: p for p in result.model.parameters}
@@ -134,8 +135,8 @@ def test_published_estimates_of_the_emps_axis(law: str, published: dict[str, flo
 @pytest.mark.skipif(not UR10E.exists(), reason="measured data (../shared/data/ur10e) are not there")
 def test_a_real_arm_better_than_plain_least_squares() -> None:
     """The bounds are what a plain fit with Coulomb and viscous friction reaches on the same recordings."""
-    arm = Robot.load(SHARED / "ur10e" / "ur10e.urdf")
-    free50, free30, free20, points = (Recording.read(SHARED / "ur10e" / f"{name}.parquet") for name in (
+    arm = Robot.load(DATA / "ur10e" / "ur10e.urdf")
+    free50, free30, free20, points = (Recording.read(DATA / "ur10e" / f"{name}.parquet") for name in (
         "free_12harm_50s", "free_12harm_30s", "free_8harm_20s", "ptp_10_points"))
     result = identify([free50, free30], arm, validation=[free20, points])
     assert np.all(result.validation[0].residual_std_percent < [12.1, 5.9, 6.0, 13.4, 20.9, 16.2])

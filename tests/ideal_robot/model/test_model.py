@@ -20,8 +20,9 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from tests.sources import MODELS
 
-SHIPPED = Path(__file__).resolve().parents[3] / "scenes" / "models" / "kr6.json"
+SHIPPED = MODELS / "kr6.json"
 
 
 def _set(values: Any, path: str, new: Any) -> None:
@@ -68,7 +69,6 @@ def test_what_is_no_model_is_refused(text: str, tmp_path: Path) -> None:
 
 # A model of another arm is refused wherever a model meets a robot.
 
-MODELS = Path(__file__).parents[3] / "scenes" / "models"
 KR15, KR6 = Model.load(MODELS / "kr15.json"), Robot.load("kr6")
 RECORDING = Recording.from_arrays(np.arange(200) * 0.012, q=np.zeros((200, 6)), x=np.zeros(200))
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,8 +16,7 @@ from ideal_robot.signals.error_budget import sampling_instants
 from ideal_robot.signals.plausible import plausible
 from ideal_robot.signals.recording import Recording
 from ideal_robot.signals.sampling import regular_stamps
-
-SHARED = Path(__file__).resolve().parents[4] / "shared" / "data"
+from tests.sources import DATA
 
 
 def recording(seed: int = 1, dt: float = 0.004, count: int = 3000) -> Recording:
@@ -103,7 +100,7 @@ def test_a_position_that_jumps_and_stays_is_refused() -> None:
 
 
 def test_measured_recordings_pass_untouched() -> None:
-    files = sorted(SHARED.rglob("*.parquet"))
+    files = sorted(DATA.rglob("*.parquet"))
     if not files:
         pytest.skip("no measured recordings beside the repository")
     for file in files[:20]:

@@ -21,8 +21,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from scenes.online.journal import journal_rows
-
-ROOT = Path(__file__).resolve().parents[3]
+from tests.sources import ROOT
 
 
 def free_ports() -> dict[str, int]:

@@ -33,6 +33,7 @@ from sensing.camera.line_search import DetectionSettings
 from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import Reading, ReadingCounts
 from tests.scenes.follow.pair import Tame
+from tests.sources import ROOT
 
 
 @pytest.fixture(name="link")
@@ -133,7 +134,7 @@ def test_a_journal_survives_its_program(tmp_path: Path) -> None:
                "arm = LiveArm(link, journal);"
                "[arm.cycle(link.robot.home + 0.001 * k) for k in range(50)];"
                "os.kill(os.getpid(), 9)")
-    done = subprocess.run([sys.executable, "-c", program], check=False, cwd=Path(__file__).parents[3])
+    done = subprocess.run([sys.executable, "-c", program], check=False, cwd=ROOT)
     assert done.returncode == -9
     found = left_behind(tmp_path)
     assert found is not None

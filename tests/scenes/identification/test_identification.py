@@ -24,6 +24,7 @@ from scenes.identification.plan import fourier_commands
 from sim.arm.arm import SimulatedArm
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
+from tests.sources import MODELS
 
 
 def played(robot: Robot, world: World, commands: np.ndarray, seed: int) -> Recording:
@@ -81,14 +82,14 @@ def test_fifty_simulated_arms(name: str) -> None:
 def test_two_step_method_finds_what_single_axis_moves_show() -> None:
     robot = Robot.load("kr15")
     world = noisy("kr15", 2).replace(friction=True)
-    program = plan_two_step(robot, np.random.default_rng(1), points=4, candidates=60)
+    program = plan_two_step(robot, np.random.default_rng(1), points=3, candidates=60)
     result, measured = identify_two_step([played(robot, world, program.commands(robot.home, robot.t_ipo, robot), 1)],
                                          robot)
     base = base_parameters(robot.pinocchio)
     individual = draw_specimen(robot, world)
     truth = base.of(np.concatenate([link_parameters(individual.model), individual.rotor_inertia, np.zeros(6)]))
     gravity = [m for m in measured.measurements if m.quantity == "gravity" and m.joint in (1, 2)]
-    assert len(gravity) >= 8
+    assert len(gravity) >= 6
     for m in gravity:
         assert m.value == pytest.approx(float(m.row @ truth), abs=0.02 * robot.tau_max[m.joint])
     z = (result.model.base_values - truth) / np.sqrt(np.diag(result.model.covariance))[: base.count]
@@ -97,7 +98,7 @@ def test_two_step_method_finds_what_single_axis_moves_show() -> None:
 
 def test_shipped_models_predict_their_arm() -> None:
     for name in ("kr6", "kr15", "manutec_r15"):
-        model = Model.load(Path(__file__).resolve().parents[3] / "scenes" / "models" / f"{name}.json")
+        model = Model.load(MODELS / f"{name}.json")
         robot = Robot.load(name)
         motion = design_excitation(robot, np.random.default_rng(5), period=6.0, trials=10, refinements=0)
         commands = fourier_commands(robot, motion, robot.home, robot.t_ipo)[:800]
@@ -114,7 +115,7 @@ def test_shipped_models_are_made_again(name: str) -> None:
 
     The tolerance is for other processors and versions of the linear algebra; on one machine the files are equal.
     """
-    shipped = Model.load(Path(__file__).resolve().parents[3] / "scenes" / "models" / f"{name}.json")
+    shipped = Model.load(MODELS / f"{name}.json")
     made, recordings = identified_model(name)
     laws = [[(one.key, one.loaded) for one in model.friction.laws] for model in (made, shipped)]
     assert laws[0] == laws[1]

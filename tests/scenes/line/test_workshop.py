@@ -22,7 +22,7 @@ from sensing.camera.line_detection import PredictedLine, detect_line, search_win
 from sim.camera.bullet_camera import BulletCamera
 from sim.camera.camera import CameraSettings
 from sim.camera.surface import DrawnLine, paint
-from tests.scenes.line.test_line import CALIBRATED, short
+from tests.scenes.line.test_line import CALIBRATED, on_the_bench, short
 from tests.sensing.camera.synthetic import tool_over
 
 
@@ -127,8 +127,8 @@ def test_a_camera_that_somebody_knocks_on_the_way_is_found_out() -> None:
 
 
 def test_a_field_that_comes_twice_is_one_measurement() -> None:
-    scene = load_scene("line").changed(world="bench", calibration=CALIBRATED)
-    once, twice = (run(scene.changed(camera={"doubled": doubled}), method="ideal") for doubled in (0.0, 0.5))
+    once = on_the_bench()
+    twice = run(once.scene.changed(camera={"doubled": 0.5}), method="ideal")
     assert twice.fields_seen == once.fields_seen
     assert twice.control_error.mean == once.control_error.mean
 

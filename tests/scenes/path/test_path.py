@@ -34,6 +34,7 @@ from scenes.scene_files.scene import chosen
 from scenes.scene_files.tool_path import Arc, Line, Shape, duration, shape_of, tool_path, travel
 from sim.contact.clamp_world import ClampWorld
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
+from tests.sources import MODELS
 
 
 def short(name: str):
@@ -220,8 +221,7 @@ def test_what_is_played_on_known_paths_learns_the_shape_of_friction_and_inertia(
 
 
 def test_with_another_arms_model_it_learns_what_this_arm_weighs_and_how_its_torques_ripple() -> None:
-    models = Path(__file__).parents[3] / "scenes" / "models"
-    scene = chosen(load_scene("iso9283_1"), individual=2).changed(model=str(models / "kr15.json"))
+    scene = chosen(load_scene("iso9283_1"), individual=2).changed(model=str(MODELS / "kr15.json"))
     learned, fixed = (run(scene, method=method).errors.aligned.E_car for method in (ADAPTED, IDEAL))
     assert learned < 0.6 * fixed
 

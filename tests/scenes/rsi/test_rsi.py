@@ -35,6 +35,7 @@ from sim.devices.rsi_controller import ControllerRun
 from studies.rsi import SIMULATORS, home_of
 from studies.rsi import played as played_on
 from tests.sim.devices.controllers import ENDLESS, PATIENCE, controlled
+from tests.sources import ROOT
 
 ROBOT = Robot.load("kr6")
 T = ROBOT.t_ipo
@@ -310,7 +311,7 @@ def test_the_kr6_keeps_its_own_cycle_where_none_is_given() -> None:
 
 # Our server against the controller's side as others wrote it, where their simulators lie beside the repository.
 
-FOLDER = Path(__file__).resolve().parents[4] / "shared" / "rsi-simulators"
+FOLDER = ROOT.parent / "shared" / "rsi-simulators"
 
 
 @pytest.mark.parametrize("name", SIMULATORS)
