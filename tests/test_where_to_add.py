@@ -13,13 +13,13 @@ import sys
 from pathlib import Path
 
 from studies.sensors.line import gantry
+from tests.sources import ROOT
 
 LAW = '''
 import numpy as np
 
 from ideal_robot.effects.friction import LawTerm
 from ideal_robot.friction import FrictionModel
-from tests.sources import ROOT
 
 
 class Drag(FrictionModel):
