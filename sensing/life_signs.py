@@ -1,4 +1,4 @@
-"""Signs of life of a sensor: what it tells changes, has the noise it has at rest, and does not leap.
+"""Signs of life of a sensor: it changes, has noise, does not leap, fits the arm's motion, and its stamps are even.
 
 One check for whatever tells a vector of numbers again and again. It knows nothing of what the numbers mean; who asks
 says by how much they may change from one reading to the next, and what the sensor showed while nothing happened.
@@ -7,6 +7,7 @@ says by how much they may change from one reading to the next, and what the sens
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,10 +21,15 @@ is the mean. Of a live one it is so small once in 10¹¹ times (χ² with 8 degr
 FAR = 8.0
 """Standard deviations of its noise that a sensor leaps by in addition to what it may change by."""
 CONTRADICTS, REFUSED = 2.5, 10.0
-"""Mean normalised innovation squared for each value above which readings contradict the motion, and what counts for
-readings that a filter refused. With 40 values noise alone comes so far once in 10⁶ times (χ²)."""
+"""Mean normalised innovation squared for each value above which readings contradict the motion, where nobody says
+otherwise, and what counts for readings that a filter refused. Of 48 values noise alone comes so far once in 10⁷ times
+(χ²)."""
 TOGETHER = 16
 """Innovations whose mean that is."""
+STAMPS, FEWEST = 50, 20
+"""Messages from which it is judged how even their stamps are, at most and at least."""
+UNEVEN, SURELY = 0.001, 4.0
+"""Standard deviation that stamps may have [s], a millimetre at 1 m/s, and standard errors that it has to be beyond."""
 LEAPS = 3
 """Readings in a row behind a leap after which it is none that passes."""
 
@@ -33,6 +39,8 @@ class LifeSigns:
 
     Args:
         largest: largest absolute value that a reading can have.
+        channels: what the numbers are called.
+        contradicts: mean normalised innovation squared for each value above which readings contradict the motion.
 
     Attributes:
         noise: standard deviation of each channel while nothing happens ``(n,)``; None while it is not known.
@@ -40,11 +48,12 @@ class LifeSigns:
         fault: why what comes is not to be trusted any more; None while it is.
     """
 
-    def __init__(self, largest: float) -> None:
+    def __init__(self, largest: float, channels: Sequence[str], contradicts: float = CONTRADICTS) -> None:
         self.noise: Array | None = None
         self.stuck = self.impossible = self.leapt = self.quiet = 0
         self.fault: str | None = None
-        self._largest = largest
+        self._largest, self._channels, self._contradicts = largest, channels, contradicts
+        self._times: deque[tuple[float, float]] = deque(maxlen=STAMPS)
         self.begin()
 
     def begin(self) -> None:
@@ -83,7 +92,7 @@ class LifeSigns:
             dead = np.mean(np.square(self._changes), axis=0) < 2.0 * QUIET * self.noise**2
             if dead.any():
                 self.quiet += 1
-                self.fault = (f"channel {int(np.argmax(dead)) + 1} has lost the noise that it has at rest; "
+                self.fault = (f"{self._channels[int(np.argmax(dead))]} has lost the noise that it has at rest; "
                               "it does not feel any more")
                 return False
         return self._near(values, reach)
@@ -96,9 +105,36 @@ class LifeSigns:
         """
         self._innovations.append(REFUSED if np.isnan(innovation) else min(innovation, REFUSED))
         mean = float(np.mean(self._innovations))
-        if len(self._innovations) == TOGETHER and mean > CONTRADICTS:
+        if len(self._innovations) == TOGETHER and mean > self._contradicts:
             self.fault = self.fault or ("what it tells does not change as the arm moves (innovations "
                                         f"{mean:.1f} times as large as their variance)")
+
+    def stamped(self, stamp: float, arrived: float) -> None:
+        r"""Takes the stamp of a message and when it came, and finds the fault where stamps wander more than can be.
+
+        What differs between the steps of both is their own noise, and of that the stamps' share
+
+        .. math:: \sigma_s^2 = \tfrac12 \mathrm{cov}(\Delta s, \Delta s - \Delta a)
+
+        whatever the sensor's own pace is.
+
+        Args:
+            stamp: by this computer's clock [s].
+            arrived: by the same clock [s].
+        """
+        self._times.append((stamp, arrived))
+        if len(self._times) < FEWEST:
+            return
+        s, a = np.diff(np.array(self._times), axis=0).T
+        own = s - a - np.mean(s - a)
+        s = s - s.mean()
+        variance = float(np.mean(s * own)) / 2.0
+        # What both steps have in common, as where pictures are lost, goes with their own noise by chance.
+        common = max(float(np.mean(s**2)) - 2.0 * variance, 0.0)
+        error = 0.5 * float(np.sqrt(common * np.mean(own**2) / len(s)))
+        if variance > UNEVEN**2 + SURELY * error:
+            self.fault = self.fault or (f"its time stamps wander by {1e3 * np.sqrt(variance):.1f} ms, which its "
+                                        "messages do not; look whose clock they are of")
 
     def _near(self, values: Array, reach: Array | float) -> bool:
         """Whether a reading is near the last sound one; one that leaps and comes back is missing, no more."""
@@ -109,8 +145,8 @@ class LifeSigns:
                 self.leapt, self._leaps = self.leapt + 1, self._leaps + 1
                 if self._leaps >= LEAPS:
                     possible = np.broadcast_to(reach, leap.shape)[channel]
-                    self.fault = self.fault or (f"channel {channel + 1} leaps by {leap[channel]:.3g} from one reading "
-                                                f"to the next, where {possible:.3g} is possible")
+                    self.fault = self.fault or (f"{self._channels[channel]} leaps by {leap[channel]:.3g} from one "
+                                                f"reading to the next, where {possible:.3g} is possible")
                 return False
         self._leaps, self._sound = 0, values
         return True

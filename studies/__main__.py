@@ -39,6 +39,7 @@ GROUPS = {
     "robustness": {
         "limits": "limits", "fuzz": "broken", "kill": "broken", "rsi-packets": "packets", "packets": "packets",
         "mutations": "mutations",
+        "faults": "faults", "camera-faults": "faults",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback",
     },
 }

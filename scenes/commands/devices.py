@@ -50,6 +50,8 @@ def follow(
     bridge: Bridge = 0.1,
     wait: Annotated[float, typer.Option(help="How long to wait for the arm [s].", min=0.1, max=86_400.0)] = 60.0,
     core: Core = None,
+    check: Annotated[bool, typer.Option("--check/--no-check", help="Look at the line from two poses above it before "
+                                        "the job, where the camera is calibrated.")] = True,
     json: JsonFigures = None,
     out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None,
 ) -> None:
@@ -73,7 +75,7 @@ def follow(
     check_outputs({"--out": folder}, json=json, calibration=calibration)
     devices = Devices(arm=arm, camera=camera, force=force, camera_delay=1e-3 * camera_delay,
                       force_delay=1e-3 * force_delay, relative=relative, rsi_config=rsi_config, controller=controller,
-                      cycle=cycle, delay=delay, bridge=bridge, patience=wait, core=core)
+                      cycle=cycle, delay=delay, bridge=bridge, patience=wait, core=core, check=check)
     # Drawing takes Python's lock away from the answers now and then.
     with progress_bar(loaded.name, rate=2.0) as progress:
         result = follow(loaded, devices, method=method, calibration=calibration, out=folder, progress=progress)

@@ -185,6 +185,11 @@ class CalibratedCamera:
     residual: float = float("nan")
     surface: pin.SE3 | None = None
 
+    @property
+    def known(self) -> bool:
+        """Whether it was calibrated; otherwise it is believed as it was mounted by hand."""
+        return self.file is not None and not self.wanted
+
     def found(self, hand_eye: HandEye) -> CalibratedCamera:
         """With what a calibration has found, which is written to the file."""
         result = replace(self, camera=hand_eye.camera, wanted=False, time_offset=hand_eye.time_offset,

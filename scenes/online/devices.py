@@ -18,6 +18,7 @@ from ideal_robot.rsi.message import RsiFormat
 from ideal_robot.rtde import RtdeRobot
 from ideal_robot.rtde.wire import RtdeError
 from scenes.online.camera_process import CalibratedCamera
+from scenes.online.cell_check import Look
 from scenes.online.cycle import CycleLog, Task
 from scenes.online.live_arm import Link, LiveArm
 from scenes.online.live_sensors import LiveCamera, LiveForce
@@ -47,6 +48,7 @@ class Devices:
         bridge: how long packets may be lost in a row [s].
         patience: how long each device is waited for [s].
         core: processor core to keep to; None for any.
+        check: whether the cell is looked at before the job.
     """
 
     arm: str
@@ -62,6 +64,7 @@ class Devices:
     bridge: float = 0.1
     patience: float = 60.0
     core: int | None = None
+    check: bool = True
 
 
 @contextmanager
@@ -141,6 +144,11 @@ class Job(Protocol):
     @property
     def camera(self) -> CameraModel | None:
         """As it is believed to be; None where none is needed."""
+        ...
+
+    @property
+    def look(self) -> Look | None:
+        """What is looked at before the job; None where no camera is calibrated."""
         ...
 
     @property

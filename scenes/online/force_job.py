@@ -14,6 +14,7 @@ from planning import PlanningError
 from planning.force.contact import EmergencyStopError, Phase, most_force
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
+from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
 from scenes.online.force_task import START_HEIGHT, ForceLog, ForceTask, GlueCamera, Known, force_reference
@@ -121,6 +122,13 @@ class ForceJob:
     def camera(self) -> CameraModel | None:
         """See ``Job``."""
         return self.calibration.camera if self.scene.task == "glue" else None
+
+    @property
+    def look(self) -> Look | None:
+        """See ``Job``."""
+        known = self.scene.task == "glue" and self.calibration.known
+        return (Look(self._known.reference, self.scene.reference.run_up, self.q_start, self.calibration.camera,
+                     self.model) if known else None)
 
     @property
     def q_start(self) -> Array:

@@ -16,6 +16,7 @@ from planning.line.line_follower import FollowerSettings
 from planning.path.reference import ReferencePath
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
+from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.line_known import START, CalibrationView, Known, calibration_postures, line_follower, span_of
 from scenes.online.line_task import AT_ONCE, LineLog, LiveLineTask
@@ -143,6 +144,13 @@ class LineJob:
         return self._known.camera
 
     @property
+    def look(self) -> Look | None:
+        """See ``Job``."""
+        reference = self._known.reference
+        return (Look(reference, span_of(self.scene, reference)[0], self.q_start, self.calibration.camera, self.model)
+                if self.calibration.known else None)
+
+    @property
     def q_start(self) -> Array:
         """See ``Job``."""
         return self._known.follower.q_start
@@ -171,7 +179,8 @@ class LineJob:
         if camera is None:
             raise SceneError("following a line needs a camera")
         camera.use(self.calibration.camera, self.calibration.time_offset)
-        self._task.camera = camera
+        camera.calibrated = self.calibration.known
+        self._task.camera, self._task.heard = camera, camera.fused
         self._task.lead(arm)
         camera.predict = lambda t: _predicted(self._known, t)
         return self._task

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,6 +20,7 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
+from planning.line.fusion import Fused
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
 from scenes.online.line_known import START, Known
@@ -235,8 +236,11 @@ class LineTask:
         seen = at_middle_row(seen, self.cell.camera, follower.history.row_pose)
         if self._direct is not None:
             self._direct.update(seen, pose)
-        follower.update(seen, pose)
+        self.fused(follower.update(seen, pose))
         return seen
+
+    def fused(self, fused: Fused | None) -> None:
+        """What became of a field in the map; whoever follows on devices looks at it."""
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint positions ``(n,)``."""
@@ -315,6 +319,8 @@ class LiveLineTask(LineTask):
     arm: LiveArm | None = None
     ahead = False
     """Whether each cycle is planned in the one before."""
+    heard: Callable[[Fused | None], None] | None = None
+    """Looks at what became of each field."""
     _prepared: tuple[int, Array | IdealRobotError] | None = None
 
     def lead(self, arm: LiveArm) -> None:
@@ -322,6 +328,11 @@ class LiveLineTask(LineTask):
         self.arm, self.ahead = arm, self._T < AT_ONCE
         if self.ahead:
             arm.between.append(lambda: self.prepare(arm.t + self._T))
+
+    def fused(self, fused: Fused | None) -> None:
+        """See ``LineTask.fused``."""
+        if self.heard is not None:
+            self.heard(fused)
 
     def prepare(self, t: float) -> None:
         """Plans the cycle that begins at ``t`` [s], with what has come by now; nobody waits for it yet."""

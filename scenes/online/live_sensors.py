@@ -16,6 +16,7 @@ from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
+from planning.line.fusion import Fused
 from scenes.online.camera_process import CameraProcess, Evaluated, Header
 from scenes.online.cycle import Task
 from scenes.online.live_arm import LiveArm
@@ -33,6 +34,13 @@ OLDEST = 0.4
 """Age from which on a picture is of no use: the arm's poses of that time are forgotten [s]."""
 AHEAD = 0.04
 """How far ahead of the arm's last state a picture may be stamped [s]."""
+
+CONTRADICTS = 4.0
+"""See ``LifeSigns``: sharp corners, which no map of the line expects, come to 2.8 (three seeds, with and without a look
+at the cell), pictures moved by two pixels to 7."""
+LEAP = 0.004
+"""By how much the line may be beside its prediction all at once [m]. A camera that is mounted by hand shows 3.3 mm in
+the first field; pictures that are moved by eight pixels, 6 mm."""
 
 Predict = Callable[[float], PredictedLine]
 """Where the line should be in a picture taken at a time of the run [s], in the tool frame."""
@@ -78,10 +86,16 @@ class LiveCamera:
         late, early: pictures that were not evaluated because of their stamps.
         ages: from mid-exposure until the field was used [s].
         hand_eye: a calibration that was asked for, once it has come, or why there is none.
+        signs: its signs of life; the arm is stopped where they fail.
+        calibrated: whether what it shows has to fit as well as it says.
+        apart: how far apart it saw the line from two poses before the job [m]; NaN where it was not looked at.
     """
 
     def __init__(self, process: CameraProcess, arm: LiveArm, detection: DetectionSettings) -> None:
         self._process, self._arm, self.detection = process, arm, detection
+        self.signs, self.calibrated = LifeSigns(np.inf, ("the line's place [m]",), CONTRADICTS), False
+        self.signs.noise = np.zeros(1)
+        self.apart = float("nan")
         self.predict: Predict | None = None
         self.late = self.early = 0
         self.time_offset = 0.0
@@ -118,6 +132,23 @@ class LiveCamera:
         self._process.use(camera)
         self.time_offset = time_offset
 
+    def fused(self, fused: Fused | None) -> None:
+        """What became of a field: the arm is stopped where the line leaps, or does not move as the arm does.
+
+        Args:
+            fused: by the filter; None where the field showed nothing.
+        """
+        if fused is None or not len(fused.innovation):
+            return
+        self.signs.check(fused.innovation[:1], LEAP)
+        if self.calibrated:
+            self.signs.fits(fused.nis / len(fused.innovation))
+        self._stop_at_fault()
+
+    def _stop_at_fault(self) -> None:
+        if self.signs.fault is not None:
+            self._arm.stop(f"the camera: {self.signs.fault}")
+
     def serve(self) -> None:
         """Sends the predictions for pictures that have come; called while the controller is busy."""
         self._take()
@@ -129,6 +160,8 @@ class LiveCamera:
         for message in self._process.poll():
             if isinstance(message, Header):
                 self._headers.append(message)
+                self.signs.stamped(message.taken, message.read)
+                self._stop_at_fault()
             elif isinstance(message, Evaluated):
                 seen = message.seen
                 self._evaluated.append(EvaluatedField(seen.t, self._arm.t, message.windows, message.patches, seen))
@@ -151,6 +184,7 @@ class LiveCamera:
 
 # The force sensor in the loop of a live arm: a thread reads it, the cycle takes what is there.
 
+CHANNELS = ("fx [N]", "fy [N]", "fz [N]", "mx [N m]", "my [N m]", "mz [N m]")
 IMPOSSIBLE = 1e5
 """A reading beyond is none [N, N m]."""
 SILENCE = 0.1
@@ -178,7 +212,7 @@ class LiveForce:
     def __init__(self, source: WrenchSource, arm: LiveArm) -> None:
         self.source, self._arm = source, arm
         self.samples = RowLog(7)
-        self.signs, self.untimely, self.reach = LifeSigns(IMPOSSIBLE), 0, np.inf
+        self.signs, self.untimely, self.reach = LifeSigns(IMPOSSIBLE, CHANNELS), 0, np.inf
         self._sound = 0.0
         self._readings: deque[tuple[float, Array]] = deque(maxlen=_WAITING)
         self._closed = False

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ideal_robot.robots.robot import Robot
 from scenes.methods import following_methods, method_of
 from scenes.model_files import model_at
 from scenes.online.camera_process import CameraProcess, calibrated_camera
+from scenes.online.cell_check import check_line
 from scenes.online.cycle import CycleSettings, holding_share, play_cycles
 from scenes.online.devices import Devices, Job, opened_arm
 from scenes.online.force_job import ForceJob
@@ -82,7 +84,7 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
     at_start = max(at_start, give_back())
     # What a cycle needs is there again before the first packet.
     job.rehearse()
-    result = _played(scene, job, devices, folder, name, progress, _follow)
+    result = _played(scene, job, devices, folder, name, progress, partial(_follow, check=devices.check))
     timing = {**result.timing, "memory_at_start_MB": at_start}
     return _kept(replace(result, left_behind=before, timing=timing), folder)
 
@@ -168,8 +170,12 @@ def _calibrate(opened: _Opened, job: Job, settings: CycleSettings, progress: Pro
     job.calibrate(opened.arm, opened.camera)
 
 
-def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress) -> None:
+def _follow(opened: _Opened, job: Job, settings: CycleSettings, progress: Progress, check: bool) -> None:
     opened.arm.approach(job.q_start)
+    look, camera = job.look, opened.camera
+    if check and look is not None and camera is not None:
+        camera.use(job.calibration.camera, job.calibration.time_offset)
+        camera.apart = check_line(look, opened.arm, camera)
     task = job.ready(opened.arm, opened.camera, opened.force)
     shown = Later(progress)
     opened.arm.between.append(shown.catch_up)
@@ -223,7 +229,8 @@ def _told(opened: _Opened, devices: Devices) -> dict[str, Any]:
         ages = np.array(camera.ages or [np.nan])
         told["camera"] = {"address": devices.camera, "stamps": process.stamps, "clock": process.clock,
                           "age_when_used_ms": _spread(ages), "left_out": process.left_out, "too_old": camera.late,
-                          "from_the_future": camera.early, "ended": process.ended}
+                          "from_the_future": camera.early, "ended": process.ended,
+                          "seen_apart_mm": 1e3 * camera.apart}
     if force is not None:
         told["force"] = {"address": devices.force, "counts": asdict(force.source.counts),
                          "clock": force.source.clock.report().to_dict(), "stuck": force.signs.stuck,

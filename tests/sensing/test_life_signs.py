@@ -13,7 +13,7 @@ NOISE = np.repeat([0.3, 0.02], 3)
 
 
 def alive(seed: int = 0) -> tuple[LifeSigns, np.random.Generator]:
-    rng, signs = np.random.default_rng(seed), LifeSigns(1e5)
+    rng, signs = np.random.default_rng(seed), LifeSigns(1e5, ["a", "b", "c", "d", "e", "f"])
     signs.learn([NOISE * rng.standard_normal((80, 6)) + 5.0 * rng.standard_normal(6) for _ in range(7)])
     return signs, rng
 
@@ -46,7 +46,7 @@ def test_one_channel_that_has_lost_its_noise_is_named_within_ten_readings(channe
     lives = np.arange(6) != channel
     taken = [signs.check(NOISE * lives * rng.standard_normal(6)) for _ in range(10)]
     assert not all(taken)
-    assert f"channel {channel + 1} has lost the noise" in str(signs.fault)
+    assert f"{'abcdef'[channel]} has lost the noise" in str(signs.fault)
 
 
 def test_a_leap_that_passes_is_left_out_and_one_that_stays_is_a_fault() -> None:
@@ -57,7 +57,7 @@ def test_a_leap_that_passes_is_left_out_and_one_that_stays_is_a_fault() -> None:
     assert signs.leapt == 4
     assert signs.fault is None
     assert not any(signs.check(NOISE * rng.standard_normal(6) - leap, 8.0) for _ in range(3))
-    assert "channel 3 leaps by" in str(signs.fault)
+    assert "c leaps by" in str(signs.fault)
 
 
 def test_what_contradicts_the_motion_is_a_fault_and_single_outliers_are_none() -> None:
@@ -68,3 +68,20 @@ def test_what_contradicts_the_motion_is_a_fault_and_single_outliers_are_none() -
     for _ in range(16):
         signs.fits(3.0)
     assert "does not change as the arm moves" in str(signs.fault)
+
+
+@given(st.integers(0, 500), st.floats(0.0, 0.005), st.floats(0.0, 0.1))
+@settings(max_examples=30)
+def test_even_stamps_are_believed_however_late_messages_are(seed: int, late: float, lost: float) -> None:
+    rng, (signs, _) = np.random.default_rng(seed), alive()
+    for t in 0.02 * np.flatnonzero(rng.random(400) >= lost):
+        signs.stamped(float(t) + 2e-4 * rng.standard_normal(), float(t) + 0.04 + rng.exponential(late))
+    assert signs.fault is None
+
+
+@pytest.mark.parametrize("width", [0.01, 0.05])
+def test_stamps_that_wander_more_than_their_messages_are_a_fault(width: float) -> None:
+    signs, rng = alive()
+    for t in 0.02 * np.arange(30):
+        signs.stamped(float(t) + width * rng.uniform(-0.5, 0.5), float(t) + 0.04 + rng.exponential(0.0005))
+    assert "time stamps wander" in str(signs.fault)
