@@ -160,8 +160,6 @@ class LiveCamera:
         for message in self._process.poll():
             if isinstance(message, Header):
                 self._headers.append(message)
-                self.signs.stamped(message.taken, message.read)
-                self._stop_at_fault()
             elif isinstance(message, Evaluated):
                 seen = message.seen
                 self._evaluated.append(EvaluatedField(seen.t, self._arm.t, message.windows, message.patches, seen))
@@ -179,6 +177,8 @@ class LiveCamera:
         elif t > self._arm.t + AHEAD:
             self.early += 1
         else:
+            self.signs.stamped(header.taken, header.read)
+            self._stop_at_fault()
             self._process.ask(header.number, t, self.predict(t), self.detection)
 
 
