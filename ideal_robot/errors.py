@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 
 
@@ -34,6 +35,16 @@ class InputError(IdealRobotError):
         where = ": ".join(str(part) for part in (file, field) if part is not None)
         shown = "" if value is None else f" (got {value!r})"
         super().__init__(f"{where}: {message}{shown}" if where else f"{message}{shown}")
+
+
+def did_you_mean(wanted: str, names: Iterable[str]) -> str:
+    """The question after the name that a misspelt one comes nearest to; empty where none is near.
+
+    >>> did_you_mean("strait", ["line", "straight"])
+    "did you mean 'straight'? "
+    """
+    near = get_close_matches(wanted, list(names), 1)
+    return f"did you mean {near[0]!r}? " if near else ""
 
 
 @contextmanager

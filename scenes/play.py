@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from ideal_robot.errors import InputError
 from scenes.kind import KINDS, kind_of
@@ -13,6 +13,32 @@ from scenes.scene_files.scene import Scene
 
 if TYPE_CHECKING:
     from scenes.closing.result import Closing
+    from scenes.force.result import ForceResult
+    from scenes.line.result import LineResult
+    from scenes.path.result import PathResult
+    from scenes.scene_files.force_scene import ForceScene
+    from scenes.scene_files.line_scene import LineScene
+    from scenes.scene_files.path_scene import PathScene
+
+
+@overload
+def run_scene(scene: LineScene, *, method: Any = ..., out: Path | None = ..., progress: Progress = ...,
+              **changes: Any) -> LineResult: ...
+
+
+@overload
+def run_scene(scene: PathScene, *, method: Any = ..., out: Path | None = ..., progress: Progress = ...,
+              **changes: Any) -> PathResult: ...
+
+
+@overload
+def run_scene(scene: ForceScene, *, method: Any = ..., out: Path | None = ..., progress: Progress = ...,
+              **changes: Any) -> ForceResult: ...
+
+
+@overload
+def run_scene(scene: Scene, *, method: Any = ..., out: Path | None = ..., progress: Progress = ...,
+              **changes: Any) -> Any: ...
 
 
 def run_scene(scene: Scene, *, method: Any = None, out: Path | None = None, progress: Progress = silent,

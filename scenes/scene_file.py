@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ideal_robot.bounded_values import read_toml
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, did_you_mean
 from scenes.kind import KINDS
 from scenes.scene_files.scene import Scene, scene_of
 
@@ -72,6 +72,7 @@ def _find(wanted: str) -> Path:
         raise InputError(f"two scenes of the name {wanted!r}: {found[0]} and {found[1]}; rename one or give a path",
                          field="scene")
     if not found:
-        raise InputError(f"no scene of that name; there are {', '.join(sorted(names)) or 'none'}, or give the path of "
-                         "a .toml file", field="scene", value=wanted)
+        raise InputError(f"no scene of that name; {did_you_mean(wanted, names)}there are "
+                         f"{', '.join(sorted(names)) or 'none'}, or give the path of a .toml file", field="scene",
+                         value=wanted)
     return found[0]

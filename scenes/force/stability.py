@@ -22,10 +22,10 @@ from matplotlib.figure import Figure
 
 from ideal_robot.results import Summarised
 from ideal_robot.whole_file import whole_file
-from scenes import load_scene
 from scenes.force.play import play
 from scenes.report.page import Report, write_json
 from scenes.result import Progress, silent
+from scenes.scene_file import load_scene
 from scenes.terminal import progress_bar
 
 ELASTICITY = (0.25, 0.4, 0.6, 0.8, 0.9, 1.0, 1.1, 1.25, 1.6, 2.5, 4.0)

@@ -18,6 +18,7 @@ from scenes.line.result import LineResult
 from scenes.methods import DIRECT, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import SceneError
 
 # Which gains direct sensor feedback can take with a late camera ([L] 4.4).
 
@@ -220,7 +221,8 @@ def fastest(scene: LineScene, tolerance: float, *, method: Any = None, shared: P
         progress: called with the fraction done.
 
     Raises:
-        InputError: a tolerance that is not positive, or one that even the slowest trial does not keep.
+        InputError: a tolerance that is not positive.
+        SceneError: even the slowest trial does not keep it.
     """
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError("expected a positive length such as 0.2mm", field="--tolerance", value=tolerance)
@@ -238,8 +240,8 @@ def fastest(scene: LineScene, tolerance: float, *, method: Any = None, shared: P
         trials.append((speed, error))
         kept = [v for v, e in trials if e <= tolerance]
         if not kept:
-            raise InputError(f"at {speed:.2f} m/s 95 % of the way lie within {1e3 * error:.3f} mm; allow more",
-                             field="--tolerance", value=f"{1e3 * tolerance:g} mm")
+            raise SceneError(f"--tolerance {1e3 * tolerance:g} mm is not kept: at {speed:.2f} m/s 95 % of the way lie "
+                             f"within {1e3 * error:.3f} mm; allow more")
         if error > tolerance:
             ceiling = min(ceiling, speed)
         wanted = _reaching(trials, MARGIN * tolerance)

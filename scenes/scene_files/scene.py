@@ -252,6 +252,10 @@ def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, ind
     if seed is not None:
         changes["seed"] = seed
     if world is not None:
+        allowed = WORLDS if type(scene).workshop else (BENCH,)
+        if world not in allowed:
+            raise InputError(f"scenes of kind {scene.kind!r} play in {' or '.join(allowed)}", field="--world",
+                             value=world)
         changes["world"] = {"base": world}
     if individual is not None:
         changes["world"] = {**changes.get("world", {}), "individual": individual}

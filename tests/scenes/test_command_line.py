@@ -310,3 +310,24 @@ def test_drawing_the_page_is_no_last_moment() -> None:
         assert list(shares)[-1] == "drawing"
         assert shares["drawing"] > 0.25
     assert closing.SHARES["rounds"] > 0.5
+
+
+# Words that are nearly right, and a tolerance that is missed: the answer says what helps, and whose doing it is.
+
+@pytest.mark.parametrize(("words", "code", "says"), [
+    (("run", "strait"), 2, "did you mean 'straight'?"),
+    (("run", "line", "--world", "mars"), 2, "--world: scenes of kind 'line' play in workshop or bench (got 'mars')"),
+    (("run", "iso9283_1", "--world", "workshop"), 2, "--world: scenes of kind 'path' play in bench"),
+    (("run", "short", "--tolerance", "1um"), 1, "--tolerance 0.001 mm is not kept"),
+])
+def test_one_line_says_what_helps(program, tmp_path: Path, words: tuple[str, ...], code: int, says: str) -> None:
+    (tmp_path / "short.toml").write_text(SHORT)
+    done = program(*words)
+    assert done.code == code
+    (line,) = done.lines
+    assert says in line
+    assert "library" not in line
+
+
+def test_the_door_of_scenes_lists_what_it_offers() -> None:
+    assert set(scenes.__all__) <= set(dir(scenes))

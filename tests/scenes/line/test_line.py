@@ -199,7 +199,7 @@ def test_the_speed_found_keeps_the_tolerance() -> None:
     with prepared(scene) as shared:
         found = fastest(scene, 8e-5, shared=shared)
         result = play(scene.changed(speed=found.speed), "ideal", shared=shared)
-        with pytest.raises(InputError, match="allow more"):
+        with pytest.raises(SceneError, match="allow more"):
             fastest(scene, 1e-6, shared=shared)
     assert result.control_error.p95 <= 8e-5
     assert dict(found.trials)[found.speed] <= 8e-5
