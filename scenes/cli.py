@@ -24,29 +24,41 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
 from scenes.terminal import shown  # noqa: E402
 
-VERBS = {
-    "run": "play:run",
-    "compare": "play:compare",
-    "sweep": "play:sweep",
-    "prepare": "play:prepare",
-    "identify": "recordings:identify",
-    "plan-identification": "motions:plan_identification",
-    "stiffness": "recordings:stiffness",
-    "diagnose": "recordings:diagnose",
-    "plan-diagnosis": "motions:plan_diagnosis",
-    "close-loop": "play:close_loop",
-    "precorrect": "recordings:precorrect",
-    "rsi": "devices:rsi",
-    "follow": "devices:follow",
-    "simulate": "devices:simulate",
-    "detect": "devices:detect",
-    "export": "files:export",
-    "fetch": "files:fetch",
-    "list": "files:list_",
-    "new": "files:new",
-    "view": "files:view",
+THEMES = {
+    "First steps": {
+        "run": "play:run",
+        "compare": "play:compare",
+        "new": "files:new",
+        "identify": "recordings:identify",
+        "diagnose": "recordings:diagnose",
+        "precorrect": "recordings:precorrect",
+    },
+    "More on scenes": {
+        "sweep": "play:sweep",
+        "close-loop": "play:close_loop",
+        "prepare": "play:prepare",
+    },
+    "More on an arm": {
+        "plan-identification": "motions:plan_identification",
+        "plan-diagnosis": "motions:plan_diagnosis",
+        "stiffness": "recordings:stiffness",
+    },
+    "Devices": {
+        "detect": "devices:detect",
+        "follow": "devices:follow",
+        "rsi": "devices:rsi",
+        "simulate": "devices:simulate",
+    },
+    "Files": {
+        "list": "files:list_",
+        "view": "files:view",
+        "export": "files:export",
+        "fetch": "files:fetch",
+    },
 }
-"""Verb on the command line → module in ``scenes/commands`` and its function."""
+"""Themes of the help, and the verbs of each: module in ``scenes/commands`` and its function."""
+VERBS = {verb: place for verbs in THEMES.values() for verb, place in verbs.items()}
+"""All verbs, with the place of each."""
 
 app = typer.Typer(
     name="ideal-robot",
@@ -85,8 +97,9 @@ class Verb(TyperCommand):
 
 @cache
 def _register() -> None:
-    for verb in VERBS:
-        app.command(verb, cls=Verb)(function_of(verb))
+    for theme, verbs in THEMES.items():
+        for verb in verbs:
+            app.command(verb, cls=Verb, rich_help_panel=theme)(function_of(verb))
 
 
 def function_of(verb: str) -> Callable[..., None]:

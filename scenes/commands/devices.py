@@ -60,7 +60,8 @@ def follow(
     The arm has to stand at the start of the path. Ctrl-C, SIGTERM, any limit, a device that falls silent and an arm
     that does not follow bring it to rest on the path. Not yet tried on a real cell: read docs/follow.md first.
 
-    Example: `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
+    Example: `ideal-robot simulate line --serve` and, in another terminal,
+    `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
     from scenes.commands.common import closed
     from scenes.online.devices import Devices
@@ -157,7 +158,7 @@ def detect(
 
     Width and polarity of the line are found in the picture. Exit code 1 where no picture shows a line.
 
-    Example: `ideal-robot detect pictures/ --json line.json`
+    Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
     from ideal_robot.whole_file import whole_files
     from scenes.commands.common import show_table
@@ -226,7 +227,9 @@ def rsi(
     The arm has to stand at the start of the path. Ctrl-C, SIGTERM, any limit and an arm that does not follow bring it
     to rest on the path. Not yet tried on a real controller: read docs/rsi.md first.
 
-    Example: `ideal-robot rsi path.csv --robot kr6 --record moved.parquet`
+    Example: `ideal-robot rsi --self-test`
+
+    Example, with a controller that sends: `ideal-robot rsi path.csv --robot kr6 --record moved.parquet`
     """
     from ideal_robot.errors import InputError
     from ideal_robot.robots.robot import Robot

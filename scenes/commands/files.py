@@ -86,7 +86,7 @@ def export(
 ) -> None:
     """Writes a recording as MCAP, ROS 2 bag, Rerun file, CSV or Parquet; several at once if wanted.
 
-    Example: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
+    Example, after that of `run`: `ideal-robot export out/line/recording.parquet --mcap line.mcap`
     """
     from ideal_robot.errors import InputError
     from ideal_robot.signals.recording import Recording
@@ -127,6 +127,8 @@ def fetch(
 
     None of them is part of this package: each has its own licence, which is written beside the recording.
 
+    Example: `ideal-robot fetch` says which there are.
+
     Example: `ideal-robot fetch ur10e_ptp`
     """
     from scenes.commands.common import show_table
@@ -163,7 +165,7 @@ def view(
 
     With --live a run of `ideal-robot follow` is shown while it goes on, from the journal it writes.
 
-    Example: `ideal-robot view out/line/recording.parquet`
+    Example, after that of `run`: `ideal-robot view out/line/recording.parquet`
     """
     from ideal_robot.robots.robot import SHIPPED, Robot
     from scenes.kind import kind_of

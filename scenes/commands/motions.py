@@ -33,7 +33,7 @@ def plan_identification(
     `program.txt` and `program.json`. Look at the motion before it goes to a real arm: only limits, floor and base
     column are known here, no cell.
 
-    Example: `ideal-robot plan-identification --robot kr15 --method two-step --play --out out/kr15`
+    Example: `ideal-robot plan-identification --robot kr6 --play --out out/plan`
     """
     from dataclasses import replace
 
@@ -90,7 +90,8 @@ def plan_diagnosis(
     within the limits of position, speed and acceleration. It begins where the recording began. Look at it before it
     goes to a real arm: only limits, floor and base column are known here, no cell. Play it, record it, diagnose it.
 
-    Example: `ideal-robot plan-diagnosis run.parquet --robot kr15 --result diagnosis.json --out motion.csv`
+    Example, after that of `diagnose`:
+    `ideal-robot plan-diagnosis out/plan/recording.parquet --robot kr6 --result diagnosis.json --out motion.csv`
     """
     from dataclasses import replace
 

@@ -142,7 +142,7 @@ def sweep(
     A run whose process or worker was lost is not played: it stands in the table, not in the file of `--lines`, and
     `--resume` plays it. Exit code 1 where runs were not played, or none succeeded.
 
-    Example: `ideal-robot sweep line straight --speeds 0.2,0.7,1.5 --seeds 1-10 --lines runs.jsonl --resume`
+    Example: `ideal-robot sweep straight --speeds 0.4,0.7 --seeds 1-2 --lines runs.jsonl --resume`
     """
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files

@@ -56,7 +56,8 @@ def identify(
 ) -> None:
     """Friction, base parameters, rotor inertias, offsets and controllers of an arm, each with its uncertainty.
 
-    Example: `ideal-robot identify free_50s.parquet free_30s.parquet --robot ur10e.urdf --validate free_20s.parquet`
+    Example, after that of `plan-identification`:
+    `ideal-robot identify out/plan/recording.parquet --robot kr6 --model model.json`
     """
     from ideal_robot.identification.whole_model import identify_model
     from ideal_robot.progress import Steps
@@ -127,7 +128,8 @@ def diagnose(
 ) -> None:
     """Finds the effect behind a model's residual, adds it, and reports the error before and after on held-out data.
 
-    Example: `ideal-robot diagnose estimation.parquet --robot arm.urdf --validate other.parquet --model-out better.json`
+    Example, after that of `identify`:
+    `ideal-robot diagnose out/plan/recording.parquet --robot kr6 --model model.json --json diagnosis.json`
     """
     from ideal_robot.diagnosis import diagnose
     from ideal_robot.model.model import Model
@@ -203,7 +205,8 @@ def stiffness(
 ) -> None:
     """Joint stiffness of an arm whose flange is clamped to the environment, after Jubien, Abba and Gautier (2014).
 
-    Example: `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --robot kr500 --method both`
+    Example: `ideal-robot run clamped_kr500_1` and then
+    `ideal-robot stiffness out/clamped_kr500_1/recording.parquet --robot kr500 --method both`
     """
     from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
     from ideal_robot.robots.robot import Robot
@@ -256,7 +259,8 @@ def precorrect(
     The output has `t`, the commands `q_c_i` and the desired `q_d_i` at the interpolation cycle. Limits of position,
     speed and acceleration are checked before anything is written.
 
-    Example: `ideal-robot precorrect path.csv --model scenes/models/kr15.json -o corrected.csv`
+    Example, after that of `identify`:
+    `ideal-robot precorrect out/plan/commands.csv --model model.json -o corrected.csv`
     """
     import numpy as np
 
