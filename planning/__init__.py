@@ -57,7 +57,7 @@ class LineLostError(PlanningError):
         super().__init__(
             f"line lost at t = {t:.3f} s, s = {s:.3f} m{known}: last seen at t = {last_t:.3f} s, "
             f"s = {last_s:.3f} m, and only {1e3 * limit:.0f} mm may be travelled blind; check the camera, "
-            "or allow more with max_blind"
+            "or allow more with max_gap"
         )
 
 

@@ -41,7 +41,7 @@ class SightSettings:
             length); all are estimated on the way.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives [s].
-        max_blind: distance that may be travelled without seeing the line [m].
+        max_gap: distance that may be travelled without seeing the line [m].
         scatter: largest scatter of a field's points about the estimated line, moved and turned [m].
         doubt: time without a good field after which one field alone is not used any more [s].
         agreement: how well two fields in a row then have to agree [m].
@@ -55,15 +55,15 @@ class SightSettings:
     scale: float = 0.2
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
-    max_blind: float = 0.2
+    max_gap: float = 0.2
     scatter: float = 4e-4
     doubt: float = 0.12
     agreement: float = 6e-4
     distance_ratio: float = 1.0
 
     def __post_init__(self) -> None:
-        if not self.distance_ratio > 0 or not self.max_blind > 0:
-            raise InputError("expected positive max_blind and distance_ratio", field="camera")
+        if not self.distance_ratio > 0 or not self.max_gap > 0:
+            raise InputError("expected positive max_gap and distance_ratio", field="camera")
 
 
 class LineOnSurface:
@@ -188,7 +188,7 @@ class LineOnSurface:
 
     def check(self, t: float) -> None:
         """Raises ``LineLostError`` if the line has not been seen for too long a way."""
-        s, limit = self.follower.s_at(t - self.settings.latency), self.settings.max_blind
+        s, limit = self.follower.s_at(t - self.settings.latency), self.settings.max_gap
         begin, end = self._span
         if self._last_seen is None:
             if s - begin > limit:

@@ -50,7 +50,7 @@ class FollowerSettings:
             the line shows ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
-        max_blind: distance that may be travelled without seeing the line, whatever the map says [m].
+        max_gap: distance that may be travelled without seeing the line, whatever the map says [m].
         unsure: standard deviation of the line at the tool from which on the map no longer leads beyond that distance
             [m]. By default the tool is still on a line 3 mm wide with 95 %.
         max_search: distance that may be travelled before the line is seen first [m].
@@ -71,7 +71,7 @@ class FollowerSettings:
     bow: float = 0.0003
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
-    max_blind: float = 0.15
+    max_gap: float = 0.15
     unsure: float = 0.75e-3
     max_search: float = 0.3
     follow_tangent: bool = False
@@ -80,7 +80,7 @@ class FollowerSettings:
     def __post_init__(self) -> None:
         if self.measurement not in MEASUREMENTS:
             raise InputError(f"expected one of {', '.join(MEASUREMENTS)}", field="measurement", value=self.measurement)
-        for key in ("cutoff", "correction", "max_blind", "unsure", "max_search"):
+        for key in ("cutoff", "correction", "max_gap", "unsure", "max_search"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
         for key in ("frozen", "noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
@@ -334,7 +334,7 @@ class LineFollower:
         if self._last_seen is None:
             if looked - begin > self.settings.max_search:
                 raise LineNeverSeenError(t, s, self.settings.max_search)
-        elif looked - max(self._last_seen[1], begin) > self.settings.max_blind and self._front < end - ALONG:
+        elif looked - max(self._last_seen[1], begin) > self.settings.max_gap and self._front < end - ALONG:
             sigma = float(self.deviation(np.array([min(s, end - ALONG)]))[1][0])
             if sigma > self.settings.unsure:
-                raise LineLostError(t, s, *self._last_seen, self.settings.max_blind, sigma)
+                raise LineLostError(t, s, *self._last_seen, self.settings.max_gap, sigma)

@@ -49,8 +49,8 @@ def run_page(result: LineResult) -> Report:
     report = Report(
         f"{scene.title}: {scene.speed:g} m/s, {result.method}",
         f"The tool stayed {mm['mean']:.2f} mm from the line on average (95 % of the time within {mm['p95']:.2f} mm), "
-        f"although the line lay {1e3 * abs(across):.1f} mm beside and {np.degrees(abs(turn)):.2f}° across its "
-        f"reference path and the camera was {1e3 * scene.camera.latency:.0f} ms late.")
+        f"while the line was drawn {1e3 * abs(across):.1f} mm beside its reference path and turned by "
+        f"{np.degrees(abs(turn)):.2f}° against it, and pictures arrived {1e3 * scene.camera.latency:.0f} ms late.")
     if result.failure:
         report.warning(f"The run ended early: {result.failure}")
     if result.warning:
@@ -73,8 +73,10 @@ def run_page(result: LineResult) -> Report:
         report.table(["path error against q_d", "E_car mm", "E_max mm"],
                      [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
                       for kind in ("time_matched", "aligned", "geometric")],
-                     f"[G] (14), (21); aligned after removing {path['delay_ms']:.2f} ms. All three directions, from "
-                     "rest to rest: also what the camera cannot see.")
+                     "Another question than the distance from the line: how far the tool was from the planned path in "
+                     "the base frame, in all three directions and from rest to rest ([G] (14), (21)). An arm that is "
+                     "not where its kinematics say is off here and may still be on the line, because the camera sees "
+                     f"both. Aligned: after a delay of {path['delay_ms']:.2f} ms is removed.")
     report.heading("The cell")
     report.figure(_cell(result), "The arm at the middle of the path.")
     report.figure(_from_above(result), "The surface from above with the drawn line, the reference path and where the "

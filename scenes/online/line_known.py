@@ -87,7 +87,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
             eye=camera.T_tool_camera.translation,
             settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt, view=view_of(camera),
-                                      max_blind=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
+                                      max_gap=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}", field="surface.origin",

@@ -67,7 +67,7 @@ def test_latency_hardly_matters(latency: float) -> None:
 def test_one_camera_snapshot_is_enough_to_run_on() -> None:
     # A line that is only shifted: a single field of it places all of the path ([L] 4.3).
     line = sine_points() + np.array([0.006, 0.0, 0.0])
-    f = follower(max_blind=2.0)
+    f = follower(max_gap=2.0)
     run = follow(f, Camera(line, np.random.default_rng(3)), blind=(0.004, 2.0))
     assert f.fields_used < 6
     assert errors(run, line).mean() < 2e-3
@@ -153,7 +153,7 @@ def test_gap_is_bridged() -> None:
 
 
 def test_variance_grows_while_nothing_is_seen() -> None:
-    f = follower(max_blind=2.0)
+    f = follower(max_gap=2.0)
     follow(f, Camera(LINE, np.random.default_rng(12)), blind=(0.4, 2.0))
     f2 = follower()
     follow(f2, Camera(LINE, np.random.default_rng(12)))
@@ -162,7 +162,7 @@ def test_variance_grows_while_nothing_is_seen() -> None:
 
 
 def test_line_lost_midway_says_where_and_when() -> None:
-    f = follower(max_blind=0.12)
+    f = follower(max_gap=0.12)
     with pytest.raises(LineLostError, match=r"line lost at t = .* last seen at .* 120 mm") as lost:
         follow(f, Camera(LINE, np.random.default_rng(13)), blind=(0.4, 2.0))
     assert lost.value.last_s == pytest.approx(0.4, abs=0.02)
@@ -173,7 +173,7 @@ def test_line_lost_midway_says_where_and_when() -> None:
 
 def test_as_long_as_the_map_knows_the_line_distance_alone_does_not_end_a_run() -> None:
     # Seen up to 0.17 m ahead of s = 0.4, then not for twice the distance allowed.
-    f = follower(max_blind=0.06)
+    f = follower(max_gap=0.06)
     run = follow(f, Camera(LINE, np.random.default_rng(13)), blind=(0.4, 0.52))
     assert f.finished(run.t[-1])
     assert errors(run).max() < 1e-3
@@ -181,7 +181,7 @@ def test_as_long_as_the_map_knows_the_line_distance_alone_does_not_end_a_run() -
 
 @pytest.mark.parametrize("speed", [0.7, 2.0])
 def test_a_line_that_breaks_off_ends_the_run_where_the_map_ends(speed: float) -> None:
-    f = follower(speed=speed, max_blind=0.12)
+    f = follower(speed=speed, max_gap=0.12)
     with pytest.raises(LineLostError, match=r"known to \d\.\d mm") as lost:
         follow(f, Camera(LINE, np.random.default_rng(13)), blind=(0.4, 2.0))
     assert lost.value.sigma > f.settings.unsure
@@ -196,7 +196,7 @@ def test_points_of_a_field_are_spread_at_every_speed() -> None:
 
 
 def test_silent_camera_loses_the_line_too() -> None:
-    f = follower(max_blind=0.12)
+    f = follower(max_gap=0.12)
     with pytest.raises(LineLostError):
         follow(f, Camera(LINE, np.random.default_rng(14)), rate=1.5)
 
@@ -209,7 +209,7 @@ def test_line_never_seen_says_so() -> None:
 
 def test_blind_end_of_the_path_is_no_loss() -> None:
     # Nothing of the line is left to see while the arm travels the last stretch.
-    f = follower(max_blind=0.05)
+    f = follower(max_gap=0.05)
     run = follow(f, Camera(LINE, np.random.default_rng(16)))
     assert f.finished(run.t[-1])
 
@@ -277,7 +277,7 @@ def test_curved_path_at_any_place_works_alike() -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [{"frozen": -1}, {"cutoff": 0.0}, {"max_blind": 0.0}, {"noise": -1e-5}, {"view": (0.1, 0.05)}, {"latency": -0.1}],
+    [{"frozen": -1}, {"cutoff": 0.0}, {"max_gap": 0.0}, {"noise": -1e-5}, {"view": (0.1, 0.05)}, {"latency": -0.1}],
 )
 def test_settings_that_make_no_sense_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(InputError):
