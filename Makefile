@@ -40,7 +40,7 @@ bench: .venv/installed
 	for s in speed line-cycles cycle planning growth; do echo "== $$s"; $(BIN)/python -m studies $$s || exit 1; done
 
 models: .venv/installed
-	$(BIN)/python -m scenes.identification.models
+	$(BIN)/python -m scenes.models
 
 check: .venv/installed
 	$(BIN)/ruff check .

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ideal_robot.effects.base import Effect
-from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import library
 

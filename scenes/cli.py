@@ -22,7 +22,7 @@ from typer.core import TyperCommand  # noqa: E402
 
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
-from scenes.terminal import shown  # noqa: E402
+from scenes.commands.common import shown  # noqa: E402
 
 THEMES = {
     "First steps": {

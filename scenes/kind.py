@@ -57,7 +57,7 @@ class CloseLoop(Protocol):
 
         Args:
             scene: of the kind's class.
-            measured: what the arm measures, see ``scenes.measured``.
+            measured: what the arm measures, see ``scenes.closing.measured``.
             out: folder of recording and report; nothing is written if None.
             progress: called with the share that is done, and what is being done.
         """
@@ -93,7 +93,7 @@ KINDS: Registry[SceneKind] = Registry("kind of scene", "ideal_robot.scene_kinds"
     "path": "scenes.path.kind:PATH",
     "force": "scenes.force.kind:FORCE",
     "clamped": "scenes.clamped.kind:CLAMPED",
-    "close_clamped": "scenes.close_clamped.kind:CLOSE_CLAMPED",
+    "close_clamped": "scenes.close_clamped:CLOSE_CLAMPED",
 })
 
 

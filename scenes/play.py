@@ -13,7 +13,7 @@ from scenes.scene_files.scene import Scene
 
 if TYPE_CHECKING:
     from scenes.closing.result import Closing
-    from scenes.force.result import ForceResult
+    from scenes.force.play import ForceResult
     from scenes.line.result import LineResult
     from scenes.path.result import PathResult
     from scenes.scene_files.force_scene import ForceScene

@@ -18,14 +18,13 @@ import pandas as pd
 from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
-from scenes.cluster import work_off_on
 from scenes.kind import KINDS, kind_of
 from scenes.methods import method_of
 from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, chosen
-from scenes.workers import LostError, work_off
+from scenes.workers import LostError, work_off, work_off_on
 
 # Answers of a sweep as they come, one JSON line each, so that a sweep that was ended can go on.
 

@@ -21,7 +21,7 @@ import numpy as np
 import typer
 
 import scenes.cli
-from tests.fuzz import mutate_table, originals
+from tests.fuzz import mutate, originals
 from tests.fuzz.cases import MAKERS, drawn, sound
 from tests.fuzz.play import play, warm_up
 
@@ -133,8 +133,8 @@ def _group_lives(group: int) -> bool:
 def _identify_verb(folder: Path) -> Verb:
     """A model, its report, JSON and URDF from one of two recordings."""
     columns = originals.motion(folder)
-    (folder / "old.csv").write_bytes(mutate_table.csv_bytes(columns))
-    (folder / "new.csv").write_bytes(mutate_table.csv_bytes({**columns, "tau_1": 1.1 * columns["tau_1"]}))
+    (folder / "old.csv").write_bytes(mutate.csv_bytes(columns))
+    (folder / "new.csv").write_bytes(mutate.csv_bytes({**columns, "tau_1": 1.1 * columns["tau_1"]}))
     known: dict[str, tuple[str, ...]] = {}
 
     def digests(where: Path) -> tuple[str, ...]:

@@ -16,8 +16,7 @@ from planning.force.contact import Phase
 from scenes.commands.common import numbers, whole_numbers
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.force.kind import run
-from scenes.force.play import BRAKING, LONGEST, REST, calibrated, friction_shown, methods
-from scenes.force.result import ForceResult
+from scenes.force.play import BRAKING, LONGEST, REST, ForceResult, calibrated, friction_shown, methods
 from scenes.methods import DIRECT, IDEAL, method_of
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_task import ForceTask

@@ -35,7 +35,7 @@ def documented(docstring: str) -> set[str]:
 
 
 SHARED = {target.id: node.value
-          for node in trees("scenes/commands")[ROOT / "scenes" / "commands" / "options.py"].body
+          for node in trees("scenes/commands")[ROOT / "scenes" / "commands" / "common.py"].body
           if isinstance(node, ast.Assign) for target in node.targets if isinstance(target, ast.Name)}
 """Options that several verbs have: their annotations by name."""
 

@@ -1,11 +1,16 @@
-"""Every result says in three lines what it is, goes into JSON, and shows itself in a notebook without scripts."""
+"""Every result says in three lines what it is, goes into JSON, and shows itself in a notebook without scripts.
+
+What is written is read again the same: recordings, models, scenes.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import pkgutil
 import re
+import tempfile
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,15 +18,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 import ideal_robot
 import ideal_robot as ir
 import scenes
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, Traces
+from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised
+from ideal_robot.robots.robot import Robot
+from ideal_robot.signals.recording import Recording
 from scenes import compare_scene, load_scene, run_scene, shipped_model
 from scenes.line.compare import Fastest
 from scenes.result import ShownRun, ShownTable
+from scenes.scene_file import library
+from scenes.scene_file import load_scene as load_scene_round_trips
 from tests.ideal_robot.feedforward.plant import ROBOT, T, motion
 from tests.sources import ROOT
 
@@ -120,7 +133,7 @@ for package in (ideal_robot, scenes):
 
 RESULT = re.compile(r"(Result|Comparison|Identification|Analysis|Plan|Diagnosis|Prediction)$")
 """How classes are called that public functions return."""
-OTHERS = {"scenes.closing.rule:Comparison", "ideal_robot.diagnosis.validation.result:ChannelResult",
+OTHERS = {"scenes.closing.loop:Comparison", "ideal_robot.diagnosis.validation.result:ChannelResult",
           "ideal_robot.diagnosis.validation.domain_diagnosis:DomainResult",
           "ideal_robot.diagnosis.validation.domain_diagnosis:DomainDiagnosis"}
 """A line of numbers, and parts of a diagnosis that nobody is handed."""
@@ -168,3 +181,58 @@ def test_no_result_is_shown_otherwise() -> None:
 def test_what_a_result_says_is_of_its_content() -> None:
     found = Fastest(0.71, 2e-4, 1.9e-4, ((0.5, 1e-4), (0.8, 2.5e-4)))
     assert repr(found) == "Fastest(0.71 m/s within 0.2 mm)\n  95 % predicted 0.19 mm; trials 2"
+
+
+NAMES = st.text("abcdefgh_123 é[]", min_size=1, max_size=8).filter(lambda name: name.strip() == name and name != "t")
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> Recording:
+    """Any columns of any finite or missing values, and metadata."""
+    count = draw(st.integers(2, 20))
+    values = arrays(np.float64, count, elements=st.floats(allow_infinity=False))
+    columns = draw(st.dictionaries(NAMES, values, max_size=5))
+    whole = st.integers(-10**15, 10**15)
+    meta = draw(st.dictionaries(st.text(max_size=5), st.none() | st.booleans() | whole | st.text(max_size=5)))
+    return Recording({"t": np.arange(float(count)), **columns}, meta)
+
+
+@pytest.mark.parametrize("ending", ["parquet", "csv"])
+@settings(max_examples=25)
+@given(recording=recordings())
+def test_a_recording_comes_back_to_the_last_bit(ending: str, recording: Recording) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        again = Recording.read(recording.write(Path(folder) / f"r.{ending}"))
+    assert set(again.columns) == set(recording.columns)
+    for name, values in recording.columns.items():
+        assert np.array_equal(again.columns[name], values, equal_nan=True)
+    if ending == "parquet":
+        assert again.meta == recording.meta
+
+
+@cache
+def nominal_model() -> Model:
+    return Model.nominal(Robot.load("kr6"))
+
+
+@settings(max_examples=5)
+@given(seed=st.integers(0, 1000))
+def test_a_model_comes_back_with_its_twelve_digits(seed: int) -> None:
+    rng, nominal = np.random.default_rng(seed), nominal_model()
+    model = dataclasses.replace(nominal, base_values=nominal.base_values * rng.normal(size=nominal.base_values.shape),
+                                stiffness=rng.uniform(1e4, 1e6, nominal.n))
+    with tempfile.TemporaryDirectory() as folder:
+        again = Model.load(model.save(Path(folder) / "m.json"))
+    for name in ("base_values", "consistent", "covariance", "noise_std", "stiffness"):
+        assert np.allclose(getattr(again, name), getattr(model, name), rtol=1e-11, atol=0.0), name
+    assert np.allclose(again.base.grouping, model.base.grouping, rtol=1e-11, atol=0.0)
+    assert (again.urdf, again.urdf_hash, again.robot_name) == (model.urdf, model.urdf_hash, model.robot_name)
+    assert again.friction.to_dict() == model.friction.to_dict()
+    assert again.base.names == model.base.names
+
+
+@pytest.mark.parametrize("path", sorted(library().glob("*.toml")), ids=lambda path: path.stem)
+def test_a_scene_comes_back_from_its_values(path: Path) -> None:
+    scene = load_scene_round_trips(path)
+    assert type(scene)(**json.loads(scene.model_dump_json())) == scene.beside(None)
+    assert scene.changed(seed=scene.seed) == scene

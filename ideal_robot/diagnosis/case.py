@@ -11,8 +11,7 @@ from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_reg
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Progress
-from ideal_robot.diagnosis.statistics.estimate import Candidate
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult, rms
 from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.model.model import Model

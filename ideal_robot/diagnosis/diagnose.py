@@ -12,8 +12,12 @@ from ideal_robot.diagnosis.case import Case, Findings, unlike
 from ideal_robot.diagnosis.channels.regression import unused_columns
 from ideal_robot.diagnosis.search.choice import Options
 from ideal_robot.diagnosis.search.forward_selection import Only
-from ideal_robot.diagnosis.statistics.estimate import fitted_effect, with_parameters, with_possible_inertias
-from ideal_robot.diagnosis.statistics.problem import prior_precision
+from ideal_robot.diagnosis.statistics.problem import (
+    fitted_effect,
+    prior_precision,
+    with_parameters,
+    with_possible_inertias,
+)
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.final_fit import beside_lag, without_scatter
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting

@@ -17,8 +17,7 @@ from ideal_robot.diagnosis.channels.regression import Regression, without_known
 from ideal_robot.diagnosis.search.forward_selection import Search, selected_against
 from ideal_robot.diagnosis.search.scoring import with_equivalents
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
-from ideal_robot.diagnosis.statistics.estimate import with_parameters
-from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
+from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.final_fit import with_braking_friction, without_scatter
 from ideal_robot.diagnosis.validation.result import NotTransferred

@@ -1,18 +1,151 @@
-"""An effect with its numbers, as it stands in a model."""
+"""An effect with its numbers, as it stands in a model; among them a cause that the library does not have."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import BSpline
 
 from ideal_robot.arrays import Array
-from ideal_robot.effects.base import Domain, Effect, EffectParameter, prefix_of
-from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.base import (
+    MOTOR_TORQUE,
+    TCP_POSITION,
+    Domain,
+    Effect,
+    EffectParameter,
+    Theta,
+    domain_of,
+    prefix_of,
+)
+from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.registry import find
 from ideal_robot.effects.signals import Signals
+
+_MOTION = re.compile(r"(q|qd|qdd|load)_\d+")
+"""Signals that follow from where the arm shall go."""
+
+
+@dataclass(frozen=True)
+class Unknown(Effect):
+    """A cubic spline over one signal, or products of two, on one channel, optionally times ``sign(qd)`` of its joint.
+
+    Outside the range it was fitted in it keeps the value of its end at first and goes to zero within ``margin`` of the
+    range: a path reaches a little further than the motion it was fitted to, and often turns round there; far away
+    nothing is claimed.
+
+    Attributes:
+        depends_on: signals, e.g. ``("q_2",)`` or ``("qd_1", "qd_3")``.
+        directed: whether the curve is multiplied by the sign of the joint's velocity.
+        knots: knots of each signal's spline, ends included.
+        domain: where it acts.
+        frequency: for a term periodic in the signal: its angular frequency instead of a spline.
+    """
+
+    depends_on: tuple[str, ...]
+    directed: bool
+    knots: tuple[tuple[float, ...], ...]
+    frequency: float = 0.0
+    margin: float = 0.5
+    domain: Domain = MOTOR_TORQUE
+
+    name = "unknown"
+    learned = True
+    depends_on_joint = False
+    source = "learned from the residual"
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> Unknown:
+        """Reads what ``to_data`` wrote."""
+        return cls(tuple(str(s) for s in data["depends_on"]), bool(data["directed"]),
+                   tuple(tuple(float(v) for v in k) for k in data["knots"]), float(data.get("frequency", 0.0)),
+                   # Files of earlier versions call it "head".
+                   domain=domain_of(str(data.get("prefix", data.get("head", MOTOR_TORQUE.prefix)))))
+
+    def to_data(self) -> dict[str, Any]:
+        """What the model file has to remember."""
+        return {"depends_on": list(self.depends_on), "directed": self.directed,
+                "knots": [list(k) for k in self.knots], "frequency": self.frequency, "prefix": self.domain.prefix}
+
+    def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
+        """See ``Effect.parameters``. None: a curve has no physical numbers."""
+        return []
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, m)``: the basis functions on the joint's channel."""
+        basis = self.basis(signals)
+        if self.directed:
+            basis = basis * signals.sliding_direction(joint)[:, None]
+        if self.domain == TCP_POSITION:
+            result = np.zeros((len(signals.t), 3, basis.shape[1]))
+            result[:, joint - 1] = basis
+            return result
+        return signals.on_joint(joint, *basis.T)
+
+    def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
+        """A curve over the arm's motion is asked of the motor; what lies outside what was seen counts nothing."""
+        if self.domain != MOTOR_TORQUE:
+            return LoopChange(nowhere="a curve without a cause does not say whether arm or measurement is off")
+        if not all(_MOTION.fullmatch(name) for name in self.depends_on):
+            return LoopChange(nowhere=f"the loop does not know {' and '.join(self.depends_on)} beforehand")
+        return LoopChange(torque=True)
+
+    def basis(self, signals: Signals) -> Array:
+        """Basis functions ``(N, m)`` of the signals."""
+        values = [signal_of(signals, name) for name in self.depends_on]
+        if self.frequency:
+            inside = _inside(values[0], self.knots[0], self.margin)
+            phase = self.frequency * values[0]
+            return np.column_stack([np.cos(phase), np.sin(phase)]) * inside[:, None]
+        parts = [spline_basis(v, k, self.margin) for v, k in zip(values, self.knots, strict=True)]
+        if len(parts) == 1:
+            return parts[0]
+        return np.asarray((parts[0][:, :, None] * parts[1][:, None, :]).reshape(len(parts[0]), -1))
+
+
+def spline_basis(x: Array, knots: tuple[float, ...], margin: float) -> Array:
+    """Cubic B-splines, fading to zero outside of their knots.
+
+    Args:
+        x: where, in the signal's unit ``(N,)``.
+        knots: ends included, in the same unit.
+        margin: share of the knots' range over which they fade.
+
+    Returns:
+        Shape ``(N, len(knots) + 2)``.
+    """
+    inner = np.asarray(knots)
+    full = np.concatenate([[inner[0]] * 3, inner, [inner[-1]] * 3])
+    basis = BSpline.design_matrix(np.clip(x, inner[0], inner[-1] - 1e-12 * np.ptp(inner)), full, 3).toarray()
+    return np.asarray(basis * _inside(x, knots, margin)[:, None])
+
+
+def _inside(x: Array, knots: tuple[float, ...], margin: float) -> Array:
+    """One inside the knots, falling to zero over ``margin`` times their range outside, as a tricube: slowly at first.
+
+    A steep fall would be a steep change of torque just where a path that reaches further turns round.
+    """
+    low, high = knots[0], knots[-1]
+    outside = np.maximum(np.maximum(low - x, x - high), 0.0) / max(margin * (high - low), 1e-12)
+    return np.asarray((1.0 - np.minimum(outside, 1.0) ** 3) ** 3)
+
+
+def signal_of(signals: Signals, name: str) -> Array:
+    """The signal ``(N,)`` of a name such as ``q_2``, ``qd_1``, ``qdd_3``, ``load_2``, ``temp_1``, ``t``."""
+    if name == "t":
+        return signals.t
+    kind, _, tail = name.rpartition("_")
+    table = {"q": signals.q, "qd": signals.qd, "qdd": signals.qdd, "load": signals.load, "temp": signals.temperature}
+    if tail.isdigit() and kind in table:
+        values = table[kind]
+        # A temperature that one recording has and another has not: then the term says nothing.
+        return np.zeros_like(signals.t) if values is None else np.asarray(values[:, int(tail) - 1])
+    if name in signals.extra:
+        return np.asarray(signals.extra[name])
+    return np.zeros_like(signals.t)
 
 
 @dataclass(frozen=True)

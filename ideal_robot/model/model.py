@@ -25,8 +25,7 @@ from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.effects.signals import constant_of_weight
 from ideal_robot.errors import InputError
 from ideal_robot.friction import PerJointFriction
-from ideal_robot.model.model_checks import require_consistent
-from ideal_robot.model.model_file import SCHEMA, read_values, urdf_with_inertials, write_values
+from ideal_robot.model.model_file import SCHEMA, read_values, require_consistent, urdf_with_inertials, write_values
 from ideal_robot.model.parametrisation import ControllerModel, Parameter, Prediction, described, sensitivity
 from ideal_robot.results import Summarised, plain
 from ideal_robot.robots.robot import Robot

@@ -1,4 +1,7 @@
-"""The model file: JSON with a schema version (docs/files.md). What stands in it is ``Model.to_dict``'s business."""
+"""The model file: JSON with a schema version (docs/files.md), and whether what it holds fits together.
+
+What stands in it is ``Model.to_dict``'s business.
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,10 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_json
-from ideal_robot.dynamics import with_link_parameters
+from ideal_robot.dynamics import BaseParameters, with_link_parameters
+from ideal_robot.effects import SENSOR
 from ideal_robot.errors import InputError
+from ideal_robot.model.parametrisation import ControllerModel
 from ideal_robot.whole_file import write_text
 
 SCHEMA = 1
@@ -95,3 +100,126 @@ def _inertial(body: pin.Inertia) -> ET.Element:
     entries = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
     ET.SubElement(element, "inertia", {key: f"{inertia[i, j]:.12g}" for key, (i, j) in entries.items()})
     return element
+
+
+_SYMBOLS = 12
+"""Full parameters a joint: ten of its link, its rotor inertia, its torque offset."""
+_SLOWEST_FILTER = 0.1
+"""Of commands, each stage's time constant [s]: path planners smooth over less, and what is inverted grows with it."""
+
+
+def require_consistent(model: Any, file: Path | str | None = None) -> None:
+    """Refuses a model whose parts do not fit together.
+
+    Args:
+        model: a ``Model`` as read (not named as its type: ``Model`` itself calls this).
+        file: where it comes from, for the message.
+
+    Raises:
+        InputError: names the key, what was expected and what was found.
+    """
+    _texts(model, file)
+    n, b = int(model.kinematics.nv), len(model.base.independent)
+    p = _SYMBOLS * n
+    friction, base = model.friction, model.base
+    if friction.n != n:
+        raise InputError(f"expected the laws of {n} joints, got {friction.n}", file=file, field="friction")
+    for j, law in enumerate(friction.laws):
+        if not (np.all(np.isfinite(law.coefficients)) and np.all(np.isfinite(law.shape))):
+            raise InputError("expected finite numbers", file=file, field=f"friction.{j}")
+    count = b + sum(law.coefficients.size + law.shape.size for law in friction.laws)
+    for key, array, shape, finite in (
+        ("base.values", model.base_values, (b,), True), ("base.grouping", base.grouping, (b, p), True),
+        ("covariance", model.covariance, (count, count), False), ("consistent", model.consistent, (p,), True),
+        ("noise_std", model.noise_std, (n,), False), ("stiffness", model.stiffness, (n,), False),
+        ("damping", model.damping, (n,), False),
+    ):
+        if array is not None:
+            _array(array, shape, key, file, finite=finite)
+    _base(base, n, file)
+    if model.stiffness is not None and np.any(model.stiffness <= 0):
+        raise InputError("expected positive numbers", file=file, field="stiffness")
+    if model.damping is not None and np.any(model.damping < 0):
+        raise InputError("expected numbers that are not negative", file=file, field="damping")
+    if model.controller is not None:
+        _controller(model.controller, n, file)
+    _effects(model, n, file)
+
+
+def _texts(model: Any, file: Path | str | None) -> None:
+    for key, text in (("robot.name", model.robot_name), ("robot.urdf", model.urdf),
+                      ("robot.urdf_hash", model.urdf_hash)):
+        if not isinstance(text, str):
+            raise InputError("expected a text", file=file, field=key)
+    if not model.robot_name.isprintable() or len(model.robot_name) > 200:
+        raise InputError("expected one printable line", file=file, field="robot.name", value=model.robot_name[:40])
+
+
+def _base(base: BaseParameters, n: int, file: Path | str | None) -> None:
+    b, p = len(base.independent), _SYMBOLS * n
+    for key, names, length in (("base.full_names", base.full_names, p), ("base.full_units", base.full_units, p),
+                               ("base.gravitational", base.gravitational, b)):
+        if len(names) != length:
+            raise InputError(f"expected {length} entries, got {len(names)}", file=file, field=key)
+    if not all(isinstance(name, str) for name in (*base.full_names, *base.full_units)):
+        raise InputError("expected texts", file=file, field="base.full_names")
+    if not all(isinstance(g, bool) for g in base.gravitational):
+        raise InputError("expected truth values", file=file, field="base.gravitational")
+    if not all(isinstance(i, int) and 0 <= i < p for i in base.independent) or len(set(base.independent)) != b:
+        raise InputError(f"expected different numbers from 0 to {p - 1}", file=file, field="base.independent")
+    for i in base.independent:
+        joint = base.full_names[i].rpartition("_")[2]
+        if not (joint.isascii() and joint.isdigit() and 1 <= int(joint) <= n):
+            raise InputError("expected names such as Izz_3", file=file, field="base.full_names",
+                             value=base.full_names[i][:40])
+
+
+def _array(array: np.ndarray, shape: tuple[int, ...], key: str, file: Path | str | None, *, finite: bool) -> None:
+    if array.shape != shape:
+        raise InputError(f"expected {' × '.join(map(str, shape))} numbers, got {' × '.join(map(str, array.shape))}",
+                         file=file, field=key)
+    if finite and not np.all(np.isfinite(array)):
+        raise InputError("expected finite numbers", file=file, field=key)
+
+
+def _controller(controller: ControllerModel, n: int, file: Path | str | None) -> None:
+    for key in ("k_p", "k_d", "k_1", "k_2", "k_i", "filter_time"):
+        array = getattr(controller, key)
+        if not isinstance(array, np.ndarray):
+            raise InputError(f"expected {n} numbers", file=file, field=f"controller.{key}")
+        _array(array, (n,), f"controller.{key}", file, finite=True)
+    if np.any(controller.filter_time < 0) or np.any(controller.filter_time > _SLOWEST_FILTER):
+        raise InputError(f"expected times of 0 to {_SLOWEST_FILTER} s", file=file, field="controller.filter_time",
+                         value=controller.filter_time.tolist())
+    for key, low, high in (("t_cycle", 1e-5, 1.0), ("delay", 0.0, 10.0), ("filter_order", 1, 10)):
+        value = getattr(controller, key)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+            raise InputError(f"expected a number from {low:g} to {high:g}", file=file, field=f"controller.{key}",
+                             value=value if isinstance(value, (int, float, str)) else None)
+    if not isinstance(controller.filter_order, int):
+        raise InputError("expected a whole number", file=file, field="controller.filter_order")
+    if not isinstance(controller.std, dict):
+        raise InputError("expected a table", file=file, field="controller.std")
+
+
+def _effects(model: Any, n: int, file: Path | str | None) -> None:
+    for i, fitted in enumerate(model.effects):
+        key = f"effects.{i}"
+        if not 0 <= fitted.joint <= n:
+            raise InputError(f"expected a joint from 1 to {n}, or 0 for the whole arm", file=file,
+                             field=f"{key}.joint", value=fitted.joint)
+        if not np.all(np.isfinite((*fitted.coefficients, *fitted.theta))):
+            raise InputError("expected finite numbers", file=file, field=f"{key}.coefficients")
+        try:
+            effect = fitted.effect
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"not a complete effect ({type(error).__name__}: {error})", file=file,
+                             field=f"{key}.data") from error
+        if effect.learned:
+            continue
+        most = len(effect.coefficient_names)
+        # Of a sensor's effect a recording may show the first coefficients only.
+        least = 1 if effect.domain == SENSOR else most
+        if len(fitted.theta) != len(effect.theta_names) or not least <= len(fitted.coefficients) <= most:
+            raise InputError(f"expected {'up to ' if least < most else ''}{most} coefficients and "
+                             f"{len(effect.theta_names)} nonlinear parameters", file=file, field=key)

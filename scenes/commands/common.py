@@ -1,4 +1,4 @@
-"""What the verbs share: applying options to a scene, tables, and how a run is closed."""
+"""What the verbs share: options, numbers, tables, the progress bar, and how a run is closed."""
 
 from __future__ import annotations
 
@@ -6,18 +6,59 @@ import math
 import os
 import re
 import sys
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.box import HEAVY_HEAD
 from rich.cells import cell_len
 from rich.console import Console
-from rich.table import Table
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Column, Table
 from rich.text import Text
 
 from ideal_robot.errors import InputError
 from scenes import result
-from scenes.terminal import shown
+
+
+def shown(text: object) -> str:
+    """The text on one line, with whatever a terminal would act on (escapes, bells, direction marks) spelt out."""
+    return "".join(c if c.isprintable() else " " if c in "\n\t" else c.encode("unicode_escape").decode()
+                   for c in str(text))
+
+
+# The progress bar of the command line.
+
+@contextmanager
+def progress_bar(title: str, rate: float = 10.0) -> Iterator[result.Progress]:
+    """A bar on standard error while the block runs; yields the function that moves it.
+
+    Args:
+        title: before the bar.
+        rate: how often it is drawn, by a thread that takes Python's lock for it [Hz].
+    """
+    # Where there is no room for all, the text is cut; never the numbers.
+    def fixed(width: int) -> Column:
+        return Column(min_width=width, width=width, no_wrap=True)
+
+    console = Console(stderr=True)
+    bar_width = min(40, max(6, console.width // 4))
+    text = Column(no_wrap=True, overflow="ellipsis", max_width=max(8, console.width - bar_width - 26))
+    columns = (TextColumn("{task.description}", markup=False, table_column=text),
+               BarColumn(bar_width, table_column=fixed(bar_width)),
+               TextColumn("{task.percentage:>3.0f} %", table_column=fixed(5)),
+               TimeElapsedColumn(table_column=fixed(7)), TimeRemainingColumn(table_column=fixed(7)))
+    with Progress(*columns, console=console, transient=True, refresh_per_second=rate) as bar:
+        task = bar.add_task(shown(title), total=1.0)
+
+        def move(fraction: float, text: str) -> None:
+            bar.update(task, completed=min(max(fraction, 0.0), 1.0),
+                       description=shown(f"{title}: {text}" if text else title))
+
+        yield move
+
 
 N = TypeVar("N", int, float)
 _MOST_NUMBERS = 100_000
@@ -138,3 +179,60 @@ def _number(piece: str, kind: type[N], option: str, text: str) -> N:
         whole = kind is int
         raise InputError(f"expected {'whole ' if whole else ''}numbers separated by commas"
                          + (" or a range such as 1-10" if whole else ""), field=option, value=text[:60]) from error
+
+
+Bridge = Annotated[float, typer.Option(help="How long packets may be lost in a row [s].", min=0.0, max=1.0)]
+ControllerAddress = Annotated[str | None, typer.Option(help="Listen to this address only.")]
+Core = Annotated[int | None, typer.Option(help="Processor core to keep to.", min=0)]
+Cycle = Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004; default: robot's.")]
+DriveData = Annotated[Path | None, typer.Option(help="Drive data of the arm (TOML): gains, rotor inertias, cycles; "
+                                                "default: beside the URDF.")]
+Horizon = Annotated[int | None, typer.Option("--n-d", help="Desired positions the feedforward is given, from 1 up.")]
+Individual = Annotated[int | None, typer.Option(help="Arm of the type, with a model of its own (see prepare).", min=0)]
+JsonFigures = Annotated[Path | None, typer.Option(help="Write the figures as JSON to this file.")]
+JsonPlan = Annotated[Path | None, typer.Option(help="Write the plan and its figures as JSON to this file.")]
+JsonResults = Annotated[Path | None, typer.Option(help="Write the results as JSON to this file.")]
+ModelsRobot = Annotated[str | None, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a "
+                                                 "URDF; default: the one the model names.")]
+PlannerDelay = Annotated[bool, typer.Option(help="The standard path planner's delay of one cycle is in force.")]
+ReportFolder = Annotated[Path, typer.Option(help="Folder of the report.")]
+Rest = Annotated[float, typer.Option(help="Rest added before the path [s], for the gears' deflection.")]
+RobotName = Annotated[str, typer.Option("--robot", "--urdf", help="Arm: name of a shipped robot, or path of a URDF.")]
+SceneName = Annotated[str, typer.Argument(help="Name of a shipped scene, or path of a scene file (.toml).")]
+SearchSeed = Annotated[int, typer.Option(help="Seed of the search.", min=0)]
+Seed = Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)]
+Speed = Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")]
+WorldName = Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or bench.")]
+
+
+def method_help(verb: str) -> str:
+    """The help of a verb's ``--method``, with the keys where somebody asks for help of this very verb.
+
+    Args:
+        verb: ``rsi`` or ``precorrect``.
+    """
+    if verb in sys.argv and "--help" in sys.argv:
+        return f"How the path is corrected: {', '.join(methods_of(verb))}."
+    return "How the path is corrected."
+
+
+def methods_of(verb: str) -> tuple[str, ...]:
+    """Methods that a verb takes, those of other packages included.
+
+    Args:
+        verb: ``rsi`` (those that need no more than a model) or ``precorrect`` (that need no plays on the arm).
+    """
+    from ideal_robot.feedforward.method import Needs
+    from ideal_robot.feedforward.registry import methods
+
+    return methods(Needs.MODEL if verb == "rsi" else Needs.PATH)
+
+
+def completed(verb: str, incomplete: str) -> list[str]:
+    """Keys that begin with what was typed.
+
+    Args:
+        verb: as in ``methods_of``.
+        incomplete: what was typed.
+    """
+    return [key for key in methods_of(verb) if key.startswith(incomplete)]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from scenes.commands.options import (
+from scenes.commands.common import (
     Bridge,
     ControllerAddress,
     Core,
@@ -63,13 +63,12 @@ def follow(
     Example: `ideal-robot simulate line --serve` and, in another terminal,
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
-    from scenes.commands.common import closed
+    from scenes.commands.common import closed, progress_bar
     from scenes.online.devices import Devices
     from scenes.online.run import follow, load_cell
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.scene_files.scene import chosen
-    from scenes.terminal import progress_bar
 
     loaded = chosen(load_cell(scene), speed=speed)
     folder = out or Path("out") / "follow" / loaded.name
@@ -161,11 +160,10 @@ def detect(
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.detection import detection_page, figures, pictures, table
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
     from sensing.camera.camera_device import Gray
     from sensing.camera.detector import DETECTORS
     from sensing.camera.picture_line import PictureLine, detect_in_picture
@@ -236,12 +234,11 @@ def rsi(
     from ideal_robot.rsi.message import RsiFormat
     from ideal_robot.signals.recording import WRITTEN
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.online.processes import stopping_on_signals
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.rsi.setup import rsi_server
-    from scenes.terminal import progress_bar
 
     check_outputs(record=record, json=json)
     if record.suffix not in WRITTEN:
@@ -279,10 +276,9 @@ def rsi(
 
 
 def _self_test(robot: str | None, model: Path | None, method: str, core: int | None, json: Path | None) -> None:
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.report.page import write_json
     from scenes.rsi.self_test import held_cycles
-    from scenes.terminal import progress_bar
 
     with progress_bar("self-test") as progress:
         held = held_cycles(robot=robot, model=model, method=method, core=core, progress=progress)

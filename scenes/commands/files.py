@@ -91,9 +91,9 @@ def export(
     from ideal_robot.errors import InputError
     from ideal_robot.signals.recording import Recording
     from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
+    from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
     from scenes.rerun_file import write_rerun
-    from scenes.terminal import progress_bar
 
     # The one that needs an extra comes first: where that is missing nothing has been written.
     writers = {"--rerun": (rerun, write_rerun), "--mcap": (mcap, write_mcap), "--rosbag2": (rosbag2, write_rosbag2),
@@ -168,9 +168,9 @@ def view(
     Example, after that of `run`: `ideal-robot view out/line/recording.parquet`
     """
     from ideal_robot.robots.robot import SHIPPED, Robot
+    from scenes.commands.common import progress_bar
     from scenes.kind import kind_of
     from scenes.scene_file import load_scene
-    from scenes.terminal import progress_bar
     from scenes.view.viewer import Player, Viewer, open_recording, recorded_replay
 
     if live is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scenes.commands.options import DriveData, JsonPlan, RobotName, SearchSeed
+from scenes.commands.common import DriveData, JsonPlan, RobotName, SearchSeed
 
 if TYPE_CHECKING:
     from ideal_robot.diagnosis import DiagnosisPlan
@@ -39,11 +39,10 @@ def plan_identification(
 
     from ideal_robot.identification.excitation import Workspace
     from ideal_robot.robots.robot import Robot
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.identification.plan import plan, play_plan
     from scenes.outputs import check_outputs, folders_held, whole_folder
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json)
     arm = Robot.load(robot, drive_data)
@@ -103,9 +102,9 @@ def plan_diagnosis(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import WRITTEN, Recording
     from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
 
     check_outputs(out=out, json=json)
     if out.suffix not in WRITTEN:

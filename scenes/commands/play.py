@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scenes.commands.options import Horizon, Individual, JsonFigures, SceneName, Seed, Speed, WorldName
+from scenes.commands.common import Horizon, Individual, JsonFigures, SceneName, Seed, Speed, WorldName
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +35,7 @@ def run(
     """
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import closed, length
+    from scenes.commands.common import closed, length, progress_bar
     from scenes.kind import kind_of
     from scenes.line.compare import fastest
     from scenes.line.result import LineResult
@@ -46,7 +46,6 @@ def run(
     from scenes.scene_file import load_scene
     from scenes.scene_files.line_scene import LineScene
     from scenes.scene_files.scene import chosen
-    from scenes.terminal import progress_bar
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
                     world=world)
@@ -97,13 +96,12 @@ def compare(
 
     Example: `ideal-robot compare line --speed 0.7`
     """
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.kind import kind_of
     from scenes.outputs import check_outputs, folders_held
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
-    from scenes.terminal import progress_bar
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
                     world=world)
@@ -146,11 +144,10 @@ def sweep(
     """
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files
-    from scenes.commands.common import numbers, whole_numbers
+    from scenes.commands.common import numbers, progress_bar, whole_numbers
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.sweep import SweepFile, jobs, sweep
-    from scenes.terminal import progress_bar
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
                 numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),
@@ -214,14 +211,13 @@ def close_loop(
 
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.diagnosis.page import summary
     from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
-    from scenes.terminal import progress_bar
 
     loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual)
     folder = out or Path("out") / loaded.name
@@ -260,13 +256,12 @@ def prepare(
     """
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
-    from scenes.terminal import progress_bar
     from sim.arm.world import World
 
     loaded = chosen(load_scene(scene), individual=individual)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scenes.commands.options import (
+from scenes.commands.common import (
     DriveData,
     JsonFigures,
     JsonResults,
@@ -64,10 +64,10 @@ def identify(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import progress_bar
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
     with progress_bar("identify") as progress:
@@ -137,10 +137,10 @@ def diagnose(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
+    from scenes.commands.common import progress_bar
     from scenes.diagnosis.page import diagnosis_page, summary
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json, model_out=model_out)
     with progress_bar("diagnose") as progress:
@@ -213,10 +213,9 @@ def stiffness(
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.clamped.page import stiffness_page
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
 
     check_outputs({"--out": out}, json=json)
     with progress_bar("stiffness") as progress:
@@ -266,11 +265,10 @@ def precorrect(
 
     from ideal_robot.model.model import Model
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import show_table
+    from scenes.commands.common import progress_bar, show_table
     from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
     from scenes.report.page import write_json
-    from scenes.terminal import progress_bar
 
     folder = out or Path("out") / "precorrect"
     check_outputs({"--out": folder}, output=output, json=json)

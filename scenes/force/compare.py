@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from scenes.force.play import play
-from scenes.force.result import ForceResult
+from scenes.force.play import ForceResult, play
 from scenes.methods import DIRECT, IDEAL, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, silent
 from scenes.scene_files.force_scene import ForceScene

@@ -11,9 +11,8 @@ from scenes.force.cell import scene_curves
 from scenes.force.close_loop import close_loop
 from scenes.force.compare import ForceComparison, best_gains, compare_forces
 from scenes.force.page import force_replay, write_comparison, write_run
+from scenes.force.play import ForceResult, play
 from scenes.force.play import methods as force_methods
-from scenes.force.play import play
-from scenes.force.result import ForceResult
 from scenes.kind import SceneKind
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent

@@ -14,7 +14,7 @@ from ideal_robot.row_log import let_go
 from planning.force.contact import Phase
 from scenes.force.cell import scene_curves
 from scenes.force.compare import ForceComparison
-from scenes.force.result import ForceResult
+from scenes.force.play import ForceResult
 from scenes.outputs import whole_folder
 from scenes.report.page import Report
 from scenes.report.replay import Replay, replay_beside, sensed_force, write_replay

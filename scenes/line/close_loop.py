@@ -36,13 +36,12 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.closing.arm import at_speeds, tool_deviation
 from scenes.closing.loop import Form, Found, Group, Place, Subject, close
+from scenes.closing.measured import Measured, at_speeds, checked_measured, tool_deviation, visible
 from scenes.closing.result import SHARES, Closing, Played, Words
 from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.result import LineResult
-from scenes.measured import Measured, checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.models import model_for
 from scenes.online.line_task import assumed_latency
@@ -72,7 +71,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
 
     Args:
         scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.measured``).
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.measured``).
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
 

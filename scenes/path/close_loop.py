@@ -23,11 +23,9 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.closing.arm import tool, tool_deviation
-from scenes.closing.loop import ROUNDS, Forms, Found, Place, Subject, close
+from scenes.closing.loop import ROUNDS, Comparison, Forms, Found, Place, Subject, close
+from scenes.closing.measured import Measured, checked_measured, tool, tool_deviation, visible
 from scenes.closing.result import SHARES, Closing, Played, Words
-from scenes.closing.rule import Comparison
-from scenes.measured import Measured, checked_measured, visible
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
@@ -59,7 +57,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
 
     Args:
         scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.measured``).
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.measured``).
         ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.

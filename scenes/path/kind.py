@@ -11,9 +11,8 @@ from scenes.kind import SceneKind
 from scenes.methods import compared, method_of
 from scenes.path.cell import DELAY, path_methods, set_up
 from scenes.path.close_loop import close_loop
-from scenes.path.compare import PathComparison, compare_paths
+from scenes.path.compare import PathComparison, compare_paths, play_method
 from scenes.path.page import path_replay, write_comparison, write_run
-from scenes.path.play import play_method
 from scenes.path.result import PathResult
 from scenes.result import Progress, silent
 from scenes.scene_files.path_scene import PathScene

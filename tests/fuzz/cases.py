@@ -12,7 +12,7 @@ import typer
 
 from scenes.online.journal import META, ROWS
 from scenes.scene_file import library
-from tests.fuzz import mutate_table, mutate_text, originals, set_key
+from tests.fuzz import mutate, originals
 from tests.fuzz.play import Case
 
 ARM = ("arm.urdf", "arm.toml")
@@ -52,7 +52,7 @@ class Kind:
         """The call with sound files."""
         files = {file: originals.sound(file, folder) for file in self.files}
         if self.table:
-            files["r.csv"] = mutate_table.csv_bytes(originals.TABLES[self.table[0]](folder))
+            files["r.csv"] = mutate.csv_bytes(originals.TABLES[self.table[0]](folder))
         return Case(name, self.words.format("r.csv").split(), files, self.fails, self.interrupted)
 
     def drawn(self, name: str, rng: np.random.Generator, folder: Path) -> Case:
@@ -64,7 +64,7 @@ class Kind:
             return replace(case, name=f"{name} {file}",
                            files={**case.files, file: broken(file, case.files[file], rng)})
         as_csv = bool(rng.random() < 0.4)
-        raw, lost = mutate_table.mutated(originals.TABLES[self.table[0]](folder), self.table[1:], rng, csv=as_csv)
+        raw, lost = mutate.mutated_table(originals.TABLES[self.table[0]](folder), self.table[1:], rng, csv=as_csv)
         file = "r.csv" if as_csv else "r.parquet"
         return Case(f"{name} recording", self.words.format(file).split(),
                     {**{key: raw for key, raw in case.files.items() if key != "r.csv"}, file: raw},
@@ -75,11 +75,11 @@ def broken(file: str, raw: bytes, rng: np.random.Generator) -> bytes:
     """The file with its bytes or words changed; where it has keys, as often one of them set to something extreme."""
     kind = originals.KINDS.get(file)
     if kind is not None and rng.random() < 0.5:
-        return set_key.with_key(raw, kind, rng)
+        return mutate.with_key(raw, kind, rng)
     if file.endswith((".json", ".jsonl")) and rng.random() < 0.5:
-        return b"\n".join(set_key.with_value(line, rng) for line in raw.splitlines()) if file.endswith("l") else \
-            set_key.with_value(raw, rng)
-    return mutate_text.mutated(raw, rng)
+        return b"\n".join(mutate.with_value(line, rng) for line in raw.splitlines()) if file.endswith("l") else \
+            mutate.with_value(raw, rng)
+    return mutate.mutated_text(raw, rng)
 
 
 MOTION, PUSHES, PATH = ("motion", "t", "q_1", "q_2", "tau_1", "tau_2"), ("pushes", "t", "q_1", "q_2"), (
@@ -197,7 +197,7 @@ def _addresses(rng: np.random.Generator, folder: Path) -> Case:
 def _picture(rng: np.random.Generator, folder: Path) -> Case:
     """A picture with bytes of it changed, or one of an odd size."""
     ending = originals.PICTURES[rng.integers(len(originals.PICTURES))]
-    raw = mutate_text.mutated(originals.picture(ending), rng)
+    raw = mutate.mutated_text(originals.picture(ending), rng)
     if rng.random() < 0.2:
         sides = (1, 2, 7, 300, 4000, 30_000)
         ending, raw = ".png", originals.blank(*(sides[k] for k in rng.integers(len(sides), size=2)))
@@ -222,7 +222,7 @@ def _live(rng: np.random.Generator, folder: Path) -> Case:
     if rng.random() < 0.5:
         meta = broken("meta.json", meta, rng)
     else:
-        raw = mutate_text.flipped(raw, rng) if rng.random() < 0.5 else raw[: int(rng.integers(len(raw) + 1))]
+        raw = mutate.flipped(raw, rng) if rng.random() < 0.5 else raw[: int(rng.integers(len(raw) + 1))]
     if rng.random() < 0.3:
         scene = broken("ideal_line.toml", scene, rng)
     return Case("view live", ["view", "s.toml", "--live", "run"],
@@ -234,7 +234,7 @@ def _library(rng: np.random.Generator, folder: Path) -> Case:
     files = sorted(library().glob("*.toml"))
     text = files[rng.integers(len(files))].read_bytes()
     return Case("list of scenes", ["run", "absent", "--method", "magic"],
-                {"absent.toml": mutate_text.mutated(text, rng), "other.toml": mutate_text.mutated(text, rng)})
+                {"absent.toml": mutate.mutated_text(text, rng), "other.toml": mutate.mutated_text(text, rng)})
 
 
 Maker = Callable[[np.random.Generator, Path], Case]

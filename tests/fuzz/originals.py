@@ -28,7 +28,7 @@ from scenes.scene_file import load_scene
 from scenes.sweep import _described, jobs
 from scenes.view.viewer import replay_of_columns
 from sensing.camera.camera_model import CameraModel
-from tests.fuzz import mutate_table, mutate_text
+from tests.fuzz import mutate
 
 URDF = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -276,7 +276,7 @@ def broken_replay(folder: Path, rng: np.random.Generator) -> bytes:
     """
     raw = _replay(folder)
     if rng.random() < 0.5:
-        return mutate_text.mutated(raw, rng)
+        return mutate.mutated_text(raw, rng)
     with np.load(io.BytesIO(raw)) as file:
         arrays = dict(file)
     name = list(arrays)[rng.integers(len(arrays))]
@@ -293,7 +293,7 @@ def broken_replay(folder: Path, rng: np.random.Generator) -> bytes:
 @cache
 def _replay(folder: Path) -> bytes:
     with tempfile.TemporaryDirectory() as there:
-        (Path(there) / "r.csv").write_bytes(mutate_table.csv_bytes(motion(folder)))
+        (Path(there) / "r.csv").write_bytes(mutate.csv_bytes(motion(folder)))
         recording = Recording.read(Path(there) / "r.csv")
         replay = replace(replay_of_columns(arm(folder), recording), pictures=((0.0, picture(".png")),),
                          surface=np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]))
@@ -334,7 +334,7 @@ _FILES: dict[str, Callable[[Path], bytes]] = {
     "calibration.json": lambda _: calibration(), "emps.mat": lambda _: _mat(),
     "f.avi": lambda _: film(), "bag.mcap": lambda folder: bag(folder, mcap=True),
     "bag.db3": lambda folder: bag(folder, mcap=False),
-    **{f"{name}.csv": lambda folder, columns=columns: mutate_table.csv_bytes(columns(folder))
+    **{f"{name}.csv": lambda folder, columns=columns: mutate.csv_bytes(columns(folder))
        for name, columns in (*TABLES.items(), ("path", TABLES["joint_path"]))},
 }
 

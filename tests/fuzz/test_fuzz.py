@@ -21,7 +21,7 @@ from scenes.online.camera_process import calibrated_camera
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.shape import first_path
 from sensing.camera.camera_model import CameraModel
-from tests.fuzz import mutate_table, mutate_text, originals, set_key
+from tests.fuzz import mutate, originals
 from tests.fuzz.cases import drawn
 from tests.fuzz.play import play, warm_up
 
@@ -47,7 +47,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("seed", range(90))
 def test_a_broken_recording_is_read_and_checked_or_refused(seed: int, sound: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
-    raw, lost = mutate_table.mutated(originals.motion(sound), ("t", "q_1", "q_2", "tau_1"), rng, csv=seed % 2 == 0)
+    raw, lost = mutate.mutated_table(originals.motion(sound), ("t", "q_1", "q_2", "tau_1"), rng, csv=seed % 2 == 0)
     path = tmp_path / ("r.csv" if seed % 2 == 0 else "r.parquet")
     path.write_bytes(raw)
     found = unless_refused(lambda: checked([Recording.read(path)], originals.arm(sound)))
@@ -63,15 +63,15 @@ def test_a_broken_recording_is_read_and_checked_or_refused(seed: int, sound: Pat
 @pytest.mark.parametrize("seed", range(60))
 def test_a_broken_model_is_read_or_refused(seed: int, sound: Path, tmp_path: Path) -> None:
     path = tmp_path / "m.json"
-    path.write_bytes(mutate_text.mutated(originals.model(sound), np.random.default_rng(seed)))
+    path.write_bytes(mutate.mutated_text(originals.model(sound), np.random.default_rng(seed)))
     unless_refused(lambda: Model.load(path))
 
 
 @pytest.mark.parametrize("seed", range(60))
 def test_a_broken_robot_is_read_or_refused(seed: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     rng = np.random.default_rng(seed)
-    (tmp_path / "arm.urdf").write_bytes(mutate_text.mutated(originals.URDF, rng) if seed % 2 else originals.URDF)
-    (tmp_path / "arm.toml").write_bytes(originals.DATA if seed % 2 else mutate_text.mutated(originals.DATA, rng))
+    (tmp_path / "arm.urdf").write_bytes(mutate.mutated_text(originals.URDF, rng) if seed % 2 else originals.URDF)
+    (tmp_path / "arm.toml").write_bytes(originals.DATA if seed % 2 else mutate.mutated_text(originals.DATA, rng))
     unless_refused(lambda: Robot.load(tmp_path / "arm.urdf"))
     assert capfd.readouterr() == ("", "")
 
@@ -81,7 +81,7 @@ def test_a_broken_scene_is_read_or_refused(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     files = sorted(library().glob("*.toml"))
     path = tmp_path / "s.toml"
-    path.write_bytes(mutate_text.mutated(files[rng.integers(len(files))].read_bytes(), rng))
+    path.write_bytes(mutate.mutated_text(files[rng.integers(len(files))].read_bytes(), rng))
     unless_refused(lambda: load_scene(path))
 
 
@@ -90,21 +90,21 @@ def test_a_scene_with_an_extreme_key_is_read_or_refused(seed: int, tmp_path: Pat
     rng = np.random.default_rng(seed)
     kind = ("line", "path")[seed % 2]
     path = tmp_path / "s.toml"
-    path.write_bytes(set_key.with_key(originals.SCENES[kind], kind, rng))
+    path.write_bytes(mutate.with_key(originals.SCENES[kind], kind, rng))
     unless_refused(lambda: load_scene(path))
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seed", range(20))
 def test_a_broken_svg_file_is_read_or_refused(seed: int, tmp_path: Path) -> None:
-    (tmp_path / "a.svg").write_bytes(mutate_text.mutated(originals.SVG, np.random.default_rng(seed)))
+    (tmp_path / "a.svg").write_bytes(mutate.mutated_text(originals.SVG, np.random.default_rng(seed)))
     unless_refused(lambda: first_path("a.svg", tmp_path))
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_a_broken_calibration_of_a_camera_is_read_or_refused(seed: int, tmp_path: Path) -> None:
     path = tmp_path / "c.json"
-    path.write_bytes(mutate_text.mutated(originals.calibration(), np.random.default_rng(seed)))
+    path.write_bytes(mutate.mutated_text(originals.calibration(), np.random.default_rng(seed)))
     unless_refused(lambda: calibrated_camera(CameraModel.default(320, 240), path))
 
 
@@ -120,5 +120,5 @@ def test_a_table_whose_stamps_are_no_numbers_can_be_mutated_further() -> None:
     """It ended a long run of the fuzzing after some thousand cases."""
     for seed in range(50):
         for last in (np.inf, np.nan, 1e308):
-            changed = mutate_table._times({"t": np.array([0.0, 1.0, 2.0, 3.0, last])}, np.random.default_rng(seed))
+            changed = mutate._times({"t": np.array([0.0, 1.0, 2.0, 3.0, last])}, np.random.default_rng(seed))
             assert len(changed["t"]) >= 4

@@ -25,10 +25,9 @@ from ideal_robot.signals.recording import Recording
 from scenes.cli import VERBS, _register, app, function_of
 from scenes.closing import result as closing
 from scenes.commands import recordings
-from scenes.commands.common import show_table
+from scenes.commands.common import progress_bar, show_table
 from scenes.path import kind
 from scenes.scene_file import load_scene
-from scenes.terminal import progress_bar
 from tests.ideal_robot.test_door import ROBOT, frame
 
 SHORT = """
@@ -122,7 +121,7 @@ def test_help_has_an_example(program, verb: str) -> None:
 
 @pytest.mark.parametrize("verb", ["rsi", "precorrect"])
 def test_the_help_lists_the_methods_of_the_registry(program, verb: str) -> None:
-    from scenes.commands.options import completed, methods_of
+    from scenes.commands.common import completed, methods_of
 
     told = " ".join(program(verb, "--help").out.replace("│", " ").split())
     assert ", ".join(methods_of(verb)) in told

@@ -21,7 +21,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import OutputError, whole_file, whole_files, write_text
 from scenes.outputs import check_outputs, folders_held, whole_folder
-from tests.fuzz import mutate_table, originals
+from tests.fuzz import mutate, originals
 
 WRITER = """
 import sys
@@ -302,7 +302,7 @@ def test_figures_that_find_no_room_leave_the_previous_folder(verb: str, program,
 def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_line(
         verb: str, program, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     originals.arm(tmp_path)
-    (tmp_path / "r.csv").write_bytes(mutate_table.csv_bytes(originals.motion(tmp_path)))
+    (tmp_path / "r.csv").write_bytes(mutate.csv_bytes(originals.motion(tmp_path)))
     (tmp_path / "s.toml").write_bytes(originals.LINE)
     (tmp_path / "o").mkdir()
     (tmp_path / "o" / "report.html").write_text("previous")

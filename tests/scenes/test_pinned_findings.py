@@ -43,7 +43,7 @@ from scenes.sweep import SweepFile
 from scenes.undeclared import undeclared_effects
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
-from tests.fuzz import mutate_table, originals
+from tests.fuzz import mutate, originals
 
 LONG = "x" * 300
 
@@ -194,7 +194,7 @@ def test_of_an_only_joint_no_cause_with_a_partner_is_asked(program, tmp_path: Pa
                                                            monkeypatch: pytest.MonkeyPatch) -> None:
     t = 0.01 * np.arange(300)
     columns = {name: np.sin(3.0 * t) + 0.2 * np.sin(17.0 * t) for name in ("q_1", "q_c_1", "tau_1")}
-    (tmp_path / "r.csv").write_bytes(mutate_table.csv_bytes({"t": t, **columns}))
+    (tmp_path / "r.csv").write_bytes(mutate.csv_bytes({"t": t, **columns}))
     links, _, rest = originals.URDF.partition(b'<link name="lower"')
     joint = rest[rest.index(b'<joint name="first"') : rest.index(b'<joint name="second"')]
     (tmp_path / "arm.urdf").write_bytes(links + joint + b"</robot>")

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from ideal_robot.errors import InputError
 from scenes import load_scene
-from scenes.commands.common import show_table
+from scenes.commands.common import progress_bar, show_table
 from scenes.scene_files.shape import FUNCTIONS, Shape, evaluated
-from scenes.terminal import progress_bar
 
 SCENE = """
 kind = "line"

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes import cluster, workers
+from scenes import workers
 from scenes.commands.common import numbers, whole_numbers
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
@@ -171,8 +171,8 @@ def test_what_was_not_played_is_not_believed_by_the_next_sweep(function: Any, tm
 
 def test_a_cluster_without_workers_is_not_waited_for_for_ever(monkeypatch, tmp_path: Path) -> None:
     distributed = pytest.importorskip("dask.distributed")
-    monkeypatch.setattr(cluster, "PATIENCE", 1.0)
-    monkeypatch.setattr(cluster, "_ANSWERS", 0.2)
+    monkeypatch.setattr(workers, "PATIENCE", 1.0)
+    monkeypatch.setattr(workers, "_ANSWERS", 0.2)
     lines = tmp_path / "lines.jsonl"
     with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as nobody:
         rows = sweep(WORK, dask=nobody.scheduler_address, function=answer, file=SweepFile(lines, resume=True))
@@ -215,9 +215,9 @@ def test_dask_goes_on_when_a_worker_is_killed(tmp_path: Path) -> None:
     folders = [tmp_path / str(i) for i in range(4)]
     for folder in folders:
         folder.mkdir()
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as workers:
         work = [Job("line", folder, None, None) for folder in folders]
-        rows = sweep(work, dask=cluster.scheduler_address, function=_killed_once_job)
+        rows = sweep(work, dask=workers.scheduler_address, function=_killed_once_job)
     assert [row["failure"] for row in rows] == [None] * 4
 
 

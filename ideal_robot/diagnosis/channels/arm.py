@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
-from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames, Signals
 from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.signals.preprocess import resampled

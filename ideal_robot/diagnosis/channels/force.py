@@ -15,8 +15,8 @@ from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
 from ideal_robot.effects import SENSOR
+from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.effects.force import ASSUMED_GIVE, CONTACT_FORCE, MOMENTS
-from ideal_robot.effects.learned import spline_basis
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.preprocess import FilteredSignals, lowpass, resampled
 from ideal_robot.signals.recording import Recording

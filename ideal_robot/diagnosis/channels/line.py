@@ -20,7 +20,7 @@ from ideal_robot.diagnosis.channels.blocks import Blocks
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.effects import SENSOR, Signals, library
 from ideal_robot.effects.camera import CameraEffect, PointError, StampError, from_axis
-from ideal_robot.effects.learned import spline_basis
+from ideal_robot.effects.fitted import spline_basis
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 

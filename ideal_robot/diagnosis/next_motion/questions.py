@@ -15,8 +15,7 @@ from ideal_robot.diagnosis.next_motion.separation import Cause, Pair
 from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, Scored, overlap
 from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.scoring import Scoring
-from ideal_robot.diagnosis.statistics.estimate import Candidate
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.result import Diagnosis
 from ideal_robot.effects import MOTOR_TORQUE, Domain, Effect, library
 from ideal_robot.effects.base import prefix_of

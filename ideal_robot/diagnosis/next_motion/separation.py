@@ -22,7 +22,7 @@ from scipy import linalg
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Candidate
 
 SIGMAS = 4.0
 """Separation from which two causes count as told apart: the fits differ by twice what their difference scatters."""

@@ -8,9 +8,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.dependence import Dependence
-from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit, HeldOutTest, weights_of_channels
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
 
 @dataclass(frozen=True)

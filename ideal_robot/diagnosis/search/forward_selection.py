@@ -28,9 +28,8 @@ from ideal_robot.diagnosis.search.choice import (
 )
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves, OneSidedPull
 from ideal_robot.diagnosis.search.scoring import Scoring
-from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import Effect, Signals
 
 # The pool of a search: every effect at every joint where it may sit, with values of theta to start from.

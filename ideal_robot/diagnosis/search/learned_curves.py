@@ -10,10 +10,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Scored
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
-from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import TCP_POSITION, Effect, Signals
-from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.fitted import Unknown
 
 _AS_GOOD = 0.95
 """Share of a curve's reduction with which a wave of a few periods, three numbers for a curve's twelve, is taken."""

@@ -12,11 +12,10 @@ from scipy import optimize
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, Scored
 from ideal_robot.diagnosis.statistics.dependence import FINE, Dependence
-from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import ARM_POSITION
-from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.fitted import Unknown
 
 _ITERATIONS = 4
 """Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""

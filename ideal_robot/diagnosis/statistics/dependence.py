@@ -18,7 +18,7 @@ from ideal_robot.diagnosis.channels.motor_torque import direction_of
 from ideal_robot.diagnosis.statistics.least_squares import Design, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Problem
 from ideal_robot.effects import MOTOR_TORQUE, Domain, Signals
-from ideal_robot.effects.learned import Unknown, signal_of, spline_basis
+from ideal_robot.effects.fitted import Unknown, signal_of, spline_basis
 from ideal_robot.friction import FrictionModel
 from ideal_robot.model.model import Model
 

@@ -10,8 +10,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_left, usual_noise
 from ideal_robot.diagnosis.search.choice import Choice
-from ideal_robot.diagnosis.statistics.estimate import Candidate, Estimate, fitted_effect
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, fitted_effect
 from ideal_robot.diagnosis.validation.evidence import (
     at_standstill,
     discriminating_motion,

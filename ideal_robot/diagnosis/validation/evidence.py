@@ -10,8 +10,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.dependence import Dependence, DependenceTest, terms
-from ideal_robot.diagnosis.statistics.estimate import Candidate, Estimate
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem
 from ideal_robot.diagnosis.validation.result import Structure
 from ideal_robot.effects import EffectParameter, FittedEffect, Signals, library
 

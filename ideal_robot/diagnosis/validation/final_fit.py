@@ -12,8 +12,7 @@ from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import about_model
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.estimate import Candidate, Estimate, with_parameters
-from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
+from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.drive import TorqueFilter

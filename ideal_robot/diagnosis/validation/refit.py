@@ -18,8 +18,7 @@ from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.channels.regression import Regression
-from ideal_robot.diagnosis.statistics.estimate import Candidate, fitted_effect
-from ideal_robot.diagnosis.statistics.problem import Problem, torque_left_open
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, fitted_effect, torque_left_open
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.final_fit import held_problem
 from ideal_robot.diagnosis.validation.result import ChannelResult, MovedParameter, RefitExplains

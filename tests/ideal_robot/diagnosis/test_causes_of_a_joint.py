@@ -17,9 +17,8 @@ from ideal_robot.diagnosis.channels.regression import apart_from_reversals
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Only, Search
 from ideal_robot.diagnosis.search.learned_curves import OneSidedPull
-from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import Fit
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, Signals, library
 from ideal_robot.effects.registry import find

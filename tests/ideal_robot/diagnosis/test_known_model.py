@@ -14,8 +14,7 @@ from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
 from ideal_robot.diagnosis.search.forward_selection import Search
-from ideal_robot.diagnosis.statistics.estimate import Candidate
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.evidence import with_misfit
 from ideal_robot.diagnosis.validation.final_fit import beside_held_model

@@ -13,7 +13,7 @@ from ideal_robot.diagnosis.next_motion.motion import require_within_limits
 from ideal_robot.diagnosis.next_motion.plan import planned_pair
 from ideal_robot.diagnosis.next_motion.questions import Asked, Named
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair, Separation, products_of, separation_of
-from ideal_robot.diagnosis.statistics.estimate import Candidate
+from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import MOTOR_TORQUE, Effect
 from ideal_robot.effects.registry import find
 from ideal_robot.errors import InputError

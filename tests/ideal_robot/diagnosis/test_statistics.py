@@ -12,9 +12,8 @@ from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, time_bl
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import adds_little
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
-from ideal_robot.diagnosis.statistics.estimate import Candidate
 from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Design, Fit
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import library
 from ideal_robot.model.model import Model
 from tests.ideal_robot.diagnosis.test_diagnose import arm, rippled

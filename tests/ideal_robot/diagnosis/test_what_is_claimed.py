@@ -16,8 +16,7 @@ from ideal_robot.diagnosis.channels.arm import arm_angle_regression, frames_alon
 from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import in_position_band, torque_regression
 from ideal_robot.diagnosis.search.choice import Choice
-from ideal_robot.diagnosis.statistics.estimate import Candidate, with_parameters, with_possible_inertias
-from ideal_robot.diagnosis.statistics.problem import Problem
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, with_parameters, with_possible_inertias
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.evidence import at_standstill, sides, with_limits
 from ideal_robot.diagnosis.validation.refit import _moved

@@ -20,7 +20,7 @@ from ideal_robot.effects import (
     register,
     unregister,
 )
-from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.fitted import Unknown
 from ideal_robot.effects.registry import EFFECTS
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording

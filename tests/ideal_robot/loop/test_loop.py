@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ideal_robot.dynamics.newton_euler import chain_of, inverse_dynamics, joint_frames, mass_matrix
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import FittedEffect
-from ideal_robot.effects.learned import Unknown
+from ideal_robot.effects.fitted import Unknown
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.loop.from_model import further_torque, with_effects, with_rotors
 from ideal_robot.loop.loop_model import between, bristles, low_pass_taps

@@ -59,7 +59,7 @@ def test_the_followers_process_knows_no_simulator() -> None:
 def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None:
     program = ("import sys, scenes.commands.devices; from scenes.online.run import _job; "
                "from scenes.online.devices import Devices; from scenes.online.run import load_cell; "
-               "from scenes.commands.common import closed; from scenes.terminal import progress_bar; "
+               "from scenes.commands.common import closed; from scenes.commands.common import progress_bar; "
                "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"
                "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.stats', 'scipy.signal', 'cv2', 'filterpy');"
                "found = [m for m in large if m in sys.modules];"

@@ -16,11 +16,10 @@ from scenes import load_scene
 from scenes.force.cell import set_up
 from scenes.force.kind import run
 from scenes.force.page import forces_figure
-from scenes.force.play import friction_shown, play
-from scenes.force.result import ForceResult
-from scenes.force.stability import StabilityMap, StabilityPoint, stability_map, stability_page
+from scenes.force.play import ForceResult, friction_shown, play
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
+from studies.stability import StabilityRun, bounds, curve
 
 
 @pytest.fixture(scope="module")
@@ -196,24 +195,19 @@ def test_direct_feedback_has_no_reference_to_go_along() -> None:
         run(load_scene("contour"), method="direct_feedback")
 
 
-# The stability map: its bounds, and that estimating on the way widens them.
+# How wrong distance and elasticity may be assumed, and that estimating on the way widens the range.
 
 def test_bounds_are_the_stable_range_around_one() -> None:
     good = {0.25: True, 0.5: False, 0.8: True, 1.0: True, 1.5: True, 2.0: False, 4.0: True}
-    points = (StabilityPoint("elasticity", True, ratio, 1.0, stable, "") for ratio, stable in good.items())
-    found = StabilityMap(tuple(points))
-    assert found.bounds("elasticity", True) == (0.8, 1.5)
+    assert bounds([StabilityRun(ratio, 1.0, stable) for ratio, stable in good.items()]) == (0.8, 1.5)
 
 
 @pytest.mark.slow
 def test_estimating_on_the_way_widens_the_range() -> None:
     """[L] 2.3: totally wrong values touch stability; half and twice E are bearable when it is estimated."""
-    found = stability_map(elasticity=(0.5, 1.0, 2.0), distance=(0.8, 1.0, 1.25))
-    assert found.bounds("elasticity", True) == (0.5, 2.0)
-    assert found.bounds("distance", True) == (0.8, 1.25)
-    narrow = found.bounds("elasticity", False)
-    assert narrow[0] > 0.5
-    assert "times the true one" in stability_page(found).summary
+    assert bounds(curve("elasticity", True, (0.5, 1.0, 2.0))) == (0.5, 2.0)
+    assert bounds(curve("distance", True, (0.8, 1.0, 1.25))) == (0.8, 1.25)
+    assert bounds(curve("elasticity", False, (0.5, 1.0, 2.0)))[0] > 0.5
 
 
 # The page of a comparison shows each method's force where no other one covers it.

@@ -1,12 +1,18 @@
-"""The whole circle: run, diagnose, extend, run again."""
+"""The whole circle: run, diagnose, extend, run again; on a path, and from the clamped flange to the path."""
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 
+from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from scenes import load_scene
-from scenes.path.close_loop import close_loop
+from scenes.close_clamped import CloseClampedScene, stiffness_of
+from scenes.close_clamped import close_loop as close_clamped
+from scenes.path.close_loop import close_loop, doubt_of_load
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
 
@@ -110,3 +116,61 @@ def test_motion_that_the_diagnosis_asks_for_is_played_and_tells() -> None:
     assert any(pair["told_apart"] for pair in plan["pairs"])
     before, after = (e.aligned.E_car for e in (result.errors[name] for name in ("before", "after")))
     assert after <= max(1.05 * before, before + 3e-6)
+
+
+def test_load_is_as_doubtful_as_its_mass() -> None:
+    """Two standard deviations; moments have other units and their own, far larger shares."""
+    load = FittedEffect("payload", 0, "tau", (4.0, *(0.1,) * 9), (0.5, *(1.0,) * 9))
+    assert doubt_of_load(load) == pytest.approx(2.0 * 0.5 / 4.0)
+
+
+def test_slope_of_the_ground_is_as_doubtful_as_both_its_parts() -> None:
+    tilt = FittedEffect("base_tilt", 0, "tau", (0.03, 0.04), (0.003, 0.004))
+    assert doubt_of_load(tilt) == pytest.approx(0.2)
+
+
+def test_size_without_deviation_adds_no_doubt() -> None:
+    assert doubt_of_load(FittedEffect("base_tilt", 0, "tau", (0.03, 0.04))) == 0.0
+
+
+def said(joint: int, stiffness: float, width: float) -> SimpleNamespace:
+    return SimpleNamespace(joint=joint, stiffness=stiffness, interval=(stiffness - width, stiffness + width))
+
+
+def test_of_two_methods_the_surer_one_is_taken():
+    analysis = SimpleNamespace(joints=(said(1, 90.0, 9.0), said(1, 100.0, 1.0), said(2, 50.0, 5.0)))
+    np.testing.assert_array_equal(stiffness_of(analysis, 2), [100.0, 50.0])
+
+
+def test_joint_that_no_recording_loads_is_named():
+    analysis = SimpleNamespace(joints=(said(1, 90.0, 9.0), said(3, 50.0, 5.0)))
+    with pytest.raises(InputError, match="loads these joints") as caught:
+        stiffness_of(analysis, 3)
+    assert caught.value.value == [2]
+
+
+def test_clamped_arm_has_no_arm_angles_to_measure():
+    with pytest.raises(InputError, match="motor"):
+        close_clamped(load_scene("close_clamped"), measured="arm")
+
+
+@pytest.mark.slow
+def test_path_is_nearly_as_good_as_with_a_tracker():
+    scene = load_scene("close_clamped")
+    assert isinstance(scene, CloseClampedScene)
+    result = close_clamped(scene)
+    aligned = result.json()["E_car_aligned_mm"]
+    assert aligned["after"] <= 1.3 * aligned["tracker"]
+    assert aligned["after"] <= 1.1 * aligned["oracle"]
+    assert aligned["after"] < 0.1 * aligned["before"]
+    # An error of the data sheet's drive gains goes into it in full, and the interval says so.
+    low, high = np.array([one.interval for one in sorted(result.analysis.joints, key=lambda one: one.joint)]).T
+    assert np.all((low < result.stiffness["oracle"]) & (result.stiffness["oracle"] < high))
+
+
+@pytest.mark.slow
+def test_wrench_at_the_clamp_tells_the_stiffness_without_the_drives() -> None:
+    scene = load_scene("close_clamped")
+    assert isinstance(scene, CloseClampedScene)
+    result = close_clamped(scene, measured="tcp")
+    np.testing.assert_allclose(result.stiffness["after"], result.stiffness["oracle"], rtol=0.03)

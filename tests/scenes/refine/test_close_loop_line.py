@@ -1,4 +1,4 @@
-"""A line followed with wrong time stamps: found from the run alone, and told to the follower."""
+"""Closings on sensors: wrong time stamps of a camera, a force sensor that has drifted, a contact taken for stiffer."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
+from scenes.force.close_loop import close_loop as close_force_loop
+from scenes.force.close_loop import undeclared_effects as undeclared_on_force
 from scenes.line.close_loop import close_loop, undeclared_effects
 from scenes.online.line_task import assumed_latency
+from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.closings import drawn_error, drawn_line
 
@@ -111,3 +114,21 @@ def test_random_lines_are_wrong_by_what_they_are_drawn_with() -> None:
         assert 1 <= len(names) <= 2
         assert all(getattr(getattr(wrong, table), key) == size for table, own in misfit.items()
                    for key, size in own.items())
+
+
+def test_right_sensor_is_refused_and_a_wrong_one_named() -> None:
+    right, wrong = load_scene("force_wave"), load_scene("close_force")
+    assert isinstance(right, ForceScene)
+    assert isinstance(wrong, ForceScene)
+    assert undeclared_on_force(wrong) == ("force_bias", "force_compliance")
+    with pytest.raises(InputError, match="nothing is there"):
+        close_force_loop(right)
+
+
+@pytest.mark.slow
+def test_after_is_close_to_the_truth() -> None:
+    scene = load_scene("close_force")
+    assert isinstance(scene, ForceScene)
+    result = close_force_loop(scene)
+    assert result.errors["after"].rms < 0.8 * result.errors["before"].rms
+    assert result.errors["after"].rms <= 1.25 * result.errors["true"].rms

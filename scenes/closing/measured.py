@@ -1,14 +1,16 @@
-"""What closings of an arm share: a motion at several speeds, and where the tool is as far as it is measured."""
+"""What closings of an arm share: what the arm measures, a motion at several speeds, and where the tool is by that."""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Literal, cast
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects import FittedEffect
 from ideal_robot.elasticity.observer import GearDeflection
+from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
@@ -68,3 +70,32 @@ def _deflections(model: Model, t: Array, q_d: Array, at: Array) -> Array:
     gears = GearDeflection(model, float(t[1] - t[0]))
     at_cycles = gears.along(np.concatenate([q_d[:1], q_d, q_d[-1:]]))[1:-1]
     return np.column_stack([np.interp(at, t, column) for column in at_cycles.T])
+
+
+Measured = Literal["motor", "arm", "tcp"]
+"""Motor angles and currents only; arm angles too; the tool's place too."""
+_PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_HIDDEN = {"motor": _PLACE, "arm": _PLACE, "tcp": ()}
+
+
+def visible(recording: Recording, measured: Measured) -> Recording:
+    """The recording with what such an arm measures.
+
+    Args:
+        recording: with everything.
+        measured: what is measured.
+    """
+    kept = {name: values for name, values in recording.columns.items()
+            if name not in _HIDDEN[measured] and not (measured == "motor" and name.startswith("qa_"))}
+    return Recording(kept, recording.meta, recording.source)
+
+
+def checked_measured(value: str) -> Measured:
+    """What the arm measures, as given on the command line.
+
+    Raises:
+        InputError: another word than motor, arm and tcp.
+    """
+    if value not in _HIDDEN:
+        raise InputError("expected motor, arm or tcp", field="--measured", value=value)
+    return cast(Measured, value)

@@ -25,17 +25,26 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.clamped.play import configurations, record
-from scenes.close_clamped.scene import CloseClampedScene
 from scenes.closing.loop import Form, Found, Group, Subject, close
 from scenes.closing.result import SHARES, Closing
+from scenes.kind import SceneKind
 from scenes.methods import IDEAL
 from scenes.path.cell import PathCell, set_up, training_path
 from scenes.path.close_loop import WORDS, played
+from scenes.path.kind import PATH
 from scenes.path.result import Play
 from scenes.report.page import Report
 from scenes.result import Progress, silent
-from scenes.scene_files.clamped_scene import ClampedScene
+from scenes.scene_files.clamped_scene import ClampedScene, ClampTable
+from scenes.scene_files.path_scene import PathScene
 from sim.contact.clamp_world import ClampWorld
+
+
+class CloseClampedScene(PathScene):
+    """A tool path of an arm whose gears are known from recordings with the flange clamped alone."""
+
+    clamp: ClampTable = ClampTable(most=3)
+
 
 SOURCES = {"before": "none", "after": "clamped flange", "tracker": "arm angles of a tracker", "oracle": "true"}
 """Where each play's stiffness is from."""
@@ -161,3 +170,6 @@ def stiffness_of(analysis: StiffnessAnalysis, n: int) -> Array:
 def _without_wrench(recording: Recording) -> Recording:
     columns = {name: values for name, values in recording.columns.items() if name not in (*WRENCH, "t_wrench")}
     return dataclasses.replace(recording, columns=columns)
+
+
+CLOSE_CLAMPED = SceneKind(CloseClampedScene, PATH.methods, PATH.run, PATH.compare, None, close_loop, PATH.replay)
