@@ -26,12 +26,14 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 GROUPS = {
     "speed and memory": {
         "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "growth",
+        "fusion-cost": "fusion",
     },
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "knew": "arms",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "world", "heating": "world", "camera": "camera", "calibration": "camera", "detectors": "camera",
+        "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "stability",
         "measured": "measured", "measured-adapted": "measured",
     },

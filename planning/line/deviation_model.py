@@ -33,9 +33,22 @@ class DeviationModel(ABC):
     def prior(self) -> tuple[Array, Array]:
         """State ``(size,)`` and covariance ``(size, size)`` before anything was measured."""
 
+    @property
+    def begin(self) -> float:
+        """Arc length from which on the state holds places [m]."""
+        return -np.inf
+
     @abstractmethod
-    def basis(self, s: Array) -> Array:
-        """Deviation per state at arc lengths ``s (m,)``: shape ``(m, directions, size)``."""
+    def basis(self, s: Array, begin: float | None = None) -> Array:
+        """Deviation per state.
+
+        Args:
+            s: arc lengths ``(m,)`` [m].
+            begin: of a state that was kept [m]; the present one's if None.
+
+        Returns:
+            ``(m, directions, size)``.
+        """
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """Transition ``(F, Q)`` of the state when the arm has come to arc length ``s``; None if there is none (yet)."""
@@ -69,7 +82,7 @@ class ConstantDeviation(DeviationModel):
         """Zero, with the expected variance."""
         return np.zeros(self.size), self.sigma**2 * np.eye(self.size)
 
-    def basis(self, s: Array) -> Array:
+    def basis(self, s: Array, begin: float | None = None) -> Array:
         """The identity everywhere."""
         return np.broadcast_to(np.eye(self.directions), (len(s), self.directions, self.size)).copy()
 
@@ -174,7 +187,12 @@ class PathDeviation(DeviationModel):
         """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
         return np.zeros(self.size), self._prior.copy()
 
-    def basis(self, s: Array) -> Array:
+    @property
+    def begin(self) -> float:
+        """Arc length from which on the window holds places [m]."""
+        return self._start
+
+    def basis(self, s: Array, begin: float | None = None) -> Array:
         """Rigid part and B-splines; outside the window the splines stay at its edge."""
         s = np.asarray(s, dtype=float)
         frames = self.reference.frames(s)
@@ -187,7 +205,7 @@ class PathDeviation(DeviationModel):
                 self._axes,
                 self._rigid,
                 s,
-                self._start,
+                self._start if begin is None else begin,
                 self._knot,
                 self._count,
             )
@@ -210,46 +228,3 @@ def matern(distance: Array, length: float) -> Array:
     """Correlation of the Matérn process with ν = 7/2 at a distance."""
     r = np.sqrt(7.0) * distance / length
     return np.asarray((1.0 + r + 0.4 * r**2 + r**3 / 15.0) * np.exp(-r))
-
-
-# The two steps of a Kalman filter.
-#
-# Own ones: the library at hand loads statistics and plots with it, 60 MB that a process that leads an arm need not
-# hold.
-
-class KalmanFilter:
-    """State and covariance; the law test holds them against ``filterpy``, bit for bit.
-
-    Args:
-        x: state ``(k,)``.
-        P: its covariance ``(k, k)``.
-    """
-
-    def __init__(self, x: Array, P: Array) -> None:
-        self.x, self.P = x, P
-        self._unit = np.eye(len(x))
-
-    def predict(self, F: Array, Q: Array) -> None:
-        """One step, x ← F x, P ← F P Fᵀ + Q.
-
-        Args:
-            F: ``(k, k)``.
-            Q: ``(k, k)``.
-        """
-        self.x = np.dot(F, self.x)
-        self.P = np.dot(np.dot(F, self.P), F.T) + Q
-
-    def update(self, z: Array, R: Array, H: Array) -> None:
-        """Takes in a measurement; the covariance in the form of Joseph, which stays positive.
-
-        Args:
-            z: values ``(m,)``.
-            R: their covariance ``(m, m)``.
-            H: how they follow from the state ``(m, k)``.
-        """
-        innovation = z - np.dot(H, self.x)
-        PHT = np.dot(self.P, H.T)
-        K = np.dot(PHT, np.linalg.inv(np.dot(H, PHT) + R))
-        self.x = self.x + np.dot(K, innovation)
-        left = self._unit - np.dot(K, H)
-        self.P = np.dot(np.dot(left, self.P), left.T) + np.dot(np.dot(K, R), K.T)

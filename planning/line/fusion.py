@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.special import chdtri  # scipy.stats, which has the quantiles too, is large
+from filterpy.kalman import KalmanFilter
+from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
-from planning.line.deviation_model import DeviationModel, KalmanFilter
+from planning.line.deviation_model import DeviationModel
 
 DOUBT = 1e-2
 """Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""
@@ -22,6 +24,10 @@ LEAD = 6.0
 """Difference of the logarithms of likelihood at which one hypothesis is dropped for the other."""
 WEIGHED = 15
 """Measurements after which two hypotheses that are still equally likely are one."""
+
+
+LOOKED_BACK = 200
+"""Travel steps that are kept for the smoother: 5 m of a line."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,16 @@ class _Memory:
     measurement: Measurement = field(repr=False)
 
 
+class _Passed(NamedTuple):
+    """The state before a travel step, from which arc length on it held places [m], and the step."""
+
+    begin: float
+    x: Array
+    P: Array
+    F: Array
+    Q: Array
+
+
 class DeviationFilter:
     r"""Kalman filter over a deviation model.
 
@@ -144,21 +160,25 @@ class DeviationFilter:
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
         self._shaken: list[_Track] = []
         self._memory: list[_Memory] = []
+        self._passed: deque[_Passed] = deque(maxlen=LOOKED_BACK)
         self.t = -np.inf
         """Instant up to which the state has drifted [s]."""
 
     def _fresh(self) -> _Track:
         x, P = self.model.prior()
-        kf = KalmanFilter(np.concatenate([x, np.zeros(len(self._bias_variances))]), np.zeros((self._size, self._size)))
+        kf = _filter(np.concatenate([x, np.zeros(len(self._bias_variances))]), np.zeros((self._size, self._size)))
         kf.P[: len(x), : len(x)] = P
         kf.P[len(x) :, len(x) :] = np.diag(self._bias_variances)
         return _Track(kf)
 
     def travel(self, s: float) -> None:
         """Moves the state along with the arm, which is at arc length ``s`` [m]."""
+        begin = self.model.begin
         while (step := self.model.travel(s)) is not None:
             F, Q = np.eye(self._size), np.zeros((self._size, self._size))
             F[: self.model.size, : self.model.size], Q[: self.model.size, : self.model.size] = step
+            self._passed.append(_Passed(begin, self._track.kf.x, self._track.kf.P, F, Q))
+            begin = self.model.begin
             for track in (self._track, self._rival, *self._shaken):
                 if track is not None:
                     track.kf.predict(F=F, Q=Q)
@@ -202,6 +222,29 @@ class DeviationFilter:
         mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size), t)
         return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2])
 
+    def looked_back(self, s: Array) -> tuple[Array, Array]:
+        """The deviation as all measurements show it, those of other places as well: smoothed (Rauch, Tung, Striebel).
+
+        Args:
+            s: arc lengths ``(m,)`` [m]; of the last ``LOOKED_BACK`` steps, and since the map was last replaced.
+
+        Returns:
+            ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
+        """
+        kf, kept = self._track.kf, list(self._passed)
+        begins = np.array([one.begin for one in kept] + [self.model.begin])
+        xs, Ps, *_ = kf.rts_smoother(
+            np.array([one.x for one in kept] + [kf.x]), np.array([one.P for one in kept] + [kf.P]),
+            [kf.F] + [one.F for one in kept], [kf.Q] + [one.Q for one in kept])  # of a step at its end
+        mean, variance = np.full((2, len(s), self.model.directions), np.nan)
+        which = np.searchsorted(begins, s, side="right") - 1
+        for k in np.unique(which[which >= 0]):
+            H = self.model.basis(s[which == k], float(begins[k]))
+            mean[which == k] = H @ xs[k][: self.model.size]
+            P = Ps[k][: self.model.size, : self.model.size]
+            variance[which == k] = np.einsum("mdi,ij,mdj->md", H, P, H)
+        return mean, variance
+
     @property
     def state(self) -> Array:
         """State of the deviation model ``(size,)``."""
@@ -241,7 +284,7 @@ class DeviationFilter:
         moved = self._weighed(measurement, H, seen)
         fused = self._try(self._track, measurement, H, seen)
         if moved:
-            self._track, self._rival, self._shaken = moved, None, []
+            self._replace(moved)
             count = len(measurement.value)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "sensor moved")
         if fused.dof or not self._confirm:
@@ -252,10 +295,15 @@ class DeviationFilter:
         if not self._try(self._rival, measurement, H, _innovation(self._rival, measurement, H)).dof:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
-            self._track, self._rival, self._shaken = self._rival, None, []
+            self._replace(self._rival)
             count = len(measurement.value)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
         return fused
+
+    def _replace(self, by: _Track) -> None:
+        """Another hypothesis takes over; what was passed is not its past."""
+        self._track, self._rival, self._shaken = by, None, []
+        self._passed.clear()
 
     def _weighed(self, measurement: Measurement, H: Array, seen: _Innovation) -> _Track | None:
         """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.
@@ -286,7 +334,7 @@ class DeviationFilter:
 
     def _begun_anew(self, sensor: str, sigmas: tuple[float, ...]) -> _Track:
         """The map as it is, with errors of the sensor that have nothing to do with those before."""
-        at, kf = self._bias_at[sensor], KalmanFilter(self._track.kf.x.copy(), self._track.kf.P.copy())
+        at, kf = self._bias_at[sensor], _filter(self._track.kf.x.copy(), self._track.kf.P.copy())
         kf.P[at, :] = kf.P[:, at] = 0.0
         kf.P[at, at] = np.diag(np.square(sigmas))
         return _Track(kf)
@@ -319,6 +367,12 @@ class DeviationFilter:
         kf.update(measurement.value[used], R=R, H=H)
         track.agreed += 1
         return Fused(used, innovation, nis, dof, reason)
+
+
+def _filter(x: Array, P: Array) -> KalmanFilter:
+    kf = KalmanFilter(dim_x=len(x), dim_z=1)
+    kf.x, kf.P = x, P
+    return kf
 
 
 class _Innovation(NamedTuple):

@@ -240,10 +240,12 @@ def _along(result: LineResult) -> Figure:
     every = step(len(result.s_reference))
     above.plot(1e3 * result.s_reference[::every], 1e3 * result.believed[::every], color=ACCENT, lw=1.3,
                label="desired path x_d")
+    above.plot(1e3 * result.s_reference[::every], 1e3 * result.looked_back[::every], color=GREEN, lw=1.0, ls=":",
+               label="line as all fields show it")
     above.axhline(0, color=BLUE, lw=1.0, ls="--", label="reference path x_r")
     above.set(xlabel="along the reference path [mm]", ylabel="deviation Δx_r [mm]")
     above.grid(alpha=0.25)
-    above.legend(frameon=False, ncols=3)
+    above.legend(frameon=False, ncols=4)
     whole, error = result.control_error_from_start, result.control_error
     axes.axhline(0, color=INK, lw=0.8)
     axes.plot(1e3 * whole.s, 1e3 * whole.lateral, color=SOFT, lw=1.2, label="while the line is being found")

@@ -18,12 +18,12 @@ from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_world import knock_of
 from scenes.line.cell import Cell, LineWorld, Prepared, mounted, prepared, set_up
-from scenes.line.result import SETTLING, ControlError, LineResult, Timing
+from scenes.line.result import ControlError, LineResult, Timing
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.online.cycle import CycleSettings, play_cycles
-from scenes.online.line_task import LineLog, LineTask, field_columns
+from scenes.online.line_task import SETTLING, LineLog, LineTask, field_columns, plan_error
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
@@ -132,6 +132,8 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         shown=tuple(replace(seen, image=shared.camera.frame(pose, q=q)) for pose, q, seen in shown),
         world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.warning,
         s_reference=np.array(log.s), believed=np.array(log.believed),
+        looked_back=follower.fusion.looked_back(np.array(log.s))[0][:, 0],
+        plan_error_mm=plan_error(log, follower.fusion),
         sensors={sensor.name: (log.sensor_values[sensor.name], log.sensor_used[sensor.name]) for sensor in sensors})
 
 

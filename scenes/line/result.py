@@ -19,9 +19,6 @@ from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.hand_eye import HandEye
 
-SETTLING = 0.3
-"""Time from when the line is first followed until the error counts [s]."""
-
 
 @dataclass(frozen=True)
 class ControlError:
@@ -118,6 +115,8 @@ class LineResult(ShownRun):
         world: the world's settings.
         hand_eye: how the camera was calibrated before the run, if it was; warning: why not, if it should have been.
         s_reference, believed: arc length of the reference at each cycle and the desired deviation there, x_d - x_r [m].
+        looked_back: the deviation of the line as all fields of the run show it, smoothed; NaN where it is not kept [m].
+        plan_error_mm: mean and largest distance of the desired path from it.
         sensors: values that each further sensor gave, and how many of them were fused.
         recording_path, report: files written, if any.
     """
@@ -142,6 +141,8 @@ class LineResult(ShownRun):
     s_reference: Array = field(repr=False, default_factory=lambda: np.empty(0))
     believed: Array = field(repr=False, default_factory=lambda: np.empty(0))
     sensors: dict[str, tuple[int, int]] = field(default_factory=dict)
+    looked_back: Array = field(repr=False, default_factory=lambda: np.empty(0))
+    plan_error_mm: dict[str, float | None] = field(default_factory=dict)
     recording_path: Path | None = None
     report: Path | None = None
 
@@ -158,6 +159,7 @@ class LineResult(ShownRun):
             "control_error_mm": self.control_error.json_mm(),
             "path_error_mm": errors.json_mm() if errors is not None
             else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},
+            "plan_error_mm": self.plan_error_mm,
             "fields": {"seen": self.fields_seen, "used": self.fields_used},
             "sensors": {name: {"values": values, "used": used} for name, (values, used) in self.sensors.items()},
             "recording": self.recording_path,

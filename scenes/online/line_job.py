@@ -19,7 +19,7 @@ from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.line_known import START, CalibrationView, Known, calibration_postures, line_follower, span_of
-from scenes.online.line_task import AT_ONCE, LineLog, LiveLineTask
+from scenes.online.line_task import AT_ONCE, LineLog, LiveLineTask, plan_error
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera, LiveForce, rehearse
 from scenes.scene_files.drawn_line import reference_points
@@ -205,6 +205,7 @@ class LineJob:
         fusion = self._known.follower.fusion
         return {"fields": {"seen": len(self.log.fields), "used": self.log.used},
                 "first_used_s": self.log.first_used, "calibration": self.calibration.json(),
+                "plan_error_mm": plan_error(self.log, fusion),
                 "stamp_error_ms": 1e3 * float(fusion.bias("camera")[0][1])}
 
     def planned(self) -> Array:

@@ -20,7 +20,7 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
-from planning.line.fusion import Fused
+from planning.line.fusion import DeviationFilter, Fused
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
 from scenes.online.line_known import START, Known
@@ -96,6 +96,26 @@ class LineLog(CycleLog):
             column, known = np.full(len(t), np.nan), np.isfinite(values)
             column[rows[known]] = values[known]
             yield name, column
+
+
+SETTLING = 0.3
+"""Time from when the line is first followed until the error counts [s]."""
+
+
+def plan_error(log: LineLog, fusion: DeviationFilter) -> dict[str, float | None]:
+    """The desired path against the line as all fields of the run show it; what a cell can say of itself [mm].
+
+    Args:
+        log: of the run.
+        fusion: after it, with its smoother.
+
+    Returns:
+        mean and largest distance from where the line was first followed on; None where nothing is kept.
+    """
+    s, believed, t = (np.asarray(one)[: len(log.believed)] for one in (log.s, log.believed, log.t))
+    off = np.abs(believed - fusion.looked_back(s)[0][:, 0])
+    off = off[np.isfinite(off) & (t >= log.first_used + SETTLING)]
+    return {"mean": 1e3 * float(off.mean()), "max": 1e3 * float(off.max())} if len(off) else {"mean": None, "max": None}
 
 
 def field_columns(count: int) -> list[str]:

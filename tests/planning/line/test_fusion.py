@@ -4,20 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from filterpy.kalman import KalmanFilter as Peer
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.line.deviation_model import (
-    ConstantDeviation,
-    DeviationModel,
-    KalmanFilter,
-    PathDeviation,
-    SlowlyVaryingDeviation,
-)
+from planning.line.deviation_model import ConstantDeviation, DeviationModel, PathDeviation, SlowlyVaryingDeviation
 from planning.line.fusion import DeviationFilter, Fused, Measurement
 from tests.planning.cell import reference
 
@@ -344,19 +337,40 @@ def test_a_sensor_that_is_moved_changes_its_own_error_and_not_the_map() -> None:
     assert np.all(np.abs(mean[:, 0] - truth.at(seen)[:, 0]) < 5 * np.sqrt(variance[:, 0]))
 
 
-# The own Kalman filter against the library's.
+# What is looked back on.
 
-def test_the_same_numbers_as_filterpy_bit_for_bit() -> None:
-    rng = np.random.default_rng(1)
-    x, root = rng.standard_normal(7), rng.standard_normal((7, 7))
-    own, peer = KalmanFilter(x.copy(), root @ root.T), Peer(dim_x=7, dim_z=1)
-    peer.x, peer.P = x.copy(), root @ root.T
-    for m in (1, 3, 5, 1, 2):
-        F, Q = np.eye(7) + 0.1 * rng.standard_normal((7, 7)), 0.01 * np.eye(7)
-        z, H, noise = rng.standard_normal(m), rng.standard_normal((m, 7)), rng.standard_normal((m, m))
-        R = np.eye(m) + noise @ noise.T
-        for each in (own, peer):
-            each.predict(F=F, Q=Q)
-            each.update(z, R=R, H=H)
-        np.testing.assert_array_equal(own.x, peer.x)
-        np.testing.assert_array_equal(own.P, peer.P)
+def test_the_smoother_knows_at_the_end_what_the_filter_did_not_as_it_passed() -> None:
+    """Places seen before the camera's mounting error showed are set right, and the variance says by how much."""
+    smoothed, filtered, consistent, count = 0.0, 0.0, 0.0, 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        truth, fusion = Truth(rng), DeviationFilter(path_model(), biases={"camera": (0.01,)}, gate=20.0)
+        yaw, s = 0.01 * rng.standard_normal(), 0.014 * np.arange(50)
+        actual, passed = np.zeros((2, 50))
+        for k in range(50):
+            truth.travel(s[k])
+            fusion.travel(s[k])
+            actual[k], passed[k] = truth.at(s[k : k + 1])[0, 0], fusion.mean(s[k : k + 1])[0, 0]
+            at = s[k] + AHEAD
+            value = truth.at(at)[:, 0] + AHEAD * yaw + NOISE * rng.standard_normal(5)
+            fusion.update(points(0.02 * k, at, value, bias=AHEAD[:, None]))
+        mean, variance = fusion.looked_back(s[3:])
+        error = mean[:, 0] - actual[3:]
+        smoothed, filtered = smoothed + float(error @ error), filtered + float(np.sum((passed - actual)[3:] ** 2))
+        consistent, count = consistent + float(np.sum(error**2 / variance[:, 0])), count + len(error)
+        now, sure = fusion.looked_back(s[-1:]), fusion.deviation(s[-1:])
+        np.testing.assert_allclose(now, sure, atol=1e-9)
+    assert smoothed < 0.7 * filtered
+    # Errors of neighbouring places are alike, so their number counts for less than it is.
+    assert 0.5 < consistent / count < 1.6
+
+
+def test_of_a_map_that_was_replaced_nothing_is_looked_back_on() -> None:
+    fusion = DeviationFilter(path_model(), confirm=3)
+    for k in range(30):
+        s = 0.014 * k
+        fusion.travel(s)
+        fusion.update(points(0.02 * k, s + AHEAD, np.full(5, 0.002 if k < 20 else 0.012)))
+    mean, _ = fusion.looked_back(np.array([0.05, 0.35]))
+    assert np.isnan(mean[0]).all()
+    assert mean[1, 0] == pytest.approx(0.012, abs=1e-4)

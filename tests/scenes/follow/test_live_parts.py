@@ -61,7 +61,7 @@ def test_the_process_that_leads_the_arm_loads_neither_tables_nor_plots() -> None
                "from scenes.online.devices import Devices; from scenes.online.run import load_cell; "
                "from scenes.commands.common import closed; from scenes.commands.common import progress_bar; "
                "[_job(load_cell(scene), Devices('rsi:'), None, None).rehearse() for scene in ('line', 'glue')];"
-               "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.stats', 'scipy.signal', 'cv2', 'filterpy');"
+               "large = ('pandas', 'pyarrow', 'matplotlib', 'scipy.signal', 'cv2');"
                "found = [m for m in large if m in sys.modules];"
                "raise SystemExit(f'imported: {found}' if found else 0)")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

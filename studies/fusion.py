@@ -1,0 +1,277 @@
+"""The filter that fuses: the library's beside the two textbook lines it replaced, and beside its banks of filters."""
+
+from __future__ import annotations
+
+import copy
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
+
+from ideal_robot.arrays import Array
+from planning.line import fusion as fusing
+from planning.line.fusion import DeviationFilter, Fused, Measurement
+from scenes import load_scene
+from scenes.line.kind import run as run_line
+from scenes.play import run_scene as run
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import Scene
+from studies.report import head, row, scene_of
+
+
+class TextbookFilter:
+    """State and covariance with Joseph's update and nothing else: what fused before the library did.
+
+    Args:
+        dim_x: number of states.
+        dim_z: not needed.
+    """
+
+    def __init__(self, dim_x: int, dim_z: int) -> None:
+        del dim_z
+        self.F, self.Q = np.eye(dim_x), np.eye(dim_x)
+        self.x, self.P = np.zeros(dim_x), np.eye(dim_x)
+        self._unit = np.eye(dim_x)
+
+    def predict(self, F: Array, Q: Array) -> None:
+        """x ← F x, P ← F P Fᵀ + Q."""
+        self.x = np.dot(F, self.x)
+        self.P = np.dot(np.dot(F, self.P), F.T) + Q
+
+    def update(self, z: Array, R: Array, H: Array) -> None:
+        """Takes in values ``z (m,)`` with covariance ``R (m, m)`` and rows ``H (m, k)``."""
+        innovation = z - np.dot(H, self.x)
+        PHT = np.dot(self.P, H.T)
+        K = np.dot(PHT, np.linalg.inv(np.dot(H, PHT) + R))
+        self.x = self.x + np.dot(K, innovation)
+        left = self._unit - np.dot(K, H)
+        self.P = np.dot(np.dot(left, self.P), left.T) + np.dot(np.dot(K, R), K.T)
+
+    rts_smoother = KalmanFilter.rts_smoother
+
+
+@dataclass
+class Taken:
+    """What one filter was given in a run: how it was made, and the calls in their order."""
+
+    made: tuple[tuple[Any, ...], dict[str, Any]]
+    calls: list[tuple[str, Any]] = field(default_factory=list)
+
+    def fresh(self) -> DeviationFilter:
+        """Such a filter before any call."""
+        (model, *rest), named = copy.deepcopy(self.made)
+        return DeviationFilter(model, *rest, **named)
+
+    def measurements(self) -> Iterator[tuple[DeviationFilter, Measurement]]:
+        """The measurements, with a filter that travels along and is given none."""
+        filter_ = self.fresh()
+        for name, argument in self.calls:
+            if name == "travel":
+                filter_.travel(argument)
+            else:
+                yield filter_, argument
+
+
+@contextmanager
+def recorded() -> Iterator[list[Taken]]:
+    """Writes down what every filter is given meanwhile."""
+    every: list[Taken] = []
+    kept: dict[int, Taken] = {}
+    inner = DeviationFilter.__init__, DeviationFilter.travel, DeviationFilter.update
+
+    def make(self: DeviationFilter, *arguments: Any, **named: Any) -> None:
+        kept[id(self)] = Taken((copy.deepcopy(arguments), dict(named)))
+        every.append(kept[id(self)])
+        inner[0](self, *arguments, **named)
+
+    def travel(self: DeviationFilter, s: float) -> None:
+        kept[id(self)].calls.append(("travel", s))
+        inner[1](self, s)
+
+    def update(self: DeviationFilter, measurement: Measurement) -> Fused:
+        kept[id(self)].calls.append(("update", measurement))
+        return inner[2](self, measurement)
+
+    with (patch.object(DeviationFilter, "__init__", make), patch.object(DeviationFilter, "travel", travel),
+          patch.object(DeviationFilter, "update", update)):
+        yield every
+
+
+@dataclass
+class Replayed:
+    """What a filter decided about each measurement, the map after each, and the time of an update."""
+
+    decisions: list[tuple[tuple[bool, ...], str]]
+    map: Array
+    seconds: float
+
+
+def replayed(taken: Taken, kind: type) -> Replayed:
+    """Plays recorded measurements into a filter of this kind."""
+    with patch.object(fusing, "KalmanFilter", kind):
+        filter_, decisions, maps, used = taken.fresh(), [], [], 0.0
+        s = 0.0
+        for name, argument in taken.calls:
+            if name == "travel":
+                filter_.travel(argument)
+                s = argument
+                continue
+            begun = time.perf_counter()
+            fused = filter_.update(argument)
+            used += time.perf_counter() - begun
+            decisions.append((tuple(bool(one) for one in fused.used), fused.reason))
+            maps.append(filter_.mean(np.array([s, s + 0.05])).ravel())
+    return Replayed(decisions, np.array(maps), used / max(len(decisions), 1))
+
+
+def shipped() -> dict[str, Scene]:
+    """The scenes whose measurements are compared, with what knocks a camera and what breaks a map."""
+    line = scene_of(LineScene, "line")
+    found: dict[str, Scene] = {f"`{name}`": load_scene(name) for name in
+                               ("line", "straight", "corner", "gap", "cluttered", "svg", "force_wave", "glue")}
+    found["`line`, another arm"] = line.changed(seed=2)
+    found["`line`, 1.5 m/s"] = line.changed(speed=1.5)
+    found["`line`, camera knocked by 0.5°"] = line.changed(camera={"knock_deg": 0.5})
+    found["`line`, on the bench, knocked by 2°"] = line.changed(world="bench", camera={"knock_deg": 2.0})
+    return found
+
+
+def _error(result: Any) -> float:
+    return float(result.control_error.mean * 1e3 if hasattr(result, "control_error") else result.figures.rms)
+
+
+def fusion() -> None:
+    """Recorded measurements of twelve scenes through the library's filter and the one before: decisions and maps.
+
+    Each scene is played with the library's filter, what its filters were given is played again into both, and the
+    scene is played once more with the one before. Errors: mm from the line, N of force scenes.
+    """
+    head("scene", "measurements", "used", "left out", "map replaced", "sensor moved", "decisions that differ",
+         "largest difference of the maps [µm]", "error, library", "error before")
+    for name, scene in shipped().items():
+        with recorded() as every:
+            now = run(scene)
+        with patch.object(fusing, "KalmanFilter", TextbookFilter):
+            before = run(scene)
+        taken = max(every, key=lambda one: len(one.calls))
+        library, textbook = replayed(taken, KalmanFilter), replayed(taken, TextbookFilter)
+        reasons = [reason for _, reason in library.decisions]
+        row(name, len(reasons), sum(any(used) for used, _ in library.decisions),
+            sum(not any(used) for used, _ in library.decisions), reasons.count("map replaced"),
+            reasons.count("sensor moved"),
+            sum(a != b for a, b in zip(library.decisions, textbook.decisions, strict=True)),
+            f"{1e6 * np.abs(library.map - textbook.map).max():.2g}", f"{_error(now):.4f}", f"{_error(before):.4f}")
+
+
+PROBE = """
+import sys, time, types
+if sys.argv[1] == "before":
+    class KalmanFilter: pass
+    package, module = types.ModuleType("filterpy"), types.ModuleType("filterpy.kalman")
+    module.KalmanFilter = KalmanFilter
+    sys.modules |= {"filterpy": package, "filterpy.kalman": module}
+begun = time.process_time()
+import scenes.commands.devices
+from scenes.online.run import load_cell
+[load_cell(name) for name in ("line", "glue")]
+from studies.report import resident
+print(resident(), time.process_time() - begun)
+"""
+
+
+def fusion_cost(repeats: int = 5) -> None:
+    """What the library costs: memory and start of the process that leads an arm, an update, a cycle of `line`."""
+    lines: dict[str, list[list[float]]] = {"before": [], "library": []}
+    for _ in range(repeats):
+        for which, found in lines.items():
+            done = subprocess.run([sys.executable, "-c", PROBE, which], capture_output=True, text=True, check=True)
+            found.append([float(one) for one in done.stdout.split()])
+    scene = scene_of(LineScene, "line").changed(world="bench")
+    with recorded() as every:
+        run_line(scene)
+    taken = max(every, key=lambda one: len(one.calls))
+    kinds = {"before": TextbookFilter, "library": KalmanFilter}
+    for _ in range(repeats):
+        for which, kind in kinds.items():
+            with patch.object(fusing, "KalmanFilter", kind):
+                timing = run_line(scene).timing.json_ms()
+            lines[which].append([1e6 * replayed(taken, kind).seconds, timing["median_with_field"], timing["p99"]])
+    head("filter", "memory of the process [MiB]", "processor time of its start [s]", "an update with its gates [µs]",
+         "a cycle with a field, median [ms]", "of all cycles, p99 [ms]")
+    for which, found in lines.items():
+        process, cycles = found[:repeats], found[repeats:]
+        middle = [statistics.median(one) for part in (process, cycles) for one in zip(*part, strict=True)]
+        row(which, f"{middle[0]:.0f}", f"{middle[1]:.2f}", f"{middle[2]:.0f}", f"{middle[3]:.2f}", f"{middle[4]:.2f}")
+
+
+SWITCH = 0.01
+"""Probability with which a bank's sensor is moved between two measurements."""
+
+
+def _bank(taken: Taken, kind: str) -> tuple[list[float], Array, float]:
+    """Recorded measurements in a bank of two: sensor as it was, and its errors drawn anew at each measurement."""
+    filter_ = taken.fresh()
+    at, sigmas = filter_._bias_at["camera"], np.square(filter_._moved["camera"])
+    members = [filter_._fresh().kf for _ in range(2)]
+    size, p, used, off = filter_._size, [], 0.0, []
+    for member in members:
+        member.Q = np.zeros((size, size))
+    members[1].F[at, at] = 0.0
+    members[1].Q[at, at] = np.diag(sigmas)
+    switch = np.array([[1.0 - SWITCH, SWITCH], [1.0 - SWITCH, SWITCH]])
+    bank = (IMMEstimator(members, (1.0 - SWITCH, SWITCH), switch) if kind == "IMM"
+            else MMAEFilterBank(members, [1.0 - SWITCH, SWITCH], dim_x=size))
+    begin, own = filter_.model.begin, taken.fresh()
+    for travelled, measurement in taken.measurements():
+        while begin < travelled.model.begin - 1e-9:
+            F, Q = np.eye(size), np.zeros((size, size))
+            block = slice(0, travelled.model.size)
+            F[block, block], Q[block, block] = travelled.model._F, travelled.model._Q  # type: ignore[attr-defined]
+            for member in members:
+                member.predict(F=F, Q=Q)
+            begin += travelled.model._knot  # type: ignore[attr-defined]
+            own.travel(begin + travelled.model._behind)  # type: ignore[attr-defined]
+        own.update(measurement)
+        H, begun = travelled._rows(measurement), time.perf_counter()
+        bank.predict()
+        if kind == "IMM":
+            for member in members:
+                member.H, member.R, member.dim_z = H, measurement.covariance, len(H)
+            bank.update(measurement.value)
+        else:
+            bank.update(measurement.value, R=measurement.covariance, H=H)
+        used += time.perf_counter() - begun
+        p.append(float((bank.mu if kind == "IMM" else bank.p)[1]))
+        rows = H[:, : travelled.model.size]
+        off.append(float(np.abs(rows @ (bank.x[: travelled.model.size] - own.state)).max()))
+    return p, np.array(off), used / len(p)
+
+
+def fusion_banks() -> None:
+    """Four gates and hypotheses that begin when they are needed, beside the library's IMM and MMAE on the same data.
+
+    A bank holds two filters, the sensor as it was and with its errors drawn anew. It says *moved* where the second is
+    likelier than not. Its map is held against ours where both were measured.
+    """
+    head("measurements of", "estimator", "sensor said to be moved", "measurements left out",
+         "map apart from ours, median, largest [µm]", "an update [µs]")
+    for name in ("`line`", "`cluttered`", "`line`, camera knocked by 0.5°"):
+        with recorded() as every:
+            run(shipped()[name])
+        taken = max(every, key=lambda one: len(one.calls))
+        replayed(taken, KalmanFilter)  # compiles
+        ours = replayed(taken, KalmanFilter)
+        row(name, "gates and hypotheses", sum(reason == "sensor moved" for _, reason in ours.decisions),
+            sum(not any(used) for used, _ in ours.decisions), "", f"{1e6 * ours.seconds:.0f}")
+        for kind in ("IMM", "MMAE"):
+            p, off, seconds = _bank(taken, kind)
+            row("", kind, sum(one > 0.5 for one in p), 0, f"{1e6 * np.median(off):.0f}, {1e6 * off.max():.0f}",
+                f"{1e6 * seconds:.0f}")
