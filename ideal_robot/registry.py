@@ -20,6 +20,14 @@ from ideal_robot.errors import InputError
 T = TypeVar("T")
 
 
+def imported(implementation: T | str) -> T:
+    """What ``"module:attribute"`` names; anything else is the implementation itself."""
+    if not isinstance(implementation, str):
+        return implementation
+    module, _, attribute = implementation.partition(":")
+    return cast(T, getattr(importlib.import_module(module), attribute))
+
+
 class Registry(Generic[T]):
     """Implementations of one seam by name.
 
@@ -64,11 +72,7 @@ class Registry(Generic[T]):
         self._read()
         if name not in self._known:
             raise InputError(f"expected one of {', '.join(self._known)}", field=self.seam, value=name)
-        found = self._known[name]
-        if isinstance(found, str):
-            module, _, attribute = found.partition(":")
-            found = cast(T, getattr(importlib.import_module(module), attribute))
-            self._known[name] = found
+        found = self._known[name] = imported(self._known[name])
         return found
 
     def __iter__(self) -> Iterator[tuple[str, T]]:

@@ -76,7 +76,8 @@ class SceneKind:
         curves: curves of a scene by name ``(N, 3)`` [m] for the viewer; None where there is nothing to draw.
         replay: of a run's result what moves in pages, films and the viewer (``scenes.report.replay.Replay``), or None
             where the run was too short; None where the kind has no replay.
-        close_loop: run, diagnose, extend the model and run again; None where the kind holds nothing to be found.
+        close_loop: run, diagnose, extend the model and run again, or ``"module:attribute"`` of it, which is imported
+            when a loop is closed; None where the kind holds nothing to be found.
     """
 
     scene: type[Scene]
@@ -84,7 +85,7 @@ class SceneKind:
     run: Play
     compare: Compare
     curves: Callable[[Any], dict[str, Array]] | None = None
-    close_loop: CloseLoop | None = None
+    close_loop: CloseLoop | str | None = None
     replay: Callable[[Any], Any] | None = None
 
 

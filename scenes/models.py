@@ -9,60 +9,34 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import ideal_robot
 from ideal_robot.errors import InputError
-from ideal_robot.identification.friction_runs import fit_ripple
-from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
+from ideal_robot.registry import imported
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
-from ideal_robot.signals.recording import Recording
-from scenes.identification.plan import plan, play_plan
 from scenes.model_files import model_at, shipped_model
 from scenes.outputs import check_outputs
-from scenes.result import Progress, part_of, silent
+from scenes.result import Progress, silent
 from scenes.scene_files.scene import OWN, Scene
 from sim.arm.world import World
 
 
-def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, world: World | None = None,
-                     progress: Progress = silent) -> tuple[Model, list[Recording]]:
-    """Plays two identification motions on a simulated arm and identifies everything from them.
-
-    Args:
-        robot_name: the arm as its data sheet has it.
-        seed: of motions and noise.
-        period: of the motions [s].
-        world: what the arm is like; its default world if None.
-        progress: called with the fraction done.
-    """
-    robot = Robot.load(robot_name)
-    if world is not None:
-        robot = replace(robot, t_ipo=world.t_ipo, t_position=world.t_position, t_velocity=world.t_velocity)
-    recordings = []
-    for run in range(2):
-        progress(0.4 * run, "planning an identification motion")
-        planned = plan(robot, "joint", seed=seed + run, period=period)
-        played = part_of(progress, 0.4 * run + 0.1, 0.3)
-        recordings.append(play_plan(planned, robot, seed + run, partial(_moving, played), world))
-    progress(0.8, "identifying")
-    model = identify_model(recordings, robot).model
-    return model.with_effects(fit_ripple(recordings, model, robot)), recordings
-
-
-def _moving(progress: Progress, share: float) -> None:
-    progress(share, "moving to be identified")
+def _identified(robot_name: str, **options: Any) -> Model:
+    """Identification takes half a second to import, and most runs find their model kept."""
+    identified_model: Callable[..., tuple[Model, Any]] = imported("scenes.identification.plan:identified_model")
+    return identified_model(robot_name, **options)[0]
 
 
 def write_models(names: Sequence[str], folder: Path) -> list[Path]:
     """Identifies and writes the shipped models."""
-    return [identified_model(name)[0].save(folder / f"{name}.json") for name in names]
+    return [_identified(name).save(folder / f"{name}.json") for name in names]
 
 
 # The model of one simulated arm from its own identification motions, kept by the content that it depends on.
@@ -117,7 +91,7 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
             return PreparedModel(path, fresh=False)
     # Found now, not after the arm has been moved for minutes.
     check_outputs({"IDEAL_ROBOT_CACHE": path.parent})
-    model, _ = identified_model(world.robot, world=world, progress=progress)
+    model = _identified(world.robot, world=world, progress=progress)
     return PreparedModel(model.save(path), fresh=True)
 
 

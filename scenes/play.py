@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 from ideal_robot.errors import InputError
+from ideal_robot.registry import imported
 from scenes.kind import KINDS, kind_of
 from scenes.result import CompareResult, Progress, RunResult, silent
 from scenes.scene_files.scene import Scene
@@ -99,4 +100,4 @@ def close_scene(scene: Scene, *, measured: str = "tcp", out: Path | None = None,
         able = ", ".join(name for name, kind in KINDS if kind.close_loop is not None)
         raise InputError(f"only scenes of kind {able} can be closed; they hold the undeclared effect", field="kind",
                          value=scene.kind)
-    return close_loop(scene, measured=measured, out=out, progress=progress)
+    return imported(close_loop)(scene, measured=measured, out=out, progress=progress)

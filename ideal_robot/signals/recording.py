@@ -207,7 +207,6 @@ class Recording(Summarised):
         Raises:
             InputError: another ending.
         """
-        import pandas as pd
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -219,18 +218,20 @@ class Recording(Summarised):
         parts = [slice(first, first + WRITTEN_ROWS) for first in range(0, max(len(self.t), 1), WRITTEN_ROWS)]
         with whole_file(path) as partial:
             if path.suffix == ".csv":
+                import pandas as pd
+
                 titles = [inert(name) for name in names]
                 for part in parts:
                     pd.DataFrame({name: self.columns[name][part] for name in names}).to_csv(
                         partial, index=False, header=titles if part.start == 0 else False, mode="a")
                     let_go(*self.columns.values())
             else:
-                schema = pa.schema([(name, pa.array(self.columns[name][:0]).type) for name in names], metadata=meta)
+                schema = pa.schema([(name, pa.from_numpy_dtype(self.columns[name].dtype)) for name in names],
+                                   metadata=meta)
                 with pq.ParquetWriter(partial, schema) as file:
                     for part in parts:
-                        # What is not a number is none in the file, as data frames have it.
-                        file.write_table(pa.table([pa.array(self.columns[name][part], from_pandas=True)
-                                                   for name in names], schema=schema), WRITTEN_ROWS)
+                        file.write_table(pa.table([_column(self.columns[name][part]) for name in names],
+                                                  schema=schema), WRITTEN_ROWS)
                         let_go(*self.columns.values())
         return path
 
@@ -253,6 +254,21 @@ class Recording(Summarised):
             return cls(columns, meta, str(path))
         columns, meta = read_table(path)
         return cls(columns, meta, str(path))
+
+
+def _column(values: Array) -> Any:
+    """An Arrow array of values ``(N,)``; what is not a number is none in the file, as data frames have it.
+
+    Of buffers: Arrow's own conversion imports pandas, which takes as long as writing.
+    """
+    import pyarrow as pa
+
+    if values.dtype.kind == "b":
+        return pa.array(values)
+    present = ~np.isnan(values)
+    gaps = None if present.all() else pa.py_buffer(np.packbits(present, bitorder="little"))
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values),
+                                 [gaps, pa.py_buffer(np.ascontiguousarray(values))])
 
 
 def _own(values: Any, source: str, name: str) -> Array:

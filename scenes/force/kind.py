@@ -8,7 +8,6 @@ from typing import Any
 
 from ideal_robot.progress import Steps
 from scenes.force.cell import scene_curves
-from scenes.force.close_loop import close_loop
 from scenes.force.compare import ForceComparison, best_gains, compare_forces
 from scenes.force.page import force_replay, write_comparison, write_run
 from scenes.force.play import ForceResult, play
@@ -65,4 +64,5 @@ def compare(scene: ForceScene, *, methods: Sequence[Any] | None = None, out: Pat
     return comparison if out is None else write_comparison(comparison, out)
 
 
-FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves, close_loop, force_replay)
+FORCE = SceneKind(ForceScene, force_methods, run, compare, scene_curves,
+                  "scenes.force.close_loop:close_loop", force_replay)

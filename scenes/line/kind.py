@@ -10,7 +10,6 @@ from ideal_robot.arrays import Array
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.kind import SceneKind
 from scenes.line.cell import Prepared, prepared, streams
-from scenes.line.close_loop import close_loop
 from scenes.line.compare import LineComparison, best_gains, compare_lines
 from scenes.line.page import write_comparison, write_run
 from scenes.line.play import methods as play_methods
@@ -81,4 +80,4 @@ def curves(scene: LineScene) -> dict[str, Array]:
     return {"line": where.drawn, "reference": where.reference}
 
 
-LINE = SceneKind(LineScene, play_methods, run, compare, curves, close_loop, line_replay)
+LINE = SceneKind(LineScene, play_methods, run, compare, curves, "scenes.line.close_loop:close_loop", line_replay)

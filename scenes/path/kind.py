@@ -10,7 +10,6 @@ from ideal_robot.progress import Steps
 from scenes.kind import SceneKind
 from scenes.methods import compared, method_of
 from scenes.path.cell import DELAY, path_methods, set_up
-from scenes.path.close_loop import close_loop
 from scenes.path.compare import PathComparison, compare_paths, play_method
 from scenes.path.page import path_replay, write_comparison, write_run
 from scenes.path.result import PathResult
@@ -59,4 +58,4 @@ def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path
     return comparison if out is None else write_comparison(comparison, out)
 
 
-PATH = SceneKind(PathScene, path_methods, run, compare, None, close_loop, path_replay)
+PATH = SceneKind(PathScene, path_methods, run, compare, None, "scenes.path.close_loop:close_loop", path_replay)

@@ -19,8 +19,7 @@ from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.identification.plan import fourier_commands
-from scenes.models import identified_model
+from scenes.identification.plan import fourier_commands, identified_model
 from sim.arm.arm import SimulatedArm
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
