@@ -48,16 +48,19 @@ def cycle(cycles: int = 20000) -> None:
         "`linear`": LinearInverse(LinearLoop.of(loop, robot.home), N_D),
         "`precorrected`": Precorrection.complete(model, robot, delay=1),
         "`ideal`": IdealRobot(loop, N_D),
-        "`adapted`, a line": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool, curve=True)),
+        "`adapted`, a line": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool)),
         "`adapted`, a known path": AdaptedIdeal(IdealRobot(loop, N_D), FrictionAdaptation(loop, tool=tool),
                                                 curve=FrictionCurve(loop)),
     }
-    head("[ms]", "median", "processor median", "processor p99.9")
+    head("[ms]", "median", "processor median", "processor mean", "processor p99.9")
     gc.disable()
     for name, law in laws.items():
         elapsed, busy = (1e3 * seconds for seconds in _timed(law, q_d, cycles))
         gc.collect()
-        row(name, f"{np.median(elapsed):.2f}", f"{np.median(busy):.2f}", f"{np.quantile(busy, 0.999):.2f}")
+        # Adaptation works in every fourth cycle; the largest percent is what the machine does besides.
+        mean = np.sort(busy)[: round(0.99 * cycles)].mean()
+        figures = np.median(elapsed), np.median(busy), mean, np.quantile(busy, 0.999)
+        row(name, *(f"{figure:.3f}" for figure in figures))
 
 
 def _timed(law: Feedforward, q_d: Array, cycles: int) -> tuple[Array, Array]:
@@ -69,7 +72,8 @@ def _timed(law: Feedforward, q_d: Array, cycles: int) -> tuple[Array, Array]:
         start = k % (len(q_d) - N_D)
         # Another path in every cycle: the planned one plus what a sensor has just found.
         horizon = q_d[start : start + N_D] + bends[k % 64]
-        measured = RobotState(0.012 * k, q_d[start], np.zeros(q_d.shape[1]))
+        # Where the motors are planned to be at the end of the cycle, but for the gears' deflection.
+        measured = RobotState(0.012 * k, q_d[start + 1], np.zeros(q_d.shape[1]))
         working, begun = time.thread_time(), time.perf_counter()
         _, state = law.step(state, horizon)
         if isinstance(law, AdaptedIdeal):

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import inverse_dynamics
+from ideal_robot.dynamics.newton_euler import inverse_dynamics, point_mass
 from ideal_robot.feedforward.friction_adaptation import FrictionAdaptation
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.idim import identify
@@ -87,7 +87,7 @@ def measured_adapted(data: Path, arms: str = "ur10e,emps,panda,ur5") -> None:
 
     Along the motion that was left for judging, adaptation is told positions and torques once an interpolation cycle,
     and what it knew before a cycle predicts that cycle's torque. On the second half of the motion counts
-    std(residual) / std(torque): by the model alone, with two factors per joint, with the curve over speed besides.
+    std(residual) / std(torque): by the model alone, and adapted.
     These recordings hold no commands, so no controller is known; adaptation needs one for the unit of apparent
     inertias alone, and is given a usual one.
     """
@@ -99,11 +99,9 @@ def measured_adapted(data: Path, arms: str = "ur10e,emps,panda,ur5") -> None:
         loop = loop_model(replace(model, controller=_usual_controller(robot, validation.joints("q")[0])), robot)
         s = preprocess(validation, cutoff=arm.band[0])
         alone = model.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0])
-        predicted = {"model alone": alone}
-        for title, curve in (("two factors", False), ("and a curve", True)):
-            adaptation = FrictionAdaptation(loop, tool=robot.tool_place, curve=curve, noise_std=model.noise_std)
-            predicted[title] = alone + _learned_on_the_way(model, loop, adaptation, validation, s)
-        for title, torque in predicted.items():
+        adaptation = FrictionAdaptation(loop, tool=robot.tool_place, noise_std=model.noise_std)
+        adapted = alone + _learned_on_the_way(model, loop, adaptation, validation, s)
+        for title, torque in (("model alone", alone), ("adapted", adapted)):
             _row(f"{name}, {title}", _share_left(s, torque, arm.band[1], len(s.t) // 2), arm)
 
 
@@ -158,11 +156,12 @@ def _learned_on_the_way(model: Model, loop: LoopModel, adaptation: FrictionAdapt
              for values in (s.q, s.qd, s.qdd, model.friction.turned(s.q, s.qd))]
     more, state = np.zeros_like(q), adaptation.init()
     for k, (at, v, a, turned) in enumerate(zip(*moved, strict=True)):
-        friction = adaptation.friction(state)["friction_torque"] - loop.friction_torque
+        friction = state.friction[0] - loop.friction_torque
         more[k] = [z * np.interp(abs(speed), loop.friction_velocity[:, i], friction[int(speed < 0.0), :, i])
                    for i, (z, speed) in enumerate(zip(turned, v, strict=True))]
-        carried = adaptation.carried(state.mass)
+        carried = adaptation.carried(state)
         if carried is not None:
-            more[k] += inverse_dynamics(carried, at[None], v[None], a[None])[0]
+            kilogram = point_mass(loop.chain, carried.place)
+            more[k] += carried.mass * inverse_dynamics(kilogram, at[None], v[None], a[None])[0]
         state = adaptation.update(state, RobotState(float(times[k]), q[k], tau[k]))
     return np.array([np.interp(s.t, times, column) for column in more.T]).T

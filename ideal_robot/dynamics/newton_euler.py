@@ -66,6 +66,7 @@ def chain_of(model: pin.Model) -> Chain:
     return Chain(rotation, position, axis, prismatic, mass, com, inertia, np.array(model.gravity.linear), np.zeros(n))
 
 
+@jit()
 def point_mass(chain: Chain, place: Array) -> Chain:
     """The same kinematics with nothing but 1 kg at a point of the last link; torques are linear in its mass.
 
@@ -75,8 +76,9 @@ def point_mass(chain: Chain, place: Array) -> Chain:
     """
     n = len(chain.mass)
     mass, com = np.zeros(n), np.zeros((n, 3))
-    mass[-1], com[-1] = 1.0, place
-    return chain._replace(mass=mass, com=com, inertia=np.zeros((n, 3, 3)), armature=np.zeros(n))
+    mass[n - 1], com[n - 1] = 1.0, place
+    return Chain(chain.rotation, chain.position, chain.axis, chain.prismatic, mass, com, np.zeros((n, 3, 3)),
+                 chain.gravity, np.zeros(n))
 
 
 @jit(inline="always")
@@ -241,6 +243,27 @@ def inverse_dynamics(chain: Chain, q: Array, qd: Array, qdd: Array) -> Array:
         joint_frames(chain, q[k], R, p)
         torque_at(chain, R, p, qd[k], qdd[k], 1.0, tau[k])
     return tau
+
+
+@jit()
+def inverse_dynamics_with_point(chain: Chain, place: Array, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+    """``inverse_dynamics``, and the torques of 1 kg at a point of the last link, each ``(N, n)``.
+
+    Args:
+        chain: the arm's rigid bodies.
+        place: of the mass in the last joint's frame ``(3,)`` [m].
+        q: joint positions ``(N, n)`` [rad].
+        qd: joint velocities ``(N, n)`` [rad/s].
+        qdd: joint accelerations ``(N, n)`` [rad/s²].
+    """
+    N, n = q.shape
+    tau, weight, kilogram = np.empty((N, n)), np.empty((N, n)), point_mass(chain, place)
+    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    for k in range(N):
+        joint_frames(chain, q[k], R, p)
+        torque_at(chain, R, p, qd[k], qdd[k], 1.0, tau[k])
+        torque_at(kilogram, R, p, qd[k], qdd[k], 1.0, weight[k])
+    return tau, weight
 
 
 def gravity_across(chain: Chain, q: Array) -> Array:

@@ -3,14 +3,14 @@ r"""The model of one arm from that of another of its type and one motion of this
 Arms of a type have the same gears and controllers, but castings of other weight, and motors that are mounted with their
 ripple at another angle. Both show in the torques of any motion:
 
-.. math:: \tau - \tau_{model} = Y \Delta p + F(0) z \sum_k c_k \phi_k(|\dot q|) + \sum_k a_k \cos(k q) + b_k \sin(k q)
+.. math:: \tau - \tau_{model} = Y \Delta p + F z f(|\dot q|)^T x + \sum_k a_k \cos(k q) + b_k \sin(k q)
 
-with Y the regressor of the links, rotors and offsets [G] (6), a curve over speed as in ``friction_curve``, and the
-ripple's orders k those of the model. It is least squares with a prior: links are as heavy as the model's within some
-percent, rotors nearly so, and a ripple is as large as the model's, at any angle. What the motion does not tell stays
-as it was. What friction is wrong by is taken out, not kept: it changes while the arm works, and adaptation follows it.
-A joint that rests, or has just turned round, is held by friction of any size up to the dry one: its torque tells
-nothing. Links move as the arm does, behind its gears.
+with Y the regressor of the links, rotors and offsets [G] (6), friction's terms f, and the ripple's orders k those of
+the model. These are normal equations of ``friction_estimator``: links are as heavy as the model's within some percent,
+rotors nearly so, and a ripple is as large as the model's, at any angle. What the motion does not tell stays as it was.
+What friction is wrong by is taken out, not kept: it changes while the arm works, and adaptation follows it. A joint
+that rests, or has just turned round, is held by friction of any size up to the dry one: its torque tells nothing.
+Links move as the arm does, behind its gears.
 
 Whether it is another arm at all is asked first, by the probability of the torques under either (the evidence). What the
 very arm leaves that the model was identified from, friction and a heavier tool explain as well, and its model stays
@@ -23,15 +23,22 @@ from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
-from scipy import linalg
 
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import full_regressor
 from ideal_robot.dynamics.base_parameters import consistent_parameters, parameter_scales
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError, InputError
-from ideal_robot.feedforward.friction_adaptation import unknown_mass
-from ideal_robot.feedforward.friction_curve import SLIDES, SPEEDS, between_nodes, likeness
+from ideal_robot.feedforward.friction_estimator import (
+    OWN,
+    SHARED,
+    SLIDES,
+    TERMS,
+    friction_terms,
+    noise_variance,
+    solved,
+    unknown_mass,
+)
 from ideal_robot.loop.loop_model import largest_speeds
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
@@ -41,14 +48,10 @@ from ideal_robot.signals.recording import Recording
 RIPPLE = "torque_ripple"
 CUTOFF = 20.0
 """Of the low-pass on positions [Hz]. Decimated torques are slow enough for the controller to answer ripple fully."""
-LINK, SHAPE, ROTOR = 0.1, 0.1, 0.03
+LINK, BODY, ROTOR = 0.1, 0.1, 0.03
 """Standard deviations of a link's weight, of single parameters of it over a body's of that size, and of a rotor."""
-OFFSET, FRICTION = 0.03, 0.3
-"""Of the offset and of what friction is wrong by at any speed, over dry friction. An offset that may be large takes
-what is weight, which bends the gears."""
-NOISE, DOUBT = 0.05, 0.15
-"""Standard deviations of a torque over dry friction: of one, and where it is asked whose torques they are. Neighbouring
-ones share what any model of the very arm is wrong by, and all of them together must not count for another arm."""
+OFFSET = 0.03
+"""Of the offset over dry friction. One that may be large takes what is weight, which bends the gears."""
 
 
 def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
@@ -76,36 +79,33 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     dry = _dry(model)
     turned = model.friction.turned(s.q, s.qd)
     slides = np.abs(s.decimate(turned)) > SLIDES
-    believed, doubted = (np.broadcast_to(np.maximum(share * dry, model.noise_std), slides.shape)[slides]
-                         for share in (NOISE, DOUBT))
+    std = np.sqrt(noise_variance(dry, s.factor * s.dt, model.noise_std))
+    std = np.broadcast_to(std, slides.shape)[slides]
     arm = _behind_gears(s, model, turned * dry)
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
-    left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides]
+    left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std
             for one in (model, bare)]
-    count = 12 * model.n
-    root = _root(model, dry, ripple)
-    columns = np.concatenate([s.decimate_motion(lambda rows: _bodies(s, model, arm, rows)),
-                              s.decimate(_friction(s, turned, dry, robot)), s.decimate(_waves(s, ripple))],
-                             axis=2)[slides]
-    tool = columns[:, :count] @ _heavier_tool(model, dry, robot)
-    columns = columns @ root
-    offsets_and_friction = columns[:, count - model.n : count + len(SPEEDS) * model.n]
-    if (_evidence(np.column_stack([offsets_and_friction, tool]) / doubted[:, None], left[0] / doubted)
-            >= _evidence(columns / doubted[:, None], left[1] / doubted)):
+    n, root, size = model.n, _root(model, dry, robot), _ripples(ripple)
+    bodies = s.decimate_motion(lambda rows: _bodies(s, model, arm, rows))[slides] / std[:, None] @ root
+    friction = s.decimate(_friction(s, turned, dry, robot))[slides] / std[:, None]
+    waves = s.decimate(_waves(s, ripple))[slides] / std[:, None] * size
+    other = solved(np.hstack([bodies, friction, waves]), left[1])
+    # The very arm: an offset, friction, and a heavier tool explain what is left.
+    very = np.column_stack([bodies[:, 11 * n : 12 * n], bodies[:, -1], friction])
+    if solved(very, left[0]).evidence >= other.evidence:
         return model
-    whitened = columns / believed[:, None]
-    spread = np.linalg.inv(np.eye(root.shape[1]) + whitened.T @ whitened)
-    likely = spread @ (whitened.T @ (left[1] / believed))
-    found, covariance = root @ likely, root @ spread @ root.T
-    base, waves = model.base, found[count + len(SPEEDS) * model.n :].reshape(-1, 2)
-    values = model.base_values + base.of(found[:count])
+    of_bodies = slice(root.shape[1])
+    found, covariance = root @ other.x[of_bodies], root @ other.covariance[of_bodies, of_bodies] @ root.T
+    base = model.base
+    values = model.base_values + base.of(found)
     try:
-        full = consistent_parameters(base, values, base.grouping @ covariance[:count, :count] @ base.grouping.T,
-                                     _nearby(model, found[:count], likely[-model.n :])).full
+        full = consistent_parameters(base, values, base.grouping @ covariance @ base.grouping.T,
+                                     _nearby(model, found, other.x[12 * n : 13 * n])).full
     except IdealRobotError:  # no bodies that can be: torques of something else
         return model
+    sizes = (size * other.x[len(other.x) - len(size) :]).reshape(-1, 2)
     turned_ripple = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
-                          for effect, (a, b) in zip(ripple, waves, strict=True))
+                          for effect, (a, b) in zip(ripple, sizes, strict=True))
     return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *turned_ripple))
 
 
@@ -122,14 +122,6 @@ def _nearby(model: Model, found: Array, heavier: Array) -> Array:
     full[10 * n :] += found[10 * n :]
     full[10 * n : 11 * n] = np.maximum(full[10 * n : 11 * n], 0.0)
     return full
-
-
-def _heavier_tool(model: Model, dry: Array, robot: Robot) -> Array:
-    """What a heavier tool adds to the parameters of the bodies ``(12 n,)``: one standard deviation of its mass."""
-    kilogram = pin.Inertia(1.0, robot.tool_place, np.zeros((3, 3)))
-    parameters = np.zeros(12 * model.n)
-    parameters[10 * model.n - 10 : 10 * model.n] = kilogram.toDynamicParameters()
-    return parameters * unknown_mass(dry)
 
 
 def _dry(model: Model) -> Array:
@@ -159,13 +151,22 @@ def _bodies(s: FilteredSignals, model: Model, arm: tuple[Array, Array, Array], r
 
 
 def _friction(s: FilteredSignals, turned: Array, dry: Array, robot: Robot) -> Array:
-    """What friction's curves count ``(N, n, K n)`` [N m]; it is ``turned (N, n)``, -1 to 1."""
-    n = len(dry)
-    columns = np.zeros((len(s.qd), n, n, len(SPEEDS)))
-    v_max = largest_speeds(robot.v_max)
+    """What friction's terms count, those that joints share and each joint's own ``(N, n, 2 + n TERMS)`` [N m].
+
+    Args:
+        s: the motion.
+        turned: how far friction has turned ``(N, n)``, -1 to 1.
+        dry: dry friction ``(n,)`` [N m].
+        robot: the type.
+    """
+    n, v_max = len(dry), largest_speeds(robot.v_max)
+    columns = np.zeros((len(s.qd), n, 2 + n * TERMS))
     for i in range(n):
-        columns[:, i, i] = dry[i] * turned[:, i, None] * between_nodes(np.abs(s.qd[:, i]) / v_max[i])
-    return columns.reshape(len(s.qd), n, len(SPEEDS) * n)
+        terms = dry[i] * turned[:, i, None] * friction_terms(np.abs(s.qd[:, i]) / v_max[i])
+        columns[:, i, :2] = SHARED * terms[:, :2]
+        terms[:, :2] *= OWN
+        columns[:, i, 2 + i * TERMS : 2 + (i + 1) * TERMS] = terms
+    return columns
 
 
 def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
@@ -178,22 +179,26 @@ def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
     return columns
 
 
-def _root(model: Model, dry: Array, ripple: tuple[FittedEffect, ...]) -> Array:
-    """A root of the prior covariance ``(P, R)``: links, rotors, offsets, friction's curves, ripple."""
+def _ripples(ripple: tuple[FittedEffect, ...]) -> Array:
+    """Standard deviations of the waves ``(2 m,)`` [N m]: each is as large as the model's."""
+    return np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
+
+
+def _root(model: Model, dry: Array, robot: Robot) -> Array:
+    """A root of the covariance of bodies, rotors and offsets ``(12 n, 13 n + 1)``.
+
+    The last columns are the weights of the links and the mass of the tool.
+
+    Args:
+        model: of an arm of the type.
+        dry: dry friction ``(n,)`` [N m].
+        robot: the type; where its tool is.
+    """
     n, full = model.n, np.array(model.consistent)
-    bodies = np.zeros((12 * n, n))
+    single = np.concatenate([BODY * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
+    weights, tool = np.zeros((12 * n, n)), np.zeros(12 * n)
     for i in range(n):
-        bodies[10 * i : 10 * i + 10, i] = LINK * full[10 * i : 10 * i + 10]
-    waves = np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
-    single = np.concatenate([SHAPE * parameter_scales(full, n)[: 10 * n], ROTOR * full[10 * n : 11 * n], OFFSET * dry])
-    curve = FRICTION * np.linalg.cholesky(likeness() + 1e-9 * np.eye(len(SPEEDS)))
-    each = linalg.block_diag(np.diag(single), *[curve] * n, np.diag(waves))
-    return np.hstack([each, np.vstack([bodies, np.zeros((len(each) - 12 * n, n))])])
-
-
-def _evidence(columns: Array, left: Array) -> float:
-    """Logarithm of the probability of torques ``(M,)`` that are noise and ``columns (M, R)`` of unit variance."""
-    curvature = np.eye(columns.shape[1]) + columns.T @ columns
-    x = np.linalg.solve(curvature, columns.T @ left)
-    logarithm = float(np.linalg.slogdet(curvature)[1])
-    return -0.5 * (float(left @ (left - columns @ x)) + logarithm)
+        weights[10 * i : 10 * i + 10, i] = LINK * full[10 * i : 10 * i + 10]
+    kilogram = pin.Inertia(1.0, robot.tool_place, np.zeros((3, 3)))
+    tool[10 * n - 10 : 10 * n] = unknown_mass(dry) * kilogram.toDynamicParameters()
+    return np.column_stack([np.diag(single), weights, tool])

@@ -85,7 +85,7 @@ def _adapted(setting: Setting) -> Feedforward:
 def _adapting(setting: Setting, curve: FrictionCurve | None = None) -> AdaptedIdeal:
     """The ideal robot that knows nothing beyond the model yet."""
     ideal = _ideal(setting)
-    adaptation = FrictionAdaptation(ideal.loop, tool=setting.robot.tool_place, curve=curve is None,
+    adaptation = FrictionAdaptation(ideal.loop, tool=setting.robot.tool_place,
                                     noise_std=setting.identified().noise_std)
     return AdaptedIdeal(ideal, adaptation, curve=curve)
 

@@ -1,180 +1,174 @@
 """Adaptation: friction and the tool's mass follow the arm while it works ([L] Fig. 1, [G] Figs 3 and 12).
 
 Friction changes with temperature and lubricant, and a tool may be heavier than told; arm and controller do not change.
-So two factors per joint are estimated, one for the dry part of the identified friction and one for what rises with the
-root of speed, an apparent inertia per joint, and one mass at the tool for all joints, by recursive least squares with
-forgetting:
+From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the normal equations of
+``friction_estimator`` friction's terms of every joint, an apparent inertia per joint, and one mass at the tool:
 
-    τ - τ_rigid + τ_ext = z (F(|q̇|) + (θ_1 - 1) F(0) + (θ_2 - 1) F(0) √(|q̇| / v_max)) + c k_p T q̈ + τ_offset
-                          + m y(q, q̇, q̈)
+    τ_a - τ_rigid - J q̈_m - τ_offset - z F(|q̇_m|) = z (F(0) f(s) + θ_1 F_load) + c k_p T q̈_m
+                                                    + m y(q, q̇, q̈)
+    f(s) = θ_1 + θ_2 √s + Σ_k c_k φ_k(s)
 
-with z how far friction has turned since the last reversal, and y the torque of 1 kg at the tool. Friction turns round
+with s the speed over the largest and F_load what the load on the gear's teeth adds to friction. Friction turns round
 with the motion and is each joint's own; a weight does not, and shows in all joints as its lever has it.
 
 Commands are joined by straight lines: at the end of each cycle T the wanted speed jumps by q̈ T, and with it the torque,
-by a share of k_p T q̈. A torque that is read there shows less inertia than there is; it would be taken for less friction
+by up to k_p T q̈. A torque that is read there shows less inertia than there is; it would be taken for less friction
 at low speed and more at high. That is c, and what rotors were identified wrong by besides; nothing is commanded for it.
 What other inertias are wrong by is counted to a sample's variance.
 
 Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
-What the law's shape lacks over speed can be learned beside it: from the following error (``friction_curve``) or, where
-the path is planned anew all the time and following errors are not friction's alone, from the torques too, as
-
-    z F(0) Σ_k c_k φ_k(|q̇|)
-
-more on the right, a curve as there. A gear's friction falls with speed before it rises. Without the curve two factors
-explain what was measured at higher speeds at the cost of the friction that a reversal meets.
-
-Safe by construction: without measurements nothing changes; samples that are not finite, too slow or far from
-what is expected do not count; forgetting stops when the motion tells nothing; all that is learned is bounded.
+Safe by construction: without measurements nothing changes, bit for bit; samples that are not finite, too slow or far
+from what is expected do not count; a joint that stands forgets nothing; all that is learned is bounded.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, point_mass
+from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics, joint_frames, point_mass, torque_at
 from ideal_robot.feedforward.base import Feedforward
-from ideal_robot.feedforward.friction_curve import (
-    LARGEST,
-    SHAPE,
-    SPEEDS,
-    CurveState,
-    FrictionCurve,
-    between_nodes,
-    likeness,
-    table_of,
-    tabled,
+from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
+from ideal_robot.feedforward.friction_estimator import (
+    FRICTION,
+    INTERVAL,
+    MEMORY,
+    OWN,
+    SHARED,
+    SLIDES,
+    SLOWEST,
+    TERMS,
+    counted,
+    dry_friction,
+    estimate,
+    friction_of,
+    noise_variance,
+    table_terms,
+    terms_at,
+    unknown_mass,
+    with_terms,
 )
-from ideal_robot.feedforward.ideal import IdealRobot, IdealState
-from ideal_robot.feedforward.smoothed_window import CYCLES, SmoothedWindow
+from ideal_robot.feedforward.ideal import Carried, IdealRobot, IdealState
+from ideal_robot.feedforward.smoothed_window import CYCLES, Drive, Smoothed, noted, smoothed
+from ideal_robot.jit import jit
 from ideal_robot.loop.from_model import further_torque
-from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds
+from ideal_robot.loop.loop_model import Drives, LoopModel, between, friction_of_load, largest_speeds
 from ideal_robot.robots.interface import RobotState
 
-_GRAVITY = 9.81
-_SHARED, _OWN = (0.1, 0.3), (0.12, 0.15)
-"""Standard deviations of the two friction factors before anything was measured: of what all joints share, which are
-cold or warm together, and of what is a joint's own. Oil changes with temperature more than what runs dry."""
-_SLIDES = 0.9
-"""How far friction must have turned to tell its size."""
-_APPARENT = 0.2
-"""Standard deviation of an apparent inertia over ``k_p T``."""
-_WEIGHT = 0.2
-"""Weight of an unknown tool mass before anything was measured, at a metre, over the largest dry friction: standard
-deviation. What is lighter is no more than friction's own changes leave."""
-_FARTHEST = 4.0
-"""Bound of the mass in these standard deviations."""
+_APPARENT = 12.0**-0.5
+"""Standard deviation of an apparent inertia over ``k_p T``: torques are read anywhere in the jump."""
 _ACCELERATING = 0.03
 """Share of the torque for acceleration that identified masses and rotors may be wrong by: standard deviation."""
+_SIZE = TERMS + 4
+"""Parameters that a joint's torque depends on: friction's terms and the apparent inertia, its own; the dry and the
+rising term and the mass, which all joints share."""
+_CYCLE = 0.012
+"""Time between measurements that are looked at, at least [s]."""
+_LAG = 2e-2
+"""How far arm and motor, or smoothed and measured, may be apart [rad]; what is further is no motion of an arm."""
 
 
-@dataclass(frozen=True)
-class FrictionFactors:
+class FrictionFactors(NamedTuple):
     """What adaptation knows.
 
     Attributes:
-        theta: factors on dry friction and on what rises with speed ``(n, 2)``.
-        apparent: inertia that torques show beyond the model's, over ``k_p T`` ``(n,)``.
-        mass: that the tool has beyond the model [kg].
-        curve: friction beyond the factors', over dry friction, at the nodes ``SPEEDS`` of ``friction_curve``
-            ``(n, K)``; K = 0 where none is learned.
-        covariance: of the factors, joint by joint, the apparent inertias, the mass and the curves
-            ``(3 n + 1 + K n, 3 n + 1 + K n)``.
-        q, tau: last measurements ``(m, n)`` with ``m`` up to the window, contact torque taken away.
-        z: how far friction had turned then ``(m, n)``, -1 to 1.
-        rejected: measurements in a row that did not count, per joint ``(n,)``.
+        sums: normal equations of each joint ``(n, p, p + 1)``: its own parameters, and those that all joints share.
+        values: of friction's terms ``(n, TERMS)``.
+        mass: that the tool has beyond the model's [kg].
+        friction: of the loop with them, see ``friction_estimator.with_terms``.
         used: measurements that counted, per joint ``(n,)``.
+        window: last measurements, see ``smoothed_window.noted``.
+        rows: measurements in the window.
+        waiting: those that are not yet in it: motor angles, motor torques, joint torques of contact.
+        cycle: cycles since the start.
     """
 
-    theta: Array
+    sums: Array
+    values: Array
+    mass: float
+    friction: tuple[Array, Array, Array]
+    used: Array
+    window: Array
+    rows: int = 0
+    waiting: tuple[tuple[Array, Array, Array], ...] = ()
+    cycle: int = 0
+
+
+class _Known(NamedTuple):
+    """What the compiled recursion needs; names as in ``LoopModel`` where they stand there.
+
+    Attributes:
+        place: where in the last joint's frame the mass is ``(3,)`` [m].
+        friction: of the loop: the fields ``FRICTION``.
+        terms: of ``table_terms``.
+        dry: dry friction ``(n,)`` [N m].
+        v_max: largest speeds that friction is looked at over, and that can be ``(2, n)`` [rad/s].
+        apparent: standard deviation of an apparent inertia ``(n,)`` [kg m²].
+        mass: standard deviation of the mass [kg].
+        variance: of a torque's noise ``(n,)`` [(N m)²].
+        kept: what sums count one window later.
+    """
+
+    chain: Chain
+    place: Array
+    rotor_inertia: Array
+    offset: Array
+    gain: Array
+    friction_velocity: Array
+    friction: tuple[Array, Array, Array]
+    terms: Array
+    dry: Array
+    v_max: Array
     apparent: Array
     mass: float
-    curve: Array
-    covariance: Array
-    q: Array
-    tau: Array
-    z: Array
-    rejected: Array
-    used: Array
+    variance: Array
+    kept: float
 
 
 class FrictionAdaptation:
-    """Recursive least squares on the friction factors of every joint, the mass at the tool and, if wanted, a curve.
+    """Friction of every joint and the mass at the tool, from torques.
 
     Args:
         loop: the identified loop; its rigid body, rotors and friction are the reference.
-        memory: time over which old measurements lose their weight [s] of informative motion; with a curve they lose it
-            by drift alone.
-        bounds: lowest and highest factor.
-        noise: standard deviation of the torque residual relative to dry friction.
-        gate: residuals beyond this many standard deviations do not count.
-        drift: how fast the factors may wander, standard deviation after one second; the mass in its own standard
-            deviation.
         tool: where in the last joint's frame the mass is ``(3,)`` [m]; no mass is learned if None: on the axes of a
             wrist it hardly differs from what inertias may be wrong by.
-        curve: whether what the factors' law lacks over speed is learned from the torques.
-        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]; a residual is at least
-            as uncertain. Where friction is small, it is not what torques are wrong by.
+        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]; see
+            ``friction_estimator.noise_variance``.
     """
 
-    def __init__(self, loop: LoopModel, *, memory: float = 20.0, bounds: tuple[float, float] = (0.3, 3.0),
-                 noise: float = 0.15, gate: float = 4.0, drift: float = 0.02,
-                 tool: Array | None = None, curve: bool = False, noise_std: Array | None = None) -> None:
-        self.loop, self.bounds, self.gate = loop, bounds, gate
-        self._nodes = len(SPEEDS) if curve else 0
-        self._kilogram = point_mass(loop.chain, np.zeros(3) if tool is None else tool)
-        # Factors and a curve hardly differ at any one speed: forgetting lets them wander off against each other.
-        self._forgetting = 1.0 if curve else np.exp(-loop.t_ipo / memory)
-        self._dry = loop.friction_torque[:, 0]
-        self._mean_dry = dry = np.maximum(self._dry.mean(axis=0), 1e-6)
-        self._mass = 0.0 if tool is None else unknown_mass(dry)
-        # All joints ask for the mass's drift in every cycle.
-        self._drift = drift**2 * loop.t_ipo * np.array([1.0, 1.0, self._mass**2 / loop.n])
-        self._alike = likeness()[: self._nodes, : self._nodes]
-        self._curve_drift = (SHAPE * drift) ** 2 * loop.t_ipo * self._alike
-        self._v_max = largest_speeds(loop.v_max)
-        self._table = table_of(loop)
-        # Neighbouring windows share most of their samples: what they say is worth about a third of independent ones.
-        self._sigma = np.sqrt(3.0) * np.maximum(noise * dry, 0.0 if noise_std is None else noise_std)
-        # Slower than this a window is not long against presliding's few tenths of a milliradian. Joints that hardly
-        # move on a path slide slowly all the time: what they say is all that is known of friction where they work.
-        self._slow = 0.005 * np.where(np.isfinite(loop.v_max), loop.v_max, 1.0)
-        self._apparent = loop.k_p * loop.t_ipo
-        self._grown = grown_friction(loop)
-        self._window = SmoothedWindow(loop)
-        most = np.concatenate([np.full(loop.n, _FARTHEST * _APPARENT), [_FARTHEST * self._mass]])
-        largest = np.full(loop.n * self._nodes, LARGEST)
-        self._low = np.concatenate([np.full(2 * loop.n, bounds[0] - 1.0), -most, -largest])
-        self._high = np.concatenate([np.full(2 * loop.n, bounds[1] - 1.0), most, largest])
+    def __init__(self, loop: LoopModel, *, tool: Array | None = None, noise_std: Array | None = None) -> None:
+        self.loop = loop
+        self._every = max(1, round(_CYCLE / loop.t_ipo))
+        spacing, dry = self._every * loop.t_ipo, dry_friction(loop)
+        self._apart = max(1, round(INTERVAL / spacing))
+        self._known = _Known(
+            loop.chain, np.zeros(3) if tool is None else tool, loop.rotor_inertia, loop.offset, loop.gain,
+            loop.friction_velocity, friction_of(loop), table_terms(loop), dry,
+            np.stack([largest_speeds(loop.v_max), 1.5 * loop.v_max]), _APPARENT * loop.k_p * loop.t_ipo,
+            0.0 if tool is None else unknown_mass(dry), noise_variance(dry, self._apart * spacing, noise_std),
+            float(np.exp(-self._apart * spacing / MEMORY)))
+        self._drive, self._still = Drive.of(loop, spacing), np.zeros(loop.n)
 
     def init(self) -> FrictionFactors:
-        """Factors 1, believed as far as friction changes, no mass, and curves of nothing."""
+        """Friction as identified, and no mass."""
         n = self.loop.n
-        shared, own = np.diag(np.square(_SHARED)), np.diag(np.square(_OWN))
-        covariance = linalg.block_diag(np.kron(np.ones((n, n)), shared) + np.kron(np.eye(n), own),
-                                       np.diag([*[_APPARENT**2] * n, self._mass**2]),
-                                       np.kron(np.eye(n), SHAPE**2 * self._alike))
-        return FrictionFactors(np.ones((n, 2)), np.zeros(n), 0.0, np.zeros((n, self._nodes)), covariance,
-                               np.empty((0, n)), np.empty((0, n)), np.empty((0, n)), np.zeros(n), np.zeros(n))
+        return FrictionFactors(np.zeros((n, _SIZE, _SIZE + 1)), np.zeros((n, TERMS)), 0.0, self._known.friction,
+                               np.zeros(n), np.zeros((3, CYCLES, n)))
 
-    def friction(self, state: FrictionFactors) -> dict[str, Array]:
-        """Friction fields of the loop with what was learned applied."""
-        fields = adapted(self.loop, state.theta)
-        if self._nodes:
-            more = tabled(self._table, state.curve, self._mean_dry)
-            fields["friction_torque"] = np.maximum(fields["friction_torque"] + more, 0.0)
-        return fields
+    def begun(self, state: FrictionFactors) -> FrictionFactors:
+        """What is known, without the last measurements: before another motion, or after a hole in this one."""
+        return FrictionFactors(state.sums, state.values, state.mass, state.friction, state.used, state.window)
 
-    def carried(self, mass: float) -> Chain | None:
-        """The tool's mass beyond the model's as a body; None for none."""
-        return self._kilogram._replace(mass=mass * self._kilogram.mass) if mass != 0.0 else None
+    def more(self, friction: tuple[Array, Array, Array], values: Array) -> tuple[Array, Array, Array]:
+        """Friction of the loop with further values of friction's terms ``(n, TERMS)``."""
+        return with_terms(friction, self._known.terms, values)
+
+    def carried(self, state: FrictionFactors) -> Carried | None:
+        """What the tool has beyond the model's; None for nothing."""
+        return Carried(state.mass, self._known.place) if state.mass != 0.0 else None
 
     def update(self, state: FrictionFactors, measured: RobotState, tau_ext: Array | None = None) -> FrictionFactors:
         """Takes what the controller reported at the end of one cycle.
@@ -184,93 +178,136 @@ class FrictionAdaptation:
             measured: motor angles and torques.
             tau_ext: joint torque of contact that was expected ``(n,)`` [N m]; None for none.
         """
-        q, tau = np.asarray(measured.q, dtype=float), np.asarray(measured.tau, dtype=float)
-        n = self.loop.n
-        if q.shape != (n,) or tau.shape != (n,) or not (np.isfinite(q).all() and np.isfinite(tau).all()):
-            # A hole in the measurements: the window starts anew, the factors stay.
-            return replace(state, q=np.empty((0, n)), tau=np.empty((0, n)), z=np.empty((0, n)))
-        if tau_ext is not None:
-            tau = tau + self.loop.gain * tau_ext
-        z = self._window.turned(state.z[-1], q - state.q[-1]) if len(state.q) else np.zeros(n)
-        window_z = np.concatenate([state.z, z[None]])[-CYCLES:]
-        window_q = np.concatenate([state.q, q[None]])[-CYCLES:]
-        window_tau = np.concatenate([state.tau, tau[None]])[-CYCLES:]
-        state = replace(state, q=window_q, tau=window_tau, z=window_z)
-        if len(window_q) < CYCLES:
-            return state
-        return self._with_window(state)
+        # Copies: what the controller's driver writes to later must not change what waits here.
+        q, tau = np.array(measured.q, dtype=float), np.array(measured.tau, dtype=float)
+        if q.shape != self._still.shape or tau.shape != self._still.shape:
+            return self.begun(state)
+        waiting = state.waiting
+        if state.cycle % self._every == 0:
+            waiting = (*waiting, (q, tau, self._still if tau_ext is None else tau_ext))
+        if len(waiting) == self._apart:
+            return self._with_window(state, np.array(waiting))
+        return FrictionFactors(state.sums, state.values, state.mass, state.friction, state.used, state.window,
+                               state.rows, waiting, state.cycle + 1)
 
-    def _with_window(self, state: FrictionFactors) -> FrictionFactors:
-        loop, n = self.loop, self.loop.n
-        seen = self._window.of(state.q, state.tau, state.z)
-        speed = seen.motor_v
-        if np.any(np.abs(speed) > 1.5 * loop.v_max) or np.any(np.abs(state.q[CYCLES // 2] - seen.q) > 2e-2):
-            return state
-        at = seen.q[None], seen.v[None]
-        rigid = inverse_dynamics(loop.chain, *at, seen.a[None])[0]
-        steady = inverse_dynamics(loop.chain, *at, np.zeros((1, n)))[0]
-        further = further_torque(loop, np.zeros(1), *at, seen.motor_a[None], rigid[None], np.sign(speed)[None])[0]
-        accelerating = rigid - steady + loop.rotor_inertia * seen.motor_a
-        left = (seen.tau - further) / loop.gain - steady - accelerating - loop.offset
-        variance = self._sigma**2 + (_ACCELERATING * accelerating) ** 2
-        per_kilogram = inverse_dynamics(self._kilogram, *at, seen.a[None])[0]
-        x = np.concatenate([(state.theta - 1.0).ravel(), state.apparent, [state.mass], state.curve.ravel()])
-        at_nodes = between_nodes(np.abs(speed) / self._v_max) if self._nodes else np.empty((n, 0))
-        covariance, rejected, used = state.covariance, state.rejected.copy(), state.used.copy()
-        for i in range(n):
-            v = speed[i]
-            z = seen.z[i]
-            if abs(v) < self._slow[i] or z * np.sign(v) < _SLIDES:
-                continue
-            side = 0 if v > 0 else 1
-            by_load = friction_of_load(loop.friction_load[i], loop.friction_driven[i], rigid[i], v)
-            table = float(np.interp(abs(v), loop.friction_velocity[:, i], loop.friction_torque[side, :, i]))
-            grown = float(np.interp(abs(v), loop.friction_velocity[:, i], self._grown[side, :, i]))
-            h, (own, curve) = np.zeros(len(x)), self._places(i)
-            h[own] = z * np.array([self._dry[side, i] + by_load, grown])
-            h[2 * n + i], h[3 * n] = self._apparent[i] * seen.motor_a[i], per_kilogram[i]
-            h[curve] = z * self._mean_dry[i] * at_nodes[i]
-            P = self._aged(covariance, i)
-            innovation, said = left[i] - z * (table + by_load) - h @ x, P @ h
-            S = float(h @ said) + variance[i]
-            if innovation**2 > self.gate**2 * S:
-                rejected[i] += 1
-                continue
-            x = np.clip(x + said / S * innovation, self._low, self._high)
-            covariance = P - np.outer(said, said) / S
-            rejected[i], used[i] = 0, used[i] + 1
-        return replace(state, theta=1.0 + x[: 2 * n].reshape(-1, 2), apparent=x[2 * n : 3 * n],
-                       mass=float(x[3 * n]), curve=x[3 * n + 1 :].reshape(n, -1), covariance=covariance,
-                       rejected=rejected, used=used)
+    def _with_window(self, state: FrictionFactors, measured: Array) -> FrictionFactors:
+        sums, used, window = state.sums.copy(), state.used.copy(), state.window.copy()
+        values, mass, friction = state.values, state.mass, state.friction
+        further = self._further(window, state.rows, measured) if self.loop.terms else self._still
+        rows, told = _told(self._known, self._drive, (window, state.rows, measured), further, sums, used)
+        if told:
+            values, mass, friction = _solution(self._known, sums)
+        return FrictionFactors(sums, values, mass, friction, used, window, rows, (), state.cycle + 1)
 
-    def _places(self, joint: int) -> tuple[slice, slice]:
-        """Where among the parameters a joint's two factors and its curve are."""
-        curve = 3 * self.loop.n + 1 + joint * self._nodes
-        return slice(2 * joint, 2 * joint + 2), slice(curve, curve + self._nodes)
-
-    def _aged(self, covariance: Array, joint: int) -> Array:
-        """Covariance before the next measurement of a joint: its factors forgotten and wandered a little.
-
-        The mass is not forgotten, as it does not change by itself.
-        """
-        P, (own, curve) = covariance.copy(), self._places(joint)
-        # Without information forgetting would let the covariance grow for ever.
-        scale = np.sqrt(min(1.0 / self._forgetting, 0.5 / float(np.trace(P[own, own]))))
-        P[own] *= scale
-        P[:, own] *= scale
-        at = np.array([own.start, own.start + 1, 3 * self.loop.n])
-        P[at, at] += self._drift
-        P[curve, curve] += self._curve_drift
-        return P
+    def _further(self, window: Array, rows: int, measured: Array) -> Array:
+        """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
+        loop, window = self.loop, window.copy()
+        noted(window, rows, measured, self._drive)
+        seen = smoothed(window, self._drive)
+        rigid = inverse_dynamics(loop.chain, seen.q, seen.v, seen.a)
+        sliding = np.sign(seen.motor_v)
+        return np.asarray(further_torque(loop, np.zeros(1), seen.q, seen.v, seen.motor_a, rigid, sliding)[0])
 
 
-@dataclass(frozen=True)
-class AdaptedState:
-    """State of the feedforward, what it has learned, and the contact torque that it was last told ``(n,)`` [N m]."""
+@jit()
+def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], further: Array, sums: Array, used: Array
+          ) -> tuple[int, bool]:
+    """Takes measurements into the window, and counts it; the window, ``sums`` and ``used`` are written to.
+
+    Args:
+        known: of the loop.
+        drive: of the loop.
+        measured: the window, measurements in it, those that come; see ``smoothed_window.noted``.
+        further: torque of further effects in the window's middle ``(n,)`` [N m].
+        sums: see ``FrictionFactors``.
+        used: measurements that counted ``(n,)``.
+
+    Returns:
+        Measurements in the window now, and whether any joint told something.
+    """
+    window = measured[0]
+    rows, told = noted(window, measured[1], measured[2], drive), False
+    if rows < CYCLES:
+        return rows, told
+    seen, n = smoothed(window, drive), window.shape[2]
+    speed = seen.motor_v[0]
+    for i in range(n):
+        if abs(speed[i]) > known.v_max[1, i] or abs(window[0, CYCLES // 2, i] - seen.q[0, i]) > _LAG:
+            return rows, told
+    R, p, torques = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((3, n))
+    joint_frames(known.chain, seen.q[0], R, p)
+    torque_at(known.chain, R, p, seen.v[0], seen.a[0], 1.0, torques[0])
+    torque_at(known.chain, R, p, seen.v[0], np.zeros(n), 1.0, torques[1])
+    torque_at(point_mass(known.chain, known.place), R, p, seen.v[0], seen.a[0], 1.0, torques[2])
+    h = np.empty(_SIZE)
+    for i in range(n):
+        if abs(speed[i]) < SLOWEST * known.v_max[0, i] or seen.z[0, i] * np.sign(speed[i]) < SLIDES:
+            continue
+        left, accelerating = _row(known, seen, torques, i, h)
+        variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
+        if counted(sums[i], h, left - further[i] / known.gain[i], variance, known.kept):
+            used[i] += 1.0
+            told = True
+    return rows, told
+
+
+@jit()
+def _row(known: _Known, seen: Smoothed, torques: Array, i: int, h: Array) -> tuple[float, float]:
+    """What the model leaves of a joint's torque, and its torque for acceleration [N m].
+
+    Args:
+        known: of the loop.
+        seen: motion and torque in the middle of the window.
+        torques: of the rigid body, of it without acceleration, and of 1 kg at the tool ``(3, n)`` [N m].
+        i: joint, from 0.
+        h: what the parameters count ``(p,)``; written to.
+    """
+    v, speed, z, dry = seen.motor_v[0, i], abs(seen.motor_v[0, i]), seen.z[0, i], known.dry[i]
+    table, per_load, per_driven = known.friction
+    accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * seen.motor_a[0, i]
+    by_load = friction_of_load(per_load[i], per_driven[i], torques[0, i], v)
+    sliding = between(speed, known.friction_velocity[:, i], table[0 if v > 0.0 else 1, :, i]) + by_load
+    terms_at(speed / known.v_max[0, i], h)
+    h[0] += by_load / dry
+    for k in range(TERMS):
+        h[k] *= z * dry
+    h[TERMS], h[TERMS + 3] = known.apparent[i] * seen.motor_a[0, i], known.mass * torques[2, i]
+    for k in range(2):
+        h[TERMS + 1 + k] = SHARED[k] * h[k]
+        h[k] *= OWN[k]
+    return seen.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - z * sliding, accelerating
+
+
+@jit()
+def _solution(known: _Known, sums: Array) -> tuple[Array, float, tuple[Array, Array, Array]]:
+    """Values of friction's terms ``(n, TERMS)``, the mass [kg], and friction with them.
+
+    Args:
+        known: of the loop.
+        sums: see ``FrictionFactors``.
+    """
+    x = estimate(sums, 3)
+    values = x[:, :TERMS].copy()
+    for k in range(2):
+        values[:, k] = OWN[k] * x[:, k] + SHARED[k] * x[:, TERMS + 1 + k]
+    return values, known.mass * x[0, TERMS + 3], with_terms(known.friction, known.terms, values)
+
+
+class AdaptedState(NamedTuple):
+    """State of the feedforward, and what it has learned.
+
+    Attributes:
+        ideal: of the ideal robot.
+        factors: learned from torques.
+        curve: learned from following errors; None where nothing is.
+        drives: that follow from both.
+        tau_ext: contact torque that it was last told ``(n,)`` [N m].
+    """
 
     ideal: IdealState
     factors: FrictionFactors
     curve: CurveState | None
+    drives: Drives
     tau_ext: Array | None = None
 
 
@@ -282,8 +319,8 @@ class AdaptedIdeal(Feedforward):
     Args:
         ideal: what is adapted.
         adaptation: how.
-        known: what to start with; factors 1, believed to 15 %, and no mass if None.
-        curve: learns what the law's shape lacks over speed; nothing does if None. For paths known beforehand: one
+        known: what to start with; friction as identified and no mass if None.
+        curve: learns from following errors what is left; nothing does if None. For paths known beforehand: one
             that is planned anew all the time leaves following errors that are not friction's.
         known_curve: what that starts with; nothing if None.
     """
@@ -298,57 +335,38 @@ class AdaptedIdeal(Feedforward):
     def init(self, q0: Array, factors: FrictionFactors | None = None) -> AdaptedState:
         """At rest at ``q0``, with what is known from before, if anything."""
         factors = self.known if factors is None else factors
-        return AdaptedState(self.ideal.init(q0), self.adaptation.init() if factors is None else factors,
-                            None if self.curve is None else self.curve.init(self.known_curve))
+        factors = self.adaptation.init() if factors is None else self.adaptation.begun(factors)
+        curve = None if self.curve is None else self.curve.init(self.known_curve)
+        return AdaptedState(self.ideal.init(q0), factors, curve, self._drives(factors, curve))
+
+    def _drives(self, factors: FrictionFactors, curve: CurveState | None) -> Drives:
+        friction = factors.friction
+        if self.curve is not None and curve is not None:
+            friction = self.adaptation.more(friction, self.curve.values(curve))
+        return self.ideal.drives._replace(**dict(zip(FRICTION, friction, strict=True)))
 
     def observe(self, state: AdaptedState, measured: RobotState) -> AdaptedState:
         """Takes what the controller reported at the end of a cycle."""
-        curve = state.curve
+        factors = self.adaptation.update(state.factors, measured, state.tau_ext)
+        curve, drives = state.curve, state.drives
+        changed = factors.friction is not state.factors.friction
         if self.curve is not None and curve is not None:
-            curve = self.curve.update(curve, measured.q)
-        return replace(state, factors=self.adaptation.update(state.factors, measured, state.tau_ext), curve=curve)
+            before, curve = curve.x, self.curve.update(curve, measured.q)
+            changed = changed or curve.x is not before
+        if changed:
+            drives = self._drives(factors, curve)
+        return AdaptedState(state.ideal, factors, curve, drives, state.tau_ext)
 
     def step(self, state: AdaptedState, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, AdaptedState]:
         """See ``Feedforward.step``."""
-        factors, inner = state.factors, state.ideal
-        carried = self.adaptation.carried(factors.mass)
+        factors, curve, inner = state.factors, state.curve, state.ideal
+        carried = self.adaptation.carried(factors)
         if inner.cycle == 0:
             # The motors hold already at rest what was learned before the first step.
             inner = self.ideal.init(inner.q_d[-1], carried)
-        change = self.adaptation.friction(factors)
-        curve, inertia = state.curve, None
-        if self.curve is not None and curve is not None:
-            change["friction_torque"] = change["friction_torque"] + self.curve.torque(curve)
-            inertia = self.curve.inertia(curve)
-        drives = self.ideal.drives._replace(**change)
-        q_c, inner = self.ideal.step_with(drives, inner, q_d, tau_ext_d, carried, inertia)
+        inertia = None if curve is None else curve.inertia
+        q_c, inner = self.ideal.step_with(state.drives, inner, q_d, tau_ext_d, carried, inertia)
         if self.curve is not None and curve is not None:
             curve = self.curve.planned(curve, inner)
-        return q_c, AdaptedState(inner, factors, curve,
+        return q_c, AdaptedState(inner, factors, curve, state.drives,
                                  None if tau_ext_d is None else np.array(tau_ext_d[0]))
-
-
-def unknown_mass(dry: Array) -> float:
-    """How heavy a tool may be beyond the model's before anything was measured: standard deviation [kg].
-
-    Args:
-        dry: dry friction ``(n,)`` [N m].
-    """
-    return float(_WEIGHT * dry.max() / _GRAVITY)
-
-
-def adapted(loop: LoopModel, theta: Array) -> dict[str, Any]:
-    """Friction fields of a loop model with the factors ``theta (n, 2)`` applied."""
-    more = (theta[:, 0] - 1.0) * loop.friction_torque[:, :1] + (theta[:, 1] - 1.0) * grown_friction(loop)
-    return {"friction_torque": np.maximum(loop.friction_torque + more, 0.0),
-            "friction_load": theta[:, 0] * loop.friction_load, "friction_driven": theta[:, 0] * loop.friction_driven}
-
-
-def grown_friction(loop: LoopModel) -> Array:
-    """What the second factor counts, in the loop's table of friction ``(2, m, n)`` [N m].
-
-    It rises with the root of speed to as much as dry friction. The identified friction less its dry part has not this
-    form: at low speed a gear's friction falls before it rises, and what of it rises does not show by itself.
-    """
-    shares = loop.friction_velocity / largest_speeds(loop.v_max)
-    return np.asarray(loop.friction_torque[:, :1] * np.sqrt(shares))

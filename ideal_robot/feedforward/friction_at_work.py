@@ -2,15 +2,9 @@ r"""Friction at the speeds of a job, from the torques of a motion like it in fre
 
 Identification drives all joints fast, and a law of few coefficients fits there. A path of the tool moves some joints
 at hundredths of a radian per second, where friction falls with speed before it rises, and turns them round. What the
-loop's friction lacks there is a curve over speed for each joint, linear between nodes and smooth over the logarithm of
-speed,
-
-.. math:: \tau - \tau_{rigid} - \tau_{offset} - z F(|\dot q|) = F(0) \left(o + z \sum_k c_k \phi_k(|\dot q|)\right)
-
-with the loop's friction F, an offset o for weight that was identified wrong, and z the direction of sliding by Dahl's
-model (``ideal_robot.friction.presliding``), whose angle is the one that explains most. Where the motion tells nothing,
-the curve's prior (``friction_curve``) leaves the loop as it was. Load on the gear's teeth is that of the job, so that
-what it adds to friction is in the curve.
+loop's friction lacks there is, joint by joint, friction's terms and an offset of ``friction_estimator``, solved for in
+batch. The direction of sliding follows Dahl's model (``ideal_robot.friction.presliding``), whose angle is the one that
+explains most. Where the motion tells nothing, the prior leaves the loop as it was.
 """
 
 from __future__ import annotations
@@ -22,7 +16,20 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.errors import InputError
-from ideal_robot.feedforward.friction_curve import LARGEST, SHAPE, between_nodes, likeness
+from ideal_robot.feedforward.friction_estimator import (
+    ALONE,
+    FAR,
+    FRICTION,
+    TERMS,
+    WEIGHT,
+    dry_friction,
+    friction_of,
+    friction_terms,
+    noise_variance,
+    solved,
+    table_terms,
+    with_terms,
+)
 from ideal_robot.friction.presliding import sliding_direction
 from ideal_robot.loop.from_model import further_torque
 from ideal_robot.loop.loop_model import LoopModel, friction_of_load, largest_speeds, ripple_torque
@@ -31,10 +38,6 @@ from ideal_robot.signals.recording import Recording
 
 CUTOFF = 20.0
 """Of the low-pass on positions; torques up to half of it count [Hz]."""
-OFFSET = 0.1
-"""Standard deviation of the offset over dry friction."""
-NOISE = 0.1
-"""Standard deviation of a torque over dry friction: neighbouring ones share what is wrong besides."""
 BENDS = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.45, 1.7, 2.0)
 """Angles over which friction turns that are tried, over the loop's."""
 BELIEVED = 0.4
@@ -46,20 +49,17 @@ class FrictionAtWork:
     """Friction beyond the identified loop's.
 
     Attributes:
-        curve: at the nodes ``friction_curve.SPEEDS``, shares of the largest speed ``(n, K)`` [N m].
+        values: of friction's terms ``(n, TERMS)``.
         bend: factor on the angle over which friction turns after a reversal ``(n,)`` [1].
     """
 
-    curve: Array
+    values: Array
     bend: Array
 
     def in_loop(self, loop: LoopModel) -> LoopModel:
         """The loop that it was found for, with it."""
-        shares = loop.friction_velocity / largest_speeds(loop.v_max)
-        more = np.column_stack([between_nodes(share) @ curve
-                                for share, curve in zip(shares.T, self.curve, strict=True)])
-        return loop.replace(friction_torque=np.maximum(loop.friction_torque + more, 0.0),
-                            friction_bend=self.bend * loop.friction_bend)
+        friction = with_terms(friction_of(loop), table_terms(loop), self.values)
+        return loop.replace(**dict(zip(FRICTION, friction, strict=True)), friction_bend=self.bend * loop.friction_bend)
 
 
 def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
@@ -81,19 +81,18 @@ def friction_at_work(recording: Recording, loop: LoopModel) -> FrictionAtWork:
     rigid = inverse_dynamics(loop.chain, s.q, s.qd, s.qdd)
     left = _left(loop, s, rigid)
     found = [_of_joint(loop, s, rigid[:, j], left[:, j], j) for j in range(loop.n)]
-    return FrictionAtWork(np.array([curve for curve, _ in found]), np.array([bend for _, bend in found]))
+    return FrictionAtWork(np.array([values for values, _ in found]), np.array([bend for _, bend in found]))
 
 
 def _left(loop: LoopModel, s: FilteredSignals, rigid: Array) -> Array:
     """What is left of the torque for friction ``(M, n)`` [N m], decimated."""
     ripple = np.array([[ripple_torque(loop.ripple, j, q) for j, q in enumerate(row)] for row in s.q])
     further = further_torque(loop, s.t - s.t[0], s.q, s.qd, s.qdd, rigid, np.sign(s.qd))
-    known = loop.gain * (rigid + loop.rotor_inertia * s.qdd + loop.offset) + further + ripple
-    return s.decimate(s.tau - known) / loop.gain
+    return s.decimate((s.tau - further) / loop.gain - rigid - loop.rotor_inertia * s.qdd - loop.offset - ripple)
 
 
 def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: int) -> tuple[Array, float]:
-    """Curve ``(K,)`` [N m] and factor on the angle over which friction turns.
+    """Values of friction's terms ``(TERMS,)`` and factor on the angle over which friction turns.
 
     Args:
         loop: the identified loop.
@@ -103,26 +102,24 @@ def _of_joint(loop: LoopModel, s: FilteredSignals, load: Array, left: Array, j: 
         j: joint, from 0.
     """
     q, v = s.q[:, [j]], s.qd[:, j]
-    dry = max(float(loop.friction_torque[:, 0, j].mean()), 1e-6)
+    dry = dry_friction(loop)[j]
     sides = [np.interp(np.abs(v), loop.friction_velocity[:, j], side) for side in loop.friction_torque[:, :, j]]
-    by_load = [friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
-               for a, b in zip(load, v, strict=True)]
+    by_load = np.array([friction_of_load(loop.friction_load[j], loop.friction_driven[j], a, b)
+                        for a, b in zip(load, v, strict=True)])
     friction = np.where(v > 0, *sides) + by_load
-    nodes = dry * between_nodes(np.abs(v) / largest_speeds(loop.v_max)[j])
-    alike = likeness()
-    prior = np.diag(np.append(np.full(len(alike), 1e-9), OFFSET**2))
-    prior[:-1, :-1] += SHAPE**2 * alike
-    root = np.linalg.cholesky(prior)
-    best, curve, factor = np.inf, np.zeros(len(alike)), 1.0
+    terms = dry * friction_terms(np.abs(v) / largest_speeds(loop.v_max)[j])
+    terms[:, 0] += by_load
+    terms[:, :2] *= ALONE
+    weight = np.full(len(v), WEIGHT * dry)
+    std = np.sqrt(noise_variance(dry, s.factor * s.dt))
+    best, values, factor = -np.inf, np.zeros(TERMS), 1.0
     bend = float(loop.friction_bend[j])
     for tried in BENDS if bend > 0.0 else (1.0,):
         z = sliding_direction(q, s.qd[:, [j]], np.array([tried * bend]))[:, 0] if bend > 0.0 else np.sign(v)
-        H = s.decimate(np.column_stack([z[:, None] * nodes, np.full(len(v), dry)])) / (NOISE * dry)
-        y = (left - s.decimate(z * friction)) / (NOISE * dry)
-        G = H @ root
-        x = root @ np.linalg.solve(np.eye(len(root)) + G.T @ G, G.T @ y)
-        # Minus twice the log likelihood of y ~ N(0, 1 + G Gᵀ), whose determinant hardly depends on z.
-        cost = float(y @ (y - H @ x)) + (np.log(tried) / BELIEVED) ** 2
-        if cost < best:
-            best, curve, factor = cost, dry * np.clip(x[:-1], -LARGEST, LARGEST), tried
-    return curve, factor
+        columns = s.decimate(np.column_stack([z[:, None] * terms, weight])) / std
+        solution = solved(columns, (left - s.decimate(z * friction)) / std)
+        evidence = solution.evidence - 0.5 * (np.log(tried) / BELIEVED) ** 2
+        if evidence > best:
+            best, values, factor = evidence, np.clip(solution.x[:TERMS], -FAR, FAR), tried
+    values[:2] *= ALONE
+    return values, factor

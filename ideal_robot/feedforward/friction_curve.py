@@ -1,4 +1,4 @@
-r"""Friction's shape over speed, and inertia, learned from how far the motors are from where they were planned to be.
+r"""Friction and inertia learned from how far the motors are from where they were planned to be.
 
 A law of few coefficients has not the shape of a gear's friction where it moves slowly: there friction falls with speed
 before it rises. What the law lacks shows in the following error. Where the motors are not at the planned :math:`q_m`,
@@ -7,17 +7,16 @@ the joint controller [G] (16), (17) gives a torque beyond the planned one,
 .. math:: \Delta\tau = k_p \Delta u + k_i \int \Delta u\, dt, \qquad
           \Delta u = -\left(\frac{d}{dt} + k_v\right) (q - q_m),
 
-which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. For
-each joint a Kalman filter learns a curve over speed, linear between nodes and smooth over the logarithm of speed:
+which is what the plan did not know. No torque is measured for that, so the noise of its sensor does not count. It is
+explained in the basis of ``friction_estimator`` by what is unknown less what the plan had used of it, primed:
 
 .. math::
 
-    \Delta\tau_i = F_i(0) \left(o_i + z_i \sum_k (c_{ik} - c_{ik}') \phi_k(|\dot q_{m,i}|)\right)
-                   + \sum_j (J_{ij} - J_{ij}') \ddot q_{m,j}
+    \Delta\tau_i = F_i \Big( z_i f_i^T (x_i - x_i') + o_i \Big) + \sum_j (J_{ij} - J_{ij}') \ddot q_{m,j}
 
-with F(0) the dry friction, z the direction of sliding, between -1 and 1 after a reversal, J the inertia that the drive
-feels beyond the model's, its own and that of links which other joints accelerate, :math:`c'` and :math:`J'` what the
-plan had used, and an offset o that wanders: weight, load, what was planned wrong besides.
+with F the dry friction, z the direction of sliding, between -1 and 1 after a reversal, f friction's terms, J the
+inertia that the drive feels beyond the model's, its own and that of links which other joints accelerate, and an offset
+o: weight, load, what was planned wrong besides.
 
 The torque for acceleration is planned wrong where rotors and links were identified wrong, and where the gain
 :math:`k_p` was, by which the plan turns it into a command. It is the same on any motion about the path and does not
@@ -26,43 +25,38 @@ change; friction's shape does, and is learned anew on each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.feedforward.friction_estimator import (
+    ALONE,
+    INTERVAL,
+    MEMORY,
+    SLIDES,
+    SLOWEST,
+    TERMS,
+    WEIGHT,
+    counted,
+    dry_friction,
+    estimate,
+    noise_variance,
+    remembered,
+    terms_at,
+)
 from ideal_robot.feedforward.ideal import IdealState
+from ideal_robot.jit import jit
 from ideal_robot.loop.loop_model import LoopModel, largest_speeds
 
-SPEEDS = np.array([0.0, 0.002, 0.005, 0.01, 0.015, 0.022, 0.035, 0.06, 0.12, 0.25, 0.5, 1.0])
-"""Nodes of the curve, as shares of the largest speed."""
-KNEE = 0.005
-"""Share of the largest speed below which speeds are alike."""
-LENGTH = 1.2
-"""Logarithm of speed over which the curve becomes another."""
-SHAPE, DRIFT = 0.15, 0.05
-"""The curve at first, and how far it wanders in a second: standard deviations over dry friction."""
-OFFSET, WANDERS = 0.3, 0.1
-"""The same of the offset."""
 INERTIA, COUPLED = 0.1, 0.05
-"""Standard deviations at first of a joint's inertia over ``k_p T``, which is about what a drive feels, and of that
-between two joints over the root of both joints' ``k_p T``."""
-HEAVIEST = 0.3
-"""Bound of either."""
-NOISE = 0.2
-"""Standard deviation of a measurement over dry friction: neighbouring ones share what is wrong besides."""
-LARGEST = 0.5
-"""Bound of the curve over dry friction."""
-GATE = 4.0
-"""Measurements beyond this many standard deviations do not count."""
-SLIDES, SLOWEST = 0.9, 1e-3
-"""Direction of sliding, and share of the largest speed, from which on a joint tells its friction."""
-FAR = 0.01
+"""Standard deviations of a joint's inertia over ``k_p T``, which is about what a drive feels, and of that between two
+joints over the root of both joints' ``k_p T``."""
+STRAY = 0.01
 """Following error of a joint that does not follow: stopped, guided, another command [rad]."""
 
 
-@dataclass(frozen=True)
-class Planned:
+class Planned(NamedTuple):
     """Of one cycle: motor angles and velocities at its end, direction of sliding, each ``(n,)``, and what was known."""
 
     q: Array
@@ -71,33 +65,56 @@ class Planned:
     x: Array
 
 
-@dataclass(frozen=True)
-class CurveState:
-    """What is known of the curves.
+class CurveState(NamedTuple):
+    """What is known.
 
     Attributes:
-        x: of each joint offset over dry friction, inertia for every joint's acceleration over the root of both joints'
-            ``k_p T``, curve over dry friction ``(n, 1 + n + K)``.
-        covariance: of them ``(n, 1 + n + K, 1 + n + K)``.
+        sums: normal equations of each joint: friction's terms, offset, inertia for every joint's acceleration
+            ``(n, p, p + 1)`` with ``p = TERMS + 1 + n``.
+        x: their solution ``(n, p)``.
+        inertia: that the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
         plans: cycles whose measurement has not come yet, oldest first, behind the last one whose has.
         error: following error of the last cycle ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
+        together: over the last cycles in which a joint told something, sums of what the parameters count and of the
+            torque, and how many cycles they were ``(n, p + 2)``.
+        cycles: summed in ``together``, with those in which a joint told nothing.
     """
 
+    sums: Array
     x: Array
-    covariance: Array
+    inertia: Array
     plans: tuple[Planned, ...]
     error: Array | None
     integral: Array
+    together: Array
+    cycles: int = 0
 
-    @property
-    def curve(self) -> Array:
-        """Friction beyond the model's, over dry friction, at the nodes ``(n, K)``."""
-        return self.x[:, 1 + len(self.x) :]
+
+class _Known(NamedTuple):
+    """What is known of the loop; names as in ``LoopModel`` where they stand there.
+
+    Attributes:
+        dry: dry friction ``(n,)`` [N m].
+        v_max: largest speeds that friction is looked at over ``(n,)`` [rad/s].
+        unit: standard deviations of inertias ``(n, n)`` [kg m²].
+        variance: of one cycle's torque over dry friction.
+        kept: what sums count one cycle later.
+    """
+
+    k_p: Array
+    k_i: Array
+    k_v: Array
+    t_ipo: float
+    dry: Array
+    v_max: Array
+    unit: Array
+    variance: float
+    kept: float
 
 
 class FrictionCurve:
-    """Kalman filter for the friction curve and the inertia of every joint.
+    """Friction and inertia of every joint from its following error.
 
     Args:
         loop: the identified loop; its controller and its dry friction are the reference.
@@ -105,113 +122,116 @@ class FrictionCurve:
 
     def __init__(self, loop: LoopModel) -> None:
         self.loop = loop
-        self._v_max = largest_speeds(loop.v_max)
-        self._dry = np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6)
-        root = np.sqrt(loop.k_p * loop.t_ipo)
-        self._unit = np.outer(root, root)
-        alike, n = likeness(), loop.n
-        # Places of the inertias and of the curve among a joint's parameters, behind the offset.
-        self._masses, self._shape = slice(1, 1 + n), slice(1 + n, None)
-        count, at = 1 + n + len(SPEEDS), np.arange(n)
-        prior, drift = np.zeros((n, count, count)), np.zeros((count, count))
-        prior[:, 0, 0], prior[:, self._shape, self._shape] = OFFSET**2, SHAPE**2 * alike
-        prior[:, 1 + at, 1 + at] = COUPLED**2
-        prior[at, 1 + at, 1 + at] = INERTIA**2
-        drift[0, 0], drift[self._shape, self._shape] = WANDERS**2 * loop.t_ipo, DRIFT**2 * loop.t_ipo * alike
-        self._prior, self._drift = prior, drift
-        self._table = table_of(loop)
+        n, T, dry = loop.n, loop.t_ipo, dry_friction(loop)
+        root = np.sqrt(loop.k_p * T)
+        unit = np.where(np.eye(n, dtype=bool), INERTIA, COUPLED) * np.outer(root, root)
+        variance = float(noise_variance(np.ones(1), T)[0])
+        self._known = _Known(loop.k_p, loop.k_i, loop.k_v, T, dry, largest_speeds(loop.v_max), unit, variance,
+                             float(np.exp(-T / MEMORY)))
+        self._together = max(1, round(INTERVAL / T))
+        self._size = TERMS + 1 + n
 
     def init(self, known: CurveState | None = None) -> CurveState:
         """Nothing known, or what is known from another motion; of that motion's following error nothing stays."""
-        n = self.loop.n
-        x = np.zeros((n, 1 + n + len(SPEEDS)))
         if known is None:
-            return CurveState(x, self._prior, (), None, np.zeros(n))
-        x[:, 1:] = known.x[:, 1:]
-        covariance = known.covariance.copy()
-        covariance[:, 0], covariance[:, :, 0] = self._prior[:, 0], self._prior[:, :, 0]
-        return CurveState(x, covariance, (), None, np.zeros(n))
+            return self._begun(np.zeros((self.loop.n, self._size, self._size + 1)))
+        return self._begun(remembered(known.sums, np.delete(np.arange(self._size), TERMS)))
 
     def inertia_alone(self, state: CurveState) -> CurveState:
         """What a motion tells of any other: the inertia. Friction's shape is unknown again."""
-        begun = self.init()
-        x, covariance = begun.x.copy(), begun.covariance.copy()
-        x[:, self._masses] = state.x[:, self._masses]
-        covariance[:, self._masses, self._masses] = state.covariance[:, self._masses, self._masses]
-        return replace(begun, x=x, covariance=covariance)
+        return self._begun(remembered(state.sums, np.arange(TERMS + 1, self._size)))
 
-    def torque(self, state: CurveState) -> Array:
-        """What the curves add to the loop's table of sliding friction ``(m, n)`` [N m]."""
-        return tabled(self._table, state.curve, self._dry)
+    def _begun(self, sums: Array) -> CurveState:
+        n, p, x = self.loop.n, self._size, estimate(sums, 0)
+        return CurveState(sums, x, self._inertia(x), (), None, np.zeros(n), np.zeros((n, p + 2)))
 
-    def inertia(self, state: CurveState) -> Array:
-        """What the drives feel of the joints' accelerations beyond the model's rotors and links ``(n, n)`` [kg m²]."""
-        return np.asarray(state.x[:, self._masses] * self._unit)
+    def _inertia(self, x: Array) -> Array:
+        return np.asarray(x[:, TERMS + 1 :] * self._known.unit)
+
+    def values(self, state: CurveState) -> Array:
+        """Values of friction's terms ``(n, TERMS)``."""
+        values = state.x[:, :TERMS].copy()
+        values[:, :2] *= ALONE
+        return values
 
     def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
         """Takes note of what the ideal robot planned in a cycle with what this state knows."""
         plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.x)
-        return replace(state, plans=(*state.plans, plan)[-self.loop.delay - 2 :])
+        return CurveState(state.sums, state.x, state.inertia, (*state.plans, plan)[-self.loop.delay - 2 :],
+                          state.error, state.integral, state.together, state.cycles)
 
     def update(self, state: CurveState, q: Array) -> CurveState:
         """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
-        loop, q = self.loop, np.asarray(q, dtype=float)
-        if len(state.plans) <= loop.delay + 1:
+        q, plans = np.asarray(q, dtype=float), state.plans
+        if len(plans) <= self.loop.delay + 1:
             return state
-        before, plan = state.plans[:2]
-        if q.shape != plan.q.shape or not np.all(np.abs(q - plan.q) < FAR):
-            return replace(self.init(state), plans=state.plans)
-        error = q - plan.q
+        before, plan = plans[:2]
+        error = q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
+        sums, x, inertia, together, cycles = state.sums, state.x, state.inertia, state.together, state.cycles
+        if not np.abs(error).max() < STRAY:
+            # The first that strays ends what was known of this motion.
+            known = state if state.error is None else self.init(state)
+            return CurveState(known.sums, known.x, known.inertia, plans, None, known.integral, known.together)
         if state.error is None:
-            return replace(state, error=error)
-        step = state.error - error - 0.5 * loop.t_ipo * loop.k_v * (state.error + error)
-        torque = loop.k_p * step / loop.t_ipo + state.integral + 0.5 * loop.k_i * step
-        h = np.ones_like(state.x)
-        h[:, self._masses] = self._unit / self._dry[:, None] * (plan.v - before.v) / loop.t_ipo
-        h[:, self._shape] = plan.turned[:, None] * between_nodes(np.abs(plan.v) / self._v_max)
-        covariance = state.covariance + self._drift
-        said = np.matmul(covariance, h[:, :, None])[:, :, 0]
-        S = np.sum(h * said, axis=1) + NOISE**2
-        innovation = torque / self._dry - np.sum(h[:, 1:] * (state.x - plan.x)[:, 1:], axis=1) - state.x[:, 0]
-        slides = (np.abs(plan.turned) > SLIDES) & (np.abs(plan.v) > SLOWEST * self._v_max)
-        counts = slides & (innovation**2 < GATE**2 * S)
-        gain = np.where(counts, 1.0 / S, 0.0)[:, None] * said
-        x = state.x + gain * innovation[:, None]
-        x[:, self._masses] = np.clip(x[:, self._masses], -HEAVIEST, HEAVIEST)
-        x[:, self._shape] = np.clip(x[:, self._shape], -LARGEST, LARGEST)
-        # Of a joint that stands nothing is learned, and nothing forgotten.
-        covariance = np.where(counts[:, None, None], covariance - gain[:, :, None] * said[:, None], state.covariance)
-        return CurveState(x, covariance, state.plans, error, state.integral + loop.k_i * step)
+            return CurveState(sums, x, inertia, plans, error, state.integral, together, cycles)
+        integral, together = state.integral.copy(), together.copy()
+        _cycle(self._known, before.v, (plan.v, plan.turned, plan.x), (state.error, error), integral, together)
+        cycles += 1
+        if cycles == self._together:
+            sums = sums.copy()
+            _learned(self._known, together, sums)
+            x = estimate(sums, 0)
+            inertia, together, cycles = self._inertia(x), np.zeros_like(together), 0
+        return CurveState(sums, x, inertia, plans, error, integral, together, cycles)
 
 
-def likeness() -> Array:
-    """Correlation of a curve's values at the nodes ``(K, K)``: it is smooth over the logarithm of speed."""
-    place = np.log1p(SPEEDS / KNEE)
-    return np.asarray(np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2))
-
-
-def table_of(loop: LoopModel) -> Array:
-    """Shares of the nodes ``(n, m, K)`` at the speeds of the loop's table of friction."""
-    return np.stack([between_nodes(speed / most)
-                     for speed, most in zip(loop.friction_velocity.T, largest_speeds(loop.v_max), strict=True)])
-
-
-def tabled(table: Array, curve: Array, dry: Array) -> Array:
-    """What curves add to the loop's table of friction ``(m, n)`` [N m].
+@jit()
+def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], errors: tuple[Array, Array],
+           integral: Array, together: Array) -> None:
+    """Adds what one cycle says of joints that slide; ``integral`` and ``together`` are written to.
 
     Args:
-        table: shares of the nodes ``(n, m, K)``, as of ``table_of``.
-        curve: its values at the nodes, as a share of dry friction ``(n, K)``.
-        dry: dry friction ``(n,)`` [N m].
+        known: of the loop.
+        v_before: planned velocities a cycle before ``(n,)`` [rad/s].
+        plan: planned velocities, direction of sliding, what the plan knew; as in ``Planned``.
+        errors: following errors of the cycle before and of this one ``(n,)`` [rad].
+        integral: torque of the integral part ``(n,)`` [N m].
+        together: see ``CurveState``.
     """
-    return np.asarray(np.matmul(table, curve[:, :, None])[:, :, 0].T * dry)
+    v, turned, used = plan
+    n, p, T = len(integral), used.shape[1], known.t_ipo
+    h = np.zeros(p)
+    for i in range(n):
+        step = errors[0][i] - errors[1][i] - 0.5 * T * known.k_v[i] * (errors[0][i] + errors[1][i])
+        torque = known.k_p[i] * step / T + integral[i] + 0.5 * known.k_i[i] * step
+        integral[i] += known.k_i[i] * step
+        if abs(turned[i]) < SLIDES or abs(v[i]) < SLOWEST * known.v_max[i]:
+            continue
+        terms_at(abs(v[i]) / known.v_max[i], h)
+        for k in range(TERMS):
+            h[k] *= turned[i] * (ALONE[k] if k < 2 else 1.0)
+        h[TERMS] = WEIGHT
+        for j in range(n):
+            h[TERMS + 1 + j] = known.unit[i, j] / known.dry[i] * (v[j] - v_before[j]) / T
+        left = torque / known.dry[i]
+        for k in range(p):
+            left += h[k] * used[i, k] if k != TERMS else 0.0
+            together[i, k] += h[k]
+        together[i, p] += left
+        together[i, p + 1] += 1.0
 
 
-def between_nodes(speed: Array) -> Array:
-    """Shares of the nodes ``(m, K)`` at speeds ``(m,)`` over the largest one."""
-    speed = np.minimum(speed, SPEEDS[-1])
-    k = np.minimum(np.searchsorted(SPEEDS, speed, side="right") - 1, len(SPEEDS) - 2)
-    share = (speed - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k])
-    rows, shares = np.arange(len(speed)), np.zeros((len(speed), len(SPEEDS)))
-    shares[rows, k], shares[rows, k + 1] = 1.0 - share, share
-    return shares
+@jit()
+def _learned(known: _Known, together: Array, sums: Array) -> None:
+    """Counts the mean of some cycles.
+
+    Args:
+        known: of the loop.
+        together: see ``CurveState``.
+        sums: see there; written to.
+    """
+    for i in range(len(together)):
+        count, p = together[i, -1], sums.shape[1]
+        if count > 0.0:
+            counted(sums[i], together[i, :p] / count, together[i, p] / count, known.variance / count,
+                    known.kept**count)

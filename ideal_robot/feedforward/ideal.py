@@ -14,12 +14,12 @@ the rest, from the gear torque back to the command. Step by step, along [G] (8),
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
+from ideal_robot.dynamics.newton_euler import inverse_dynamics, inverse_dynamics_with_point
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.precorrection import command_inverse, spline_operators
@@ -74,6 +74,13 @@ class IdealState:
     cycle: int
 
 
+class Carried(NamedTuple):
+    """A mass [kg] at a place of the last joint's frame ``(3,)`` [m]."""
+
+    mass: float
+    place: Array
+
+
 class IdealRobot(Feedforward):
     """Inverse of the identified closed loop over the horizon.
 
@@ -125,13 +132,14 @@ class IdealRobot(Feedforward):
         """
         return cls(loop_model(model, robot, delay=delay), n_d, **options)
 
-    def init(self, q0: Array, carried: Chain | None = None) -> IdealState:
+    def init(self, q0: Array, carried: Carried | None = None) -> IdealState:
         """See ``Feedforward.init``; ``carried`` as in ``step_with``."""
         q0 = np.array(q0, dtype=float)
         loop, still = self.loop, np.zeros((1, self.loop.n))
-        gravity = inverse_dynamics(loop.chain, q0[None], still, still)[0]
+        load, more = self._load(q0[None], still, still, carried)
+        gravity = load[0]
         further = further_torque(loop, np.zeros(1), q0[None], still, still, gravity[None], still)[0]
-        held = gravity if carried is None else gravity + inverse_dynamics(carried, q0[None], still, still)[0]
+        held = gravity if more is None else gravity + more[0]
         sag = gravity * self._compliance + self._gap * side_of_gap(gravity, still[0], loop.gap_load)
         sag -= [unevenness(loop.uneven, i, float(q))[0] for i, q in enumerate(q0)]
         return IdealState(
@@ -144,7 +152,7 @@ class IdealRobot(Feedforward):
         return self.step_with(self.drives, state, q_d, tau_ext_d)
 
     def step_with(self, drives: Drives, state: IdealState, q_d: Array, tau_ext_d: Array | None = None,
-                  carried: Chain | None = None, inertia: Array | None = None) -> tuple[Array, IdealState]:
+                  carried: Carried | None = None, inertia: Array | None = None) -> tuple[Array, IdealState]:
         """``step`` with other drives than the identified ones, for adaptation.
 
         Args:
@@ -152,7 +160,7 @@ class IdealRobot(Feedforward):
             state: before the cycle.
             q_d: horizon ``(n_d, n)`` [rad].
             tau_ext_d: expected joint torque of contact ``(n_d, n)`` [N m].
-            carried: bodies that the motors carry beyond the model's. How far they bend the gears is left out.
+            carried: what the motors carry beyond the model's bodies. How far it bends the gears is left out.
             inertia: what the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
         """
         loop = self.loop
@@ -162,7 +170,7 @@ class IdealRobot(Feedforward):
                              value=q_d.shape)
         rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d)])
         q, qd, qdd = (operator @ rows for operator in self._coarse)
-        load = inverse_dynamics(loop.chain, q, qd, qdd)
+        load, more = self._load(q, qd, qdd, carried)
         if tau_ext_d is not None:
             load -= self._external(np.asarray(tau_ext_d, dtype=float))
         gears = self._torque.of(load)
@@ -187,8 +195,8 @@ class IdealRobot(Feedforward):
         smooth = reflected + drives.rotor_inertia * a_m + loop.offset
         if inertia is not None:
             smooth = smooth + a_m @ inertia.T
-        if carried is not None:
-            smooth = smooth + self._torque.value @ inverse_dynamics(carried, q, qd, qdd)
+        if more is not None:
+            smooth = smooth + self._torque.value @ more
         friction, bent, turned = _friction(drives, v_m, gear, loop.t_position, state.preslide)
         further = further_torque(loop, state.cycle * self.t_ipo + self._t_fine, q_m, v_m, a_m, gear, turned)
         signal, u, tau = _position_loop_signal(drives, q_m, v_m, a_m, smooth + friction, further, self._lag,
@@ -200,6 +208,14 @@ class IdealRobot(Feedforward):
                        loop.q_max)
         return q_c, IdealState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
                                u, tau, bent[last], reached, v_m[last], turned[last], state.sag, state.cycle + 1)
+
+    def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None
+              ) -> tuple[Array, Array | None]:
+        """Torques of the model's bodies and of what is carried beyond them, each ``(N, n)`` [N m]."""
+        if carried is None:
+            return inverse_dynamics(self.loop.chain, q, qd, qdd), None
+        load, kilogram = inverse_dynamics_with_point(self.loop.chain, carried.place, q, qd, qdd)
+        return load, carried.mass * kilogram
 
     def _horizon(self, q_d: Array, before: Array) -> Array:
         if len(q_d) >= self.n_d_needed:

@@ -5,36 +5,63 @@ second derivative far more than its value: at 4 Hz and 12 ms a tenth of the acce
 still shows. Here every signal is the same weighted mean of neighbours, the derivatives of central differences. What the
 second difference averages over two cycles, the torque averages over with the weights 1, 10, 1 (exact for cubics).
 
+The torque is the one that acts, less ripple, which acts as well and is read with the same gain g:
+
+    τ_a = τ / g + τ_ext - τ_ripple(q)
+
 The arm does not move as its motors do: behind a gear of compliance 1/k it lags by the gear's torque,
 
-    q_a = q - (τ - J q̈ - z F(0) - τ_offset) / k
+    q_a = q - (τ_a - J q̈ - z F(0) - τ_offset) / k
 
 with dry friction F(0), which z has turned to the direction of motion.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.feedforward.friction_estimator import dry_friction
+from ideal_robot.jit import jit
+from ideal_robot.loop.loop_model import LoopModel, ripple_torque
 
 _MEAN = np.array([1.0, 6.0, 15.0, 20.0, 15.0, 6.0, 1.0]) / 64.0
 """Weights of the mean of neighbours."""
 CYCLES = len(_MEAN) + 4
 """Cycles that are needed: one more on each side for the differences, and one for the motors' acceleration."""
+_VALUE = np.convolve(_MEAN, [1.0, 10.0, 1.0]) / 12.0
+_SLOPE = np.convolve(_MEAN, [-1.0, 0.0, 1.0]) / 2.0
+_BEND = np.convolve(_MEAN, [1.0, -2.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Smoothed:
-    """In the middle of the window, each ``(n,)``.
+class Drive(NamedTuple):
+    """What a window needs of the identified loop: fields of ``LoopModel``, its mean dry friction, and the cycle [s]."""
+
+    gain: Array
+    ripple: Array
+    friction_bend: Array
+    compliance: Array
+    rotor_inertia: Array
+    offset: Array
+    dry: Array
+    spacing: float
+
+    @classmethod
+    def of(cls, loop: LoopModel, spacing: float) -> Drive:
+        """Of the identified loop, for measurements that are ``spacing`` apart [s]."""
+        return cls(loop.gain, loop.ripple, loop.friction_bend, loop.compliance, loop.rotor_inertia, loop.offset,
+                   dry_friction(loop), spacing)
+
+
+class Smoothed(NamedTuple):
+    """In the middle of the window, each ``(1, n)``.
 
     Attributes:
         q, v, a: of the arm [rad, rad/s, rad/s²].
         motor_v, motor_a: of the motors [rad/s, rad/s²].
-        tau: motor torque less ripple [N m].
+        tau: torque that acts, less ripple [N m].
         z: how far friction has turned since the last reversal, -1 to 1.
     """
 
@@ -47,44 +74,66 @@ class Smoothed:
     z: Array
 
 
-class SmoothedWindow:
-    """Smooths the last ``CYCLES`` measurements.
+@jit()
+def noted(window: Array, rows: int, measured: Array, drive: Drive) -> int:
+    """Takes measurements into a window ``(3, CYCLES, n)``: motor angles, torque that acts, how friction has turned.
 
     Args:
-        loop: the identified loop.
+        window: written to; the newest comes last.
+        rows: measurements in it.
+        measured: motor angles, motor torques that are read, joint torques of contact, oldest first ``(m, 3, n)``.
+        drive: of the identified loop.
+
+    Returns:
+        Measurements in it now; after one that is not finite it starts anew.
     """
+    for q, tau, tau_ext in measured:
+        if not (np.isfinite(q).all() and np.isfinite(tau).all()):
+            rows = 0
+            continue
+        for i in range(len(q)):
+            for kind in range(3):
+                for k in range(CYCLES - 1):
+                    window[kind, k, i] = window[kind, k + 1, i]
+            step = q[i] - window[0, -1, i]
+            window[0, -1, i] = q[i]
+            window[1, -1, i] = tau[i] / drive.gain[i] + tau_ext[i] - ripple_torque(drive.ripple, i, q[i])
+            window[2, -1, i] = turned(window[2, -1, i], step, drive.friction_bend[i]) if rows > 0 else 0.0
+        rows += 1
+    return rows
 
-    def __init__(self, loop: LoopModel) -> None:
-        self._loop = loop
-        self._dry = loop.friction_torque[:, 0].mean(axis=0)
-        T = loop.t_ipo
-        self._value = np.convolve(_MEAN, [1.0, 10.0, 1.0]) / 12.0
-        self._slope = np.convolve(_MEAN, [-1.0, 0.0, 1.0]) / (2.0 * T)
-        self._bend = np.convolve(_MEAN, [1.0, -2.0, 1.0]) / T**2
 
-    def turned(self, z: Array, step: Array) -> Array:
-        """How far friction has turned ``(n,)``, -1 to 1, a step of the motors ``(n,)`` [rad] after it was at ``z``."""
-        bend = self._loop.friction_bend
-        left = np.where(bend > 0.0, np.exp(-np.abs(step) / np.where(bend > 0.0, bend, 1.0)), step == 0.0)
-        return np.asarray(np.sign(step) + (z - np.sign(step)) * left)
+@jit()
+def turned(z: float, step: float, bend: float) -> float:
+    """How far friction has turned, -1 to 1, a step of the motor [rad] after it was at ``z``.
 
-    def of(self, q: Array, tau: Array, z: Array) -> Smoothed:
-        """Motion and torque in the middle.
+    Args:
+        z: before.
+        step: of the motor [rad].
+        bend: angle over which friction turns [rad]; 0 where it jumps.
+    """
+    if step == 0.0:
+        return z
+    left = np.exp(-abs(step) / bend) if bend > 0.0 else 0.0
+    return np.sign(step) + (z - np.sign(step)) * left
 
-        Args:
-            q: motor angles ``(CYCLES, n)`` [rad].
-            tau: motor torques ``(CYCLES, n)`` [N m].
-            z: how far friction had turned ``(CYCLES, n)``, -1 to 1.
-        """
-        loop = self._loop
-        tau = tau - self._ripple(q)
-        a = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / loop.t_ipo**2
-        q, tau, z = q[1:-1], tau[1:-1], z[1:-1]
-        arm = q - loop.compliance * (tau / loop.gain - loop.rotor_inertia * a - z * self._dry - loop.offset)
-        return Smoothed(self._value @ arm, self._slope @ arm, self._bend @ arm, self._slope @ q, self._bend @ q,
-                        self._value @ tau, self._value @ z)
 
-    def _ripple(self, q: Array) -> Array:
-        """Known torque ripple at positions ``(m, n)`` [N m]."""
-        k, a, b = (self._loop.ripple[:, row, None] for row in range(3))
-        return np.asarray(np.sum(a * np.cos(k * q) + b * np.sin(k * q), axis=0) if len(k) else np.zeros_like(q))
+@jit()
+def smoothed(window: Array, drive: Drive) -> Smoothed:
+    """Motion and torque in the middle of a window ``(3, CYCLES, n)`` of ``noted``."""
+    count, n = window.shape[1], window.shape[2]
+    rows, T = np.zeros((7, 1, n)), drive.spacing
+    for i in range(n):
+        for k in range(1, count - 1):
+            q, tau, z = window[0, k, i], window[1, k, i], window[2, k, i]
+            a = (window[0, k + 1, i] - 2.0 * q + window[0, k - 1, i]) / (T * T)
+            arm = q - drive.compliance[i] * (tau - drive.rotor_inertia[i] * a - z * drive.dry[i] - drive.offset[i])
+            value, slope, bend = _VALUE[k - 1], _SLOPE[k - 1] / T, _BEND[k - 1] / (T * T)
+            rows[0, 0, i] += value * arm
+            rows[1, 0, i] += slope * arm
+            rows[2, 0, i] += bend * arm
+            rows[3, 0, i] += slope * q
+            rows[4, 0, i] += bend * q
+            rows[5, 0, i] += value * tau
+            rows[6, 0, i] += value * z
+    return Smoothed(rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6])

@@ -201,10 +201,10 @@ def test_a_path_that_would_last_for_years_is_refused_before_it_is_made():
         tool_path(shape_of("circle", 0.06), pin.SE3.Identity(), 3e-10, 3.0, CYCLE)
 
 
-# Method `adapted` on known paths: friction's shape over speed and inertia, learned from the motors.
+# Method `adapted` on known paths: friction and inertia, learned from the motors' following errors besides torques.
 
-def two_factors(setting: Setting) -> Feedforward:
-    """What `adapted` would be without shape and inertia."""
+def torques_alone(setting: Setting) -> Feedforward:
+    """What `adapted` would be without what it learns from following errors."""
     robot, ideal = setting.robot, IdealRobot(setting.loop(), setting.horizon(30))
     tool = robot.tool_place
     start = AdaptedIdeal(ideal, FrictionAdaptation(ideal.loop, tool=tool))
@@ -214,10 +214,10 @@ def two_factors(setting: Setting) -> Feedforward:
 
 
 @pytest.mark.parametrize(("name", "bound"), [("vertical_circle", 0.95), ("iso9283_1", 0.85), ("edge", 1.03)])
-def test_what_is_played_on_known_paths_learns_the_shape_of_friction_and_inertia(name: str, bound: float) -> None:
+def test_following_errors_tell_more_than_torques_on_known_paths(name: str, bound: float) -> None:
     scene = load_scene(name)
-    shape, factors = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, two_factors))
-    assert shape < bound * factors
+    both, torques = (run(scene, method=method).errors.time_matched.E_car for method in (ADAPTED, torques_alone))
+    assert both < bound * torques
 
 
 def test_with_another_arms_model_it_learns_what_this_arm_weighs_and_how_its_torques_ripple() -> None:

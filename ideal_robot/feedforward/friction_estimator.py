@@ -1,0 +1,283 @@
+r"""Friction, and what stands beside it in a torque: one linear basis, one prior, one noise, one set of equations.
+
+What the model of an arm lacks shows in the torque of its joint i as
+
+.. math::
+
+    \tau_i - \tau_{i,model} = F_i \Big( z_i \big(\theta_{i1} + \theta_{i2} \sqrt{s_i} + \sum_k c_{ik} \phi_k(s_i)\big)
+        + o_i \Big) + \sum_j J_{ij} \ddot q_j + m\, y_i + \sum_r (a_{ir} \cos k_r q_i + b_{ir} \sin k_r q_i)
+        + Y_i \Delta p + \varepsilon_i
+
+with F the dry friction, z how far friction has turned to the direction of motion (-1 to 1), s the speed over the
+largest, o an offset, J inertia, y the torque of 1 kg at the tool, k the orders of the ripple, and Y the regressor of
+links and rotors [G] (6). The first three are friction's terms: dry, rising with speed, and a curve that is smooth over
+the logarithm of speed; its :math:`\phi_k` are the principal components of curves whose values at two speeds correlate
+as ``likeness`` says. Each use asks for friction's terms and for a part of the rest:
+
+=======================  ====================================  =================================================
+use                      what it measures                      beside friction
+=======================  ====================================  =================================================
+``friction_adaptation``  motor torques while the arm works     inertia that torques show, mass at the tool
+``friction_curve``       following errors while the arm works  offset, inertia
+``friction_at_work``     torques of a motion beforehand        offset
+``arm_of_its_type``      torques of a motion beforehand        offset, links and rotors, ripple, mass at the tool
+=======================  ====================================  =================================================
+
+Every parameter is counted in its standard deviation before anything was measured, so that the **prior** is
+:math:`x \sim N(0, 1)`; the **noise** is :math:`\varepsilon \sim N(0, R)`. In batch (``solved``) and as measurements
+come (``counted``, ``estimate``) the same normal equations are solved,
+
+.. math:: (1 + S)\, x = b, \qquad S = \sum h R^{-1} h^T, \qquad b = \sum h R^{-1} y,
+
+but that on the way older sums count less, :math:`S, b \leftarrow a S, a b` with :math:`a = e^{-t / MEMORY}`. What is
+forgotten is as uncertain as it was at first, never more. A measurement counts if it is within four standard deviations
+of what the prior expects, :math:`y^2 < 16 (R + h^T h)`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
+from ideal_robot.loop.loop_model import LoopModel, largest_speeds
+
+SPEEDS = np.array([0.0, 0.002, 0.005, 0.01, 0.015, 0.022, 0.035, 0.06, 0.12, 0.25, 0.5, 1.0])
+"""Between these shares of the largest speed the curve is linear."""
+KNEE, LENGTH = 0.005, 1.2
+"""Share of the largest speed below which speeds are alike; logarithm of speed over which the curve becomes another."""
+SHARED, OWN = np.array([0.1, 0.3]), np.array([0.12, 0.15])
+"""Standard deviations of the dry and the rising term: of what all joints share, which are cold or warm together, and of
+what is a joint's own. Oil changes with temperature more than what runs dry ([G] Figs 3 and 12)."""
+ALONE = np.hypot(SHARED, OWN)
+"""The same of a joint that is looked at by itself."""
+SHAPE = 0.15
+"""Standard deviation of the curve."""
+WEIGHT = 0.2
+"""Of weight that the model does not know, over dry friction: of a tool a metre away, or as an offset."""
+NOISE, INTERVAL = 0.15, 0.05
+"""Standard deviation of a torque over dry friction where one is taken every so often [s]. What the model lacks besides
+is alike in neighbouring samples: more of them in that time say no more."""
+FAR = 4.0
+"""Standard deviations within which measurements count and parameters stay."""
+SLIDES, SLOWEST = 0.9, 0.002
+"""How far friction must have turned, and share of the largest speed, from which on a joint tells its friction."""
+MEMORY = 300.0
+"""Time of motion over which what was learned is forgotten [s]."""
+_GRAVITY = 9.81
+
+
+def likeness() -> Array:
+    """Correlation of a curve's values at ``SPEEDS`` ``(K, K)``: it is smooth over the logarithm of speed."""
+    place = np.log1p(SPEEDS / KNEE)
+    return np.asarray(np.exp(-0.5 * ((place[:, None] - place) / LENGTH) ** 2))
+
+
+def _components() -> Array:
+    """The curve's principal components at ``SPEEDS`` ``(K, 6)``, each as large as it usually is.
+
+    Six of them leave 0.3 % of the variance at any speed.
+    """
+    variance, directions = np.linalg.eigh(likeness())
+    return np.ascontiguousarray(SHAPE * (directions * np.sqrt(np.maximum(variance, 0.0)))[:, : -7 : -1])
+
+
+_CURVE = _components()
+TERMS = 2 + _CURVE.shape[1]
+"""Of friction: dry, rising, the curve's components."""
+
+
+@jit()
+def terms_at(share: float, h: Array) -> None:
+    """What friction's terms count over dry friction at one speed over the largest, written to ``h[:TERMS]``."""
+    h[0], h[1] = 1.0, np.sqrt(share)
+    last = len(SPEEDS) - 1
+    share, k = min(share, SPEEDS[last]), 0
+    while k < last - 1 and share >= SPEEDS[k + 1]:
+        k += 1
+    above = (share - SPEEDS[k]) / (SPEEDS[k + 1] - SPEEDS[k])
+    for j in range(TERMS - 2):
+        h[2 + j] = (1.0 - above) * _CURVE[k, j] + above * _CURVE[k + 1, j]
+
+
+@jit()
+def friction_terms(share: Array) -> Array:
+    """What friction's terms count over dry friction ``(m, TERMS)`` at speeds ``(m,)`` over the largest one."""
+    terms = np.empty((len(share), TERMS))
+    for k in range(len(share)):
+        terms_at(share[k], terms[k])
+    return terms
+
+
+def dry_friction(loop: LoopModel) -> Array:
+    """Dry friction of a loop, of both directions ``(n,)`` [N m]."""
+    return np.asarray(np.maximum(loop.friction_torque[:, 0].mean(axis=0), 1e-6))
+
+
+def noise_variance(dry: Array, spacing: float, noise_std: Array | None = None) -> Array:
+    """Variance of a torque ``(n,)`` [(N m)²].
+
+    Args:
+        dry: dry friction ``(n,)`` [N m].
+        spacing: time from one torque to the next [s].
+        noise_std: what the model left of the torques that it was identified from ``(n,)`` [N m]. A torque is at least
+            as uncertain: where friction is small, it is not what torques are wrong by.
+    """
+    std = np.maximum(NOISE * dry, 0.0 if noise_std is None else noise_std)
+    return np.asarray(std**2 * max(1.0, INTERVAL / spacing))
+
+
+def unknown_mass(dry: Array) -> float:
+    """How heavy a tool may be beyond the model's before anything was measured: standard deviation [kg].
+
+    Args:
+        dry: dry friction ``(n,)`` [N m].
+    """
+    return float(WEIGHT * dry.max() / _GRAVITY)
+
+
+class Solved(NamedTuple):
+    """Solution of the normal equations.
+
+    Attributes:
+        x: parameters ``(P,)``.
+        covariance: of them ``(P, P)``.
+        evidence: logarithm of the probability of what was measured, less what is the same for all bases.
+    """
+
+    x: Array
+    covariance: Array
+    evidence: float
+
+
+def solved(columns: Array, left: Array) -> Solved:
+    """The normal equations in batch.
+
+    Args:
+        columns: what parameters count, over the noise's standard deviation ``(M, P)``.
+        left: what the model left, over the same ``(M,)``.
+    """
+    curvature = np.eye(columns.shape[1]) + columns.T @ columns
+    covariance = np.asarray(np.linalg.inv(curvature))
+    x = covariance @ (columns.T @ left)
+    logarithm = float(np.linalg.slogdet(curvature)[1])
+    return Solved(x, covariance, -0.5 * (float(left @ (left - columns @ x)) + logarithm))
+
+
+@jit()
+def counted(sums: Array, h: Array, left: float, variance: float, kept: float) -> bool:
+    """Counts one measurement; False, and nothing changes, where it is too far from what the prior expects.
+
+    Args:
+        sums: S and b side by side ``(p, p + 1)``; written to.
+        h: what the parameters count ``(p,)``.
+        left: what the model left.
+        variance: of its noise.
+        kept: a, what older sums count.
+    """
+    p, expected = len(h), variance
+    for a in range(p):
+        expected += h[a] * h[a]
+    if not left * left < FAR * FAR * expected:
+        return False
+    for a in range(p):
+        weight = h[a] / variance
+        for b in range(p):
+            sums[a, b] = kept * sums[a, b] + weight * h[b]
+        sums[a, p] = kept * sums[a, p] + weight * left
+    return True
+
+
+@jit()
+def estimate(sums: Array, shared: int) -> Array:
+    """Parameters of every joint ``(n, p)``, within ``FAR``: Gaussian elimination joint by joint.
+
+    Args:
+        sums: of each joint ``(n, p, p + 1)``.
+        shared: how many parameters, the last ones, all joints have in common.
+    """
+    n, p, own = sums.shape[0], sums.shape[1], sums.shape[1] - shared
+    rows, x = sums.copy(), np.zeros((n, p))
+    common = np.zeros((shared, shared + 1))
+    for k in range(shared):
+        common[k, k] = 1.0
+    for i in range(n):
+        for k in range(own):
+            rows[i, k, k] += 1.0
+        _eliminate(rows[i], own)
+        for a in range(shared):
+            for b in range(shared + 1):
+                common[a, b] += rows[i, own + a, own + b]
+    _eliminate(common, shared)
+    for i in range(n):
+        for k in range(p - 1, -1, -1):
+            row = common[k - own] if k >= own else rows[i, k]
+            first = own if k >= own else 0
+            value = row[p - first]
+            for b in range(k + 1, p):
+                value -= row[b - first] * x[i, b]
+            x[i, k] = value / row[k - first]
+    return np.minimum(np.maximum(x, -FAR), FAR)
+
+
+@jit(inline="always")
+def _eliminate(rows: Array, count: int) -> None:
+    """Takes the first ``count`` unknowns out of the equations below them; written to ``rows (p, p + 1)``."""
+    for k in range(count):
+        for r in range(k + 1, rows.shape[0]):
+            share = rows[r, k] / rows[k, k]
+            if share != 0.0:
+                for c in range(k, rows.shape[1]):
+                    rows[r, c] -= share * rows[k, c]
+
+
+def remembered(sums: Array, places: Array) -> Array:
+    """What sums ``(n, p, p + 1)`` say of some parameters, at ``places``; of the others nothing."""
+    p = sums.shape[1]
+    covariance = np.linalg.inv(np.eye(p) + sums[:, :, :p])
+    x = np.matmul(covariance, sums[:, :, p:])
+    known = np.linalg.inv(covariance[:, places[:, None], places])
+    kept = np.zeros_like(sums)
+    kept[:, places[:, None], places] = known - np.eye(len(places))
+    kept[:, places, p] = np.matmul(known, x[:, places])[:, :, 0]
+    return kept
+
+
+FRICTION = ("friction_torque", "friction_load", "friction_driven")
+"""The fields of a ``LoopModel`` that friction's terms change."""
+
+
+def friction_of(loop: LoopModel) -> tuple[Array, Array, Array]:
+    """The fields ``FRICTION`` of a loop."""
+    return loop.friction_torque, loop.friction_load, loop.friction_driven
+
+
+def table_terms(loop: LoopModel) -> Array:
+    """What friction's terms count in the loop's table of friction ``(n, TERMS, m)`` [N m]."""
+    shares = loop.friction_velocity / largest_speeds(loop.v_max)
+    return np.array([dry * friction_terms(share).T for dry, share in zip(dry_friction(loop), shares.T, strict=True)])
+
+
+@jit()
+def with_terms(friction: tuple[Array, Array, Array], terms: Array, values: Array) -> tuple[Array, Array, Array]:
+    """Friction with its terms: the fields ``FRICTION``.
+
+    Args:
+        friction: these fields without.
+        terms: of ``table_terms``.
+        values: of the terms ``(n, TERMS)``; the dry one is a factor of friction by load as well.
+    """
+    table, by_load, driven = friction
+    changed, more = np.empty_like(table), np.empty(table.shape[1])
+    for i in range(len(by_load)):
+        more[:] = 0.0
+        for k in range(TERMS):
+            for j in range(len(more)):
+                more[j] += values[i, k] * terms[i, k, j]
+        for side in range(2):
+            for j in range(len(more)):
+                changed[side, j, i] = max(table[side, j, i] + more[j], 0.0)
+    factor = 1.0 + values[:, 0]
+    return changed, factor * by_load, factor * driven
