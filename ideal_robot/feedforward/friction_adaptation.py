@@ -1,7 +1,7 @@
 """Adaptation: friction and the tool's mass follow the arm while it works ([L] Fig. 1, [G] Figs 3 and 12).
 
 Friction changes with temperature and lubricant, and a tool may be heavier than told; arm and controller do not change.
-From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the normal equations of
+From motor angles and torques, smoothed alike (``smoothed_window``), adaptation learns by the recursion of
 ``friction_estimator`` friction's terms of every joint, an apparent inertia per joint, and one mass at the tool:
 
     τ_a - τ_rigid - J q̈_m - τ_offset - z F(|q̇_m|) = z (F(0) f(s) + θ_1 F_load) + c k_p T q̈_m
@@ -19,7 +19,7 @@ What other inertias are wrong by is counted to a sample's variance.
 Before anything was measured all joints are thought to have changed together: an arm is cold as a whole.
 
 Safe by construction: without measurements nothing changes, bit for bit; samples that are not finite, too slow or far
-from what is expected do not count; a joint that stands forgets nothing; all that is learned is bounded.
+from what is expected do not count; all that is learned is bounded.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.friction_estimator import (
     FRICTION,
     INTERVAL,
-    MEMORY,
     OWN,
     SHARED,
     SLIDES,
     SLOWEST,
     TERMS,
+    aged,
     counted,
     dry_friction,
-    estimate,
     friction_of,
     noise_variance,
     table_terms,
     terms_at,
     unknown_mass,
+    wandered,
     with_terms,
 )
 from ideal_robot.feedforward.ideal import Carried, IdealRobot, IdealState
@@ -62,9 +62,9 @@ _APPARENT = 12.0**-0.5
 """Standard deviation of an apparent inertia over ``k_p T``: torques are read anywhere in the jump."""
 _ACCELERATING = 0.03
 """Share of the torque for acceleration that identified masses and rotors may be wrong by: standard deviation."""
-_SIZE = TERMS + 4
-"""Parameters that a joint's torque depends on: friction's terms and the apparent inertia, its own; the dry and the
-rising term and the mass, which all joints share."""
+_OWN, _COMMON = TERMS + 1, 3
+"""Parameters of each joint, friction's terms and the apparent inertia; behind those of all joints the ones that they
+share: the dry and the rising term, and the mass."""
 _CYCLE = 0.012
 """Time between measurements that are looked at, at least [s]."""
 _LAG = 2e-2
@@ -75,7 +75,8 @@ class FrictionFactors(NamedTuple):
     """What adaptation knows.
 
     Attributes:
-        sums: normal equations of each joint ``(n, p, p + 1)``: its own parameters, and those that all joints share.
+        x: parameters: each joint's own, and those that all joints share ``(p,)``.
+        covariance: of them ``(p, p)``.
         values: of friction's terms ``(n, TERMS)``.
         mass: that the tool has beyond the model's [kg].
         friction: of the loop with them, see ``friction_estimator.with_terms``.
@@ -86,7 +87,8 @@ class FrictionFactors(NamedTuple):
         cycle: cycles since the start.
     """
 
-    sums: Array
+    x: Array
+    covariance: Array
     values: Array
     mass: float
     friction: tuple[Array, Array, Array]
@@ -109,7 +111,7 @@ class _Known(NamedTuple):
         apparent: standard deviation of an apparent inertia ``(n,)`` [kg m²].
         mass: standard deviation of the mass [kg].
         variance: of a torque's noise ``(n,)`` [(N m)²].
-        kept: what sums count one window later.
+        left: what is left of parameters one window later, see ``wandered``.
     """
 
     chain: Chain
@@ -125,7 +127,7 @@ class _Known(NamedTuple):
     apparent: Array
     mass: float
     variance: Array
-    kept: float
+    left: float
 
 
 class FrictionAdaptation:
@@ -149,18 +151,19 @@ class FrictionAdaptation:
             loop.friction_velocity, friction_of(loop), table_terms(loop), dry,
             np.stack([largest_speeds(loop.v_max), 1.5 * loop.v_max]), _APPARENT * loop.k_p * loop.t_ipo,
             0.0 if tool is None else unknown_mass(dry), noise_variance(dry, self._apart * spacing, noise_std),
-            float(np.exp(-self._apart * spacing / MEMORY)))
+            wandered(self._apart * spacing))
         self._drive, self._still = Drive.of(loop, spacing), np.zeros(loop.n)
 
     def init(self) -> FrictionFactors:
         """Friction as identified, and no mass."""
         n = self.loop.n
-        return FrictionFactors(np.zeros((n, _SIZE, _SIZE + 1)), np.zeros((n, TERMS)), 0.0, self._known.friction,
-                               np.zeros(n), np.zeros((3, CYCLES, n)))
+        p = n * _OWN + _COMMON
+        return FrictionFactors(np.zeros(p), np.eye(p), np.zeros((n, TERMS)), 0.0, self._known.friction, np.zeros(n),
+                               np.zeros((3, CYCLES, n)))
 
     def begun(self, state: FrictionFactors) -> FrictionFactors:
         """What is known, without the last measurements: before another motion, or after a hole in this one."""
-        return FrictionFactors(state.sums, state.values, state.mass, state.friction, state.used, state.window)
+        return state._replace(rows=0, waiting=(), cycle=0)
 
     def more(self, friction: tuple[Array, Array, Array], values: Array) -> tuple[Array, Array, Array]:
         """Friction of the loop with further values of friction's terms ``(n, TERMS)``."""
@@ -187,17 +190,16 @@ class FrictionAdaptation:
             waiting = (*waiting, (q, tau, self._still if tau_ext is None else tau_ext))
         if len(waiting) == self._apart:
             return self._with_window(state, np.array(waiting))
-        return FrictionFactors(state.sums, state.values, state.mass, state.friction, state.used, state.window,
-                               state.rows, waiting, state.cycle + 1)
+        return FrictionFactors(*state[:-2], waiting, state.cycle + 1)
 
     def _with_window(self, state: FrictionFactors, measured: Array) -> FrictionFactors:
-        sums, used, window = state.sums.copy(), state.used.copy(), state.window.copy()
+        x, covariance, used, window = (one.copy() for one in (state.x, state.covariance, state.used, state.window))
         values, mass, friction = state.values, state.mass, state.friction
         further = self._further(window, state.rows, measured) if self.loop.terms else self._still
-        rows, told = _told(self._known, self._drive, (window, state.rows, measured), further, sums, used)
+        rows, told = _told(self._known, self._drive, (window, state.rows, measured), further, (x, covariance, used))
         if told:
-            values, mass, friction = _solution(self._known, sums)
-        return FrictionFactors(sums, values, mass, friction, used, window, rows, (), state.cycle + 1)
+            values, mass, friction = _applied(self._known, x)
+        return FrictionFactors(x, covariance, values, mass, friction, used, window, rows, (), state.cycle + 1)
 
     def _further(self, window: Array, rows: int, measured: Array) -> Array:
         """Torque of further effects in the middle of the window that measurements make ``(n,)`` [N m]."""
@@ -210,22 +212,21 @@ class FrictionAdaptation:
 
 
 @jit()
-def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], further: Array, sums: Array, used: Array
-          ) -> tuple[int, bool]:
-    """Takes measurements into the window, and counts it; the window, ``sums`` and ``used`` are written to.
+def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], further: Array,
+          state: tuple[Array, Array, Array]) -> tuple[int, bool]:
+    """Takes measurements into the window, and counts it; the window and the state are written to.
 
     Args:
         known: of the loop.
         drive: of the loop.
         measured: the window, measurements in it, those that come; see ``smoothed_window.noted``.
         further: torque of further effects in the window's middle ``(n,)`` [N m].
-        sums: see ``FrictionFactors``.
-        used: measurements that counted ``(n,)``.
+        state: ``x``, ``covariance``, ``used``; see ``FrictionFactors``.
 
     Returns:
         Measurements in the window now, and whether any joint told something.
     """
-    window = measured[0]
+    window, (x, covariance, used) = measured[0], state
     rows, told = noted(window, measured[1], measured[2], drive), False
     if rows < CYCLES:
         return rows, told
@@ -239,13 +240,16 @@ def _told(known: _Known, drive: Drive, measured: tuple[Array, int, Array], furth
     torque_at(known.chain, R, p, seen.v[0], seen.a[0], 1.0, torques[0])
     torque_at(known.chain, R, p, seen.v[0], np.zeros(n), 1.0, torques[1])
     torque_at(point_mass(known.chain, known.place), R, p, seen.v[0], seen.a[0], 1.0, torques[2])
-    h = np.empty(_SIZE)
+    h, own = np.zeros(len(x)), 0
+    aged(x, covariance, known.left)
     for i in range(n):
         if abs(speed[i]) < SLOWEST * known.v_max[0, i] or seen.z[0, i] * np.sign(speed[i]) < SLIDES:
             continue
+        h[own : own + _OWN] = 0.0
+        own = i * _OWN
         left, accelerating = _row(known, seen, torques, i, h)
         variance = known.variance[i] + (_ACCELERATING * accelerating) ** 2
-        if counted(sums[i], h, left - further[i] / known.gain[i], variance, known.kept):
+        if counted(x, covariance, h, left - further[i] / known.gain[i], variance):
             used[i] += 1.0
             told = True
     return rows, told
@@ -260,37 +264,39 @@ def _row(known: _Known, seen: Smoothed, torques: Array, i: int, h: Array) -> tup
         seen: motion and torque in the middle of the window.
         torques: of the rigid body, of it without acceleration, and of 1 kg at the tool ``(3, n)`` [N m].
         i: joint, from 0.
-        h: what the parameters count ``(p,)``; written to.
+        h: what the parameters count ``(p,)``; the joint's are written to.
     """
     v, speed, z, dry = seen.motor_v[0, i], abs(seen.motor_v[0, i]), seen.z[0, i], known.dry[i]
     table, per_load, per_driven = known.friction
     accelerating = torques[0, i] - torques[1, i] + known.rotor_inertia[i] * seen.motor_a[0, i]
     by_load = friction_of_load(per_load[i], per_driven[i], torques[0, i], v)
     sliding = between(speed, known.friction_velocity[:, i], table[0 if v > 0.0 else 1, :, i]) + by_load
-    terms_at(speed / known.v_max[0, i], h)
-    h[0] += by_load / dry
+    own, common = h[i * _OWN :], h[len(h) - _COMMON :]
+    terms_at(speed / known.v_max[0, i], own)
+    own[0] += by_load / dry
     for k in range(TERMS):
-        h[k] *= z * dry
-    h[TERMS], h[TERMS + 3] = known.apparent[i] * seen.motor_a[0, i], known.mass * torques[2, i]
+        own[k] *= z * dry
+    own[TERMS], common[2] = known.apparent[i] * seen.motor_a[0, i], known.mass * torques[2, i]
     for k in range(2):
-        h[TERMS + 1 + k] = SHARED[k] * h[k]
-        h[k] *= OWN[k]
+        common[k] = SHARED[k] * own[k]
+        own[k] *= OWN[k]
     return seen.tau[0, i] - torques[1, i] - accelerating - known.offset[i] - z * sliding, accelerating
 
 
 @jit()
-def _solution(known: _Known, sums: Array) -> tuple[Array, float, tuple[Array, Array, Array]]:
+def _applied(known: _Known, x: Array) -> tuple[Array, float, tuple[Array, Array, Array]]:
     """Values of friction's terms ``(n, TERMS)``, the mass [kg], and friction with them.
 
     Args:
         known: of the loop.
-        sums: see ``FrictionFactors``.
+        x: see ``FrictionFactors``.
     """
-    x = estimate(sums, 3)
-    values = x[:, :TERMS].copy()
-    for k in range(2):
-        values[:, k] = OWN[k] * x[:, k] + SHARED[k] * x[:, TERMS + 1 + k]
-    return values, known.mass * x[0, TERMS + 3], with_terms(known.friction, known.terms, values)
+    n, common = len(known.dry), x[len(x) - _COMMON :]
+    values = np.empty((n, TERMS))
+    for i in range(n):
+        values[i] = x[i * _OWN : i * _OWN + TERMS]
+        values[i, :2] = OWN * values[i, :2] + SHARED * common[:2]
+    return values, known.mass * common[2], with_terms(known.friction, known.terms, values)
 
 
 class AdaptedState(NamedTuple):

@@ -33,17 +33,17 @@ from ideal_robot.arrays import Array
 from ideal_robot.feedforward.friction_estimator import (
     ALONE,
     INTERVAL,
-    MEMORY,
     SLIDES,
     SLOWEST,
     TERMS,
     WEIGHT,
+    aged,
     counted,
     dry_friction,
-    estimate,
     noise_variance,
     remembered,
     terms_at,
+    wandered,
 )
 from ideal_robot.feedforward.ideal import IdealState
 from ideal_robot.jit import jit
@@ -69,9 +69,9 @@ class CurveState(NamedTuple):
     """What is known.
 
     Attributes:
-        sums: normal equations of each joint: friction's terms, offset, inertia for every joint's acceleration
-            ``(n, p, p + 1)`` with ``p = TERMS + 1 + n``.
-        x: their solution ``(n, p)``.
+        x: of each joint: friction's terms, offset, inertia for every joint's acceleration ``(n, p)`` with
+            ``p = TERMS + 1 + n``.
+        covariance: of them ``(n, p, p)``.
         inertia: that the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
         plans: cycles whose measurement has not come yet, oldest first, behind the last one whose has.
         error: following error of the last cycle ``(n,)`` [rad]; None before the first.
@@ -81,8 +81,8 @@ class CurveState(NamedTuple):
         cycles: summed in ``together``, with those in which a joint told nothing.
     """
 
-    sums: Array
     x: Array
+    covariance: Array
     inertia: Array
     plans: tuple[Planned, ...]
     error: Array | None
@@ -99,7 +99,7 @@ class _Known(NamedTuple):
         v_max: largest speeds that friction is looked at over ``(n,)`` [rad/s].
         unit: standard deviations of inertias ``(n, n)`` [kg m²].
         variance: of one cycle's torque over dry friction.
-        kept: what sums count one cycle later.
+        left: what is left of parameters when the next torque is counted, see ``wandered``.
     """
 
     k_p: Array
@@ -110,7 +110,7 @@ class _Known(NamedTuple):
     v_max: Array
     unit: Array
     variance: float
-    kept: float
+    left: float
 
 
 class FrictionCurve:
@@ -126,24 +126,26 @@ class FrictionCurve:
         root = np.sqrt(loop.k_p * T)
         unit = np.where(np.eye(n, dtype=bool), INERTIA, COUPLED) * np.outer(root, root)
         variance = float(noise_variance(np.ones(1), T)[0])
-        self._known = _Known(loop.k_p, loop.k_i, loop.k_v, T, dry, largest_speeds(loop.v_max), unit, variance,
-                             float(np.exp(-T / MEMORY)))
         self._together = max(1, round(INTERVAL / T))
+        self._known = _Known(loop.k_p, loop.k_i, loop.k_v, T, dry, largest_speeds(loop.v_max), unit, variance,
+                             wandered(self._together * T))
         self._size = TERMS + 1 + n
 
     def init(self, known: CurveState | None = None) -> CurveState:
         """Nothing known, or what is known from another motion; of that motion's following error nothing stays."""
+        places = np.delete(np.arange(self._size), TERMS)
         if known is None:
-            return self._begun(np.zeros((self.loop.n, self._size, self._size + 1)))
-        return self._begun(remembered(known.sums, np.delete(np.arange(self._size), TERMS)))
+            return self._begun(np.zeros((self.loop.n, self._size)), np.zeros((self.loop.n, self._size, self._size)),
+                               places[:0])
+        return self._begun(known.x, known.covariance, places)
 
     def inertia_alone(self, state: CurveState) -> CurveState:
         """What a motion tells of any other: the inertia. Friction's shape is unknown again."""
-        return self._begun(remembered(state.sums, np.arange(TERMS + 1, self._size)))
+        return self._begun(state.x, state.covariance, np.arange(TERMS + 1, self._size))
 
-    def _begun(self, sums: Array) -> CurveState:
-        n, p, x = self.loop.n, self._size, estimate(sums, 0)
-        return CurveState(sums, x, self._inertia(x), (), None, np.zeros(n), np.zeros((n, p + 2)))
+    def _begun(self, x: Array, covariance: Array, places: Array) -> CurveState:
+        n, (x, covariance) = self.loop.n, remembered(x, covariance, places)
+        return CurveState(x, covariance, self._inertia(x), (), None, np.zeros(n), np.zeros((n, self._size + 2)))
 
     def _inertia(self, x: Array) -> Array:
         return np.asarray(x[:, TERMS + 1 :] * self._known.unit)
@@ -157,7 +159,7 @@ class FrictionCurve:
     def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
         """Takes note of what the ideal robot planned in a cycle with what this state knows."""
         plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.x)
-        return CurveState(state.sums, state.x, state.inertia, (*state.plans, plan)[-self.loop.delay - 2 :],
+        return CurveState(state.x, state.covariance, state.inertia, (*state.plans, plan)[-self.loop.delay - 2 :],
                           state.error, state.integral, state.together, state.cycles)
 
     def update(self, state: CurveState, q: Array) -> CurveState:
@@ -167,22 +169,22 @@ class FrictionCurve:
             return state
         before, plan = plans[:2]
         error = q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
-        sums, x, inertia, together, cycles = state.sums, state.x, state.inertia, state.together, state.cycles
+        x, covariance, inertia, together, cycles = (state.x, state.covariance, state.inertia, state.together,
+                                                    state.cycles)
         if not np.abs(error).max() < STRAY:
             # The first that strays ends what was known of this motion.
             known = state if state.error is None else self.init(state)
-            return CurveState(known.sums, known.x, known.inertia, plans, None, known.integral, known.together)
+            return CurveState(known.x, known.covariance, known.inertia, plans, None, known.integral, known.together)
         if state.error is None:
-            return CurveState(sums, x, inertia, plans, error, state.integral, together, cycles)
+            return CurveState(x, covariance, inertia, plans, error, state.integral, together, cycles)
         integral, together = state.integral.copy(), together.copy()
         _cycle(self._known, before.v, (plan.v, plan.turned, plan.x), (state.error, error), integral, together)
         cycles += 1
         if cycles == self._together:
-            sums = sums.copy()
-            _learned(self._known, together, sums)
-            x = estimate(sums, 0)
+            x, covariance = x.copy(), covariance.copy()
+            _learned(self._known, together, x, covariance)
             inertia, together, cycles = self._inertia(x), np.zeros_like(together), 0
-        return CurveState(sums, x, inertia, plans, error, integral, together, cycles)
+        return CurveState(x, covariance, inertia, plans, error, integral, together, cycles)
 
 
 @jit()
@@ -222,16 +224,17 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
 
 
 @jit()
-def _learned(known: _Known, together: Array, sums: Array) -> None:
+def _learned(known: _Known, together: Array, x: Array, covariance: Array) -> None:
     """Counts the mean of some cycles.
 
     Args:
         known: of the loop.
         together: see ``CurveState``.
-        sums: see there; written to.
+        x: see there; written to.
+        covariance: see there; written to.
     """
     for i in range(len(together)):
-        count, p = together[i, -1], sums.shape[1]
+        count, p = together[i, -1], x.shape[1]
+        aged(x[i], covariance[i], known.left)
         if count > 0.0:
-            counted(sums[i], together[i, :p] / count, together[i, p] / count, known.variance / count,
-                    known.kept**count)
+            counted(x[i], covariance[i], together[i, :p] / count, together[i, p] / count, known.variance / count)

@@ -24,14 +24,18 @@ use                      what it measures                      beside friction
 =======================  ====================================  =================================================
 
 Every parameter is counted in its standard deviation before anything was measured, so that the **prior** is
-:math:`x \sim N(0, 1)`; the **noise** is :math:`\varepsilon \sim N(0, R)`. In batch (``solved``) and as measurements
-come (``counted``, ``estimate``) the same normal equations are solved,
+:math:`x \sim N(0, 1)`; the **noise** is :math:`\varepsilon \sim N(0, R)`. In batch (``solved``) the normal
+equations are
 
-.. math:: (1 + S)\, x = b, \qquad S = \sum h R^{-1} h^T, \qquad b = \sum h R^{-1} y,
+.. math:: (1 + S)\, x = b, \qquad S = \sum h R^{-1} h^T, \qquad b = \sum h R^{-1} y.
 
-but that on the way older sums count less, :math:`S, b \leftarrow a S, a b` with :math:`a = e^{-t / MEMORY}`. What is
-forgotten is as uncertain as it was at first, never more. A measurement counts if it is within four standard deviations
-of what the prior expects, :math:`y^2 < 16 (R + h^T h)`.
+On the way (``counted``) the same is solved measurement by measurement, by Kalman's equations, of parameters that
+wander as temperature does (``aged``),
+
+.. math:: x \leftarrow a\, x + w, \qquad w \sim N(0, 1 - a^2), \qquad a = e^{-t / WARMING},
+
+which keeps their prior: whatever was learned long ago, they are as uncertain as at first, never more. A measurement
+counts if it is within four standard deviations of what the prior expects, :math:`y^2 < 16 (R + h^T h)`.
 """
 
 from __future__ import annotations
@@ -64,8 +68,9 @@ FAR = 4.0
 """Standard deviations within which measurements count and parameters stay."""
 SLIDES, SLOWEST = 0.9, 0.002
 """How far friction must have turned, and share of the largest speed, from which on a joint tells its friction."""
-MEMORY = 300.0
-"""Time of motion over which what was learned is forgotten [s]."""
+WARMING = 600.0
+"""Time over which friction becomes another [s]: after half an hour little changes ([G] Fig. 12), which is three time
+constants."""
 _GRAVITY = 9.81
 
 
@@ -166,83 +171,61 @@ def solved(columns: Array, left: Array) -> Solved:
     return Solved(x, covariance, -0.5 * (float(left @ (left - columns @ x)) + logarithm))
 
 
+def wandered(spacing: float) -> float:
+    """a, what is left of parameters after ``spacing`` [s]."""
+    return float(np.exp(-spacing / WARMING))
+
+
 @jit()
-def counted(sums: Array, h: Array, left: float, variance: float, kept: float) -> bool:
+def aged(x: Array, covariance: Array, left: float) -> None:
+    """Parameters some time later; both are written to.
+
+    Args:
+        x: parameters ``(p,)``.
+        covariance: of them ``(p, p)``.
+        left: a, see ``wandered``.
+    """
+    for a in range(len(x)):
+        x[a] *= left
+        for b in range(len(x)):
+            covariance[a, b] *= left * left
+        covariance[a, a] += 1.0 - left * left
+
+
+@jit()
+def counted(x: Array, covariance: Array, h: Array, left: float, variance: float) -> bool:
     """Counts one measurement; False, and nothing changes, where it is too far from what the prior expects.
 
     Args:
-        sums: S and b side by side ``(p, p + 1)``; written to.
+        x: parameters ``(p,)``, within ``FAR``; written to.
+        covariance: of them ``(p, p)``; written to.
         h: what the parameters count ``(p,)``.
         left: what the model left.
         variance: of its noise.
-        kept: a, what older sums count.
     """
-    p, expected = len(h), variance
-    for a in range(p):
+    expected, missed, spread, said = variance, left, variance, np.zeros(len(h))
+    for a in range(len(h)):
         expected += h[a] * h[a]
     if not left * left < FAR * FAR * expected:
         return False
-    for a in range(p):
-        weight = h[a] / variance
-        for b in range(p):
-            sums[a, b] = kept * sums[a, b] + weight * h[b]
-        sums[a, p] = kept * sums[a, p] + weight * left
+    for a in range(len(h)):
+        missed -= h[a] * x[a]
+        for b in range(len(h)):
+            said[a] += covariance[a, b] * h[b]
+        spread += h[a] * said[a]
+    for a in range(len(h)):
+        x[a] = min(max(x[a] + said[a] * missed / spread, -FAR), FAR)
+        for b in range(len(h)):
+            covariance[a, b] -= said[a] * said[b] / spread
     return True
 
 
-@jit()
-def estimate(sums: Array, shared: int) -> Array:
-    """Parameters of every joint ``(n, p)``, within ``FAR``: Gaussian elimination joint by joint.
-
-    Args:
-        sums: of each joint ``(n, p, p + 1)``.
-        shared: how many parameters, the last ones, all joints have in common.
-    """
-    n, p, own = sums.shape[0], sums.shape[1], sums.shape[1] - shared
-    rows, x = sums.copy(), np.zeros((n, p))
-    common = np.zeros((shared, shared + 1))
-    for k in range(shared):
-        common[k, k] = 1.0
-    for i in range(n):
-        for k in range(own):
-            rows[i, k, k] += 1.0
-        _eliminate(rows[i], own)
-        for a in range(shared):
-            for b in range(shared + 1):
-                common[a, b] += rows[i, own + a, own + b]
-    _eliminate(common, shared)
-    for i in range(n):
-        for k in range(p - 1, -1, -1):
-            row = common[k - own] if k >= own else rows[i, k]
-            first = own if k >= own else 0
-            value = row[p - first]
-            for b in range(k + 1, p):
-                value -= row[b - first] * x[i, b]
-            x[i, k] = value / row[k - first]
-    return np.minimum(np.maximum(x, -FAR), FAR)
-
-
-@jit(inline="always")
-def _eliminate(rows: Array, count: int) -> None:
-    """Takes the first ``count`` unknowns out of the equations below them; written to ``rows (p, p + 1)``."""
-    for k in range(count):
-        for r in range(k + 1, rows.shape[0]):
-            share = rows[r, k] / rows[k, k]
-            if share != 0.0:
-                for c in range(k, rows.shape[1]):
-                    rows[r, c] -= share * rows[k, c]
-
-
-def remembered(sums: Array, places: Array) -> Array:
-    """What sums ``(n, p, p + 1)`` say of some parameters, at ``places``; of the others nothing."""
-    p = sums.shape[1]
-    covariance = np.linalg.inv(np.eye(p) + sums[:, :, :p])
-    x = np.matmul(covariance, sums[:, :, p:])
-    known = np.linalg.inv(covariance[:, places[:, None], places])
-    kept = np.zeros_like(sums)
-    kept[:, places[:, None], places] = known - np.eye(len(places))
-    kept[:, places, p] = np.matmul(known, x[:, places])[:, :, 0]
-    return kept
+def remembered(x: Array, covariance: Array, places: Array) -> tuple[Array, Array]:
+    """Parameters ``(n, p)`` and covariance ``(n, p, p)`` of those at ``places``; of the others nothing is known."""
+    kept, uncertain = np.zeros_like(x), np.tile(np.eye(x.shape[1]), (len(x), 1, 1))
+    kept[:, places] = x[:, places]
+    uncertain[:, places[:, None], places] = covariance[:, places[:, None], places]
+    return kept, uncertain
 
 
 FRICTION = ("friction_torque", "friction_load", "friction_driven")

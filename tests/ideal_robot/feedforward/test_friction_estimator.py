@@ -1,4 +1,4 @@
-"""One set of equations: what comes row by row says what the batch says, and what is forgotten is as it was at first."""
+"""One estimate: what comes row by row says what the batch says, and what is long ago is as it was at first."""
 
 from __future__ import annotations
 
@@ -9,81 +9,89 @@ from ideal_robot.feedforward.friction_estimator import (
     FAR,
     SHAPE,
     SPEEDS,
+    WARMING,
+    aged,
     counted,
-    estimate,
     friction_terms,
     likeness,
     noise_variance,
     remembered,
     solved,
+    wandered,
 )
 
-P, SHARED = 7, 3
-"""Parameters of a joint, and how many of them all joints share."""
+P = 7
 
 
 def rows(rng, count=40):
-    """Columns and measurements of two joints ``(count, P)``, ``(count,)`` each."""
-    true = rng.normal(size=P)
-    columns = [rng.normal(size=(count, P)) for _ in range(2)]
-    return columns, [h @ true + 0.3 * rng.normal(size=count) for h in columns]
+    """Columns and measurements ``(count, P)``, ``(count,)``."""
+    columns, true = rng.normal(size=(count, P)), rng.normal(size=P)
+    return columns, columns @ true + 0.3 * rng.normal(size=count)
 
 
-def counted_all(columns, left, kept=1.0):
-    sums = np.zeros((2, P, P + 1))
-    for i in range(2):
-        for h, y in zip(columns[i], left[i], strict=True):
-            assert counted(sums[i], h, y, 0.09, kept)
-    return sums
+def counted_all(columns, left, wait=0.0):
+    """Parameters and covariance, with a time before each row [s]."""
+    x, covariance = np.zeros(P), np.eye(P)
+    for h, y in zip(columns, left, strict=True):
+        aged(x, covariance, wandered(wait))
+        assert counted(x, covariance, h, y, 0.09)
+    return x, covariance
 
 
 def test_row_by_row_it_is_the_batch():
-    """Two joints with parameters of their own and some that they share, as one set of equations."""
     columns, left = rows(np.random.default_rng(1))
-    x = estimate(counted_all(columns, left), SHARED)
-    own, whole = P - SHARED, np.zeros((80, 2 * (P - SHARED) + SHARED))
-    whole[:40, :own], whole[40:, own : 2 * own] = columns[0][:, :own], columns[1][:, :own]
-    whole[:, 2 * own :] = np.vstack(columns)[:, own:]
-    batch = solved(whole / 0.3, np.concatenate(left) / 0.3).x
-    np.testing.assert_allclose(x[0], np.concatenate([batch[:own], batch[2 * own :]]), rtol=1e-9)
-    np.testing.assert_allclose(x[1], batch[own:], rtol=1e-9)
+    x, covariance = counted_all(columns, left)
+    batch = solved(columns / 0.3, left / 0.3)
+    np.testing.assert_allclose(x, batch.x, rtol=1e-9)
+    np.testing.assert_allclose(covariance, batch.covariance, atol=1e-12)
 
 
-def test_forgetting_is_the_batch_of_rows_that_count_less():
-    columns, left = rows(np.random.default_rng(2))
-    kept = 0.9
-    weight = kept ** (0.5 * np.arange(40)[::-1])
-    x = estimate(counted_all(columns, left, kept), 0)
-    for i in range(2):
-        batch = solved(weight[:, None] * columns[i] / 0.3, weight * left[i] / 0.3).x
-        np.testing.assert_allclose(x[i], batch, rtol=1e-9)
+def test_on_the_way_parameters_wander_as_said():
+    """The batch of a walk: rows far apart in time are of parameters that correlate by what is left."""
+    columns, left = rows(np.random.default_rng(2), count=12)
+    wait = 60.0
+    steps = np.abs(np.subtract.outer(np.arange(12), np.arange(12)))
+    prior = wandered(wait) ** steps
+    signal = prior * (columns @ columns.T)
+    x = columns.T @ (prior[-1] * np.linalg.solve(signal + 0.09 * np.eye(12), left))
+    np.testing.assert_allclose(counted_all(columns, left, wait)[0], x, rtol=1e-9)
+
+
+def test_what_was_learned_long_ago_is_as_uncertain_as_at_first():
+    x, covariance = counted_all(*rows(np.random.default_rng(3)))
+    aged(x, covariance, wandered(20.0 * WARMING))
+    np.testing.assert_allclose(x, 0.0, atol=1e-7)
+    np.testing.assert_allclose(covariance, np.eye(P), atol=1e-7)
 
 
 def test_what_is_too_far_changes_nothing():
-    sums, h = np.zeros((P, P + 1)), np.ones(P)
+    x, covariance, h = np.zeros(P), np.eye(P), np.ones(P)
     edge = FAR * np.sqrt(0.09 + P)
     for y in (1.01 * edge, -1.01 * edge, np.inf, np.nan):
-        assert not counted(sums, h, y, 0.09, 1.0)
-    assert not sums.any()
-    assert counted(sums, h, 0.99 * edge, 0.09, 1.0)
+        assert not counted(x, covariance, h, y, 0.09)
+    assert not x.any()
+    np.testing.assert_array_equal(covariance, np.eye(P))
+    assert counted(x, covariance, h, 0.99 * edge, 0.09)
 
 
 def test_parameters_stay_within_their_bounds():
-    sums = np.zeros((1, P, P + 1))
-    sums[0, :, :P], sums[0, :, P] = 1e6 * np.eye(P), 1e9
-    np.testing.assert_array_equal(estimate(sums, 0), FAR)
+    x, covariance, h = np.zeros(P), np.eye(P), np.zeros(P)
+    for _ in range(1000):
+        h[0] = 1.0
+        counted(x, covariance, h, 4.1, 0.09)
+    assert x[0] == FAR
 
 
 def test_what_is_remembered_of_some_parameters_is_their_marginal():
     """Mean and covariance of those that are kept, as if the others had never been asked for."""
-    columns, left = rows(np.random.default_rng(3))
-    sums, places = counted_all(columns, left), np.array([1, 4, 5])
-    kept = remembered(sums, places)
-    covariance, after = (np.linalg.inv(np.eye(P) + one[:, :, :P]) for one in (sums, kept))
-    np.testing.assert_allclose(after[:, places[:, None], places], covariance[:, places[:, None], places], rtol=1e-9)
-    np.testing.assert_allclose(estimate(kept, 0)[:, places], estimate(sums, 0)[:, places], rtol=1e-9)
-    others = np.delete(np.arange(P), places)
-    assert not estimate(kept, 0)[:, others].any()
+    x, covariance = counted_all(*rows(np.random.default_rng(3)))
+    places, others = np.array([1, 4, 5]), np.array([0, 2, 3, 6])
+    kept, uncertain = remembered(x[None], covariance[None], places)
+    np.testing.assert_array_equal(kept[0, places], x[places])
+    np.testing.assert_array_equal(uncertain[0][np.ix_(places, places)], covariance[np.ix_(places, places)])
+    assert not kept[0, others].any()
+    np.testing.assert_array_equal(uncertain[0][np.ix_(others, others)], np.eye(4))
+    assert not uncertain[0][np.ix_(others, places)].any()
 
 
 def test_the_curve_is_as_uncertain_as_said():
