@@ -35,6 +35,8 @@ THEMES = {
     },
     "More on scenes": {
         "sweep": "play:sweep",
+        "check": "regression:check",
+        "compare-results": "regression:compare_results",
         "close-loop": "play:close_loop",
         "prepare": "play:prepare",
     },

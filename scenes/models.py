@@ -83,7 +83,7 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
     Raises:
         InputError: an arm whose world does not fit its data; a cache folder that cannot be written.
     """
-    path = cache_folder() / f"{robot.name}_{_digest(robot, world)}.json"
+    path = cache_folder() / f"{cache_name(robot, world)}.json"
     if os.path.isfile(path):
         # One that was cut off, or cannot be read for another reason, is made anew as if there were none.
         with suppress(InputError):
@@ -95,10 +95,11 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
     return PreparedModel(model.save(path), fresh=True)
 
 
-def _digest(robot: Robot, world: World) -> str:
-    """Of all that the model depends on: the arm's data sheet, the arm as it is, the procedure."""
+def cache_name(robot: Robot, world: World) -> str:
+    """The robot, and a digest of all that the model depends on: the data sheet, the arm as it is, the procedure."""
     data = [PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table()]
-    return hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()[:16]
+    return f"{robot.name}_{digest}"
 
 
 __all__ = ["model_for", "own_model", "shipped_model"]

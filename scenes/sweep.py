@@ -20,6 +20,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
 from scenes.kind import KINDS, kind_of
 from scenes.methods import method_of
+from scenes.provenance import identity
 from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene
@@ -171,7 +172,7 @@ def play(job: Job) -> dict[str, Any]:
                        world=job.world)
         answer |= {"scene": scene.name, "speed_m_s": getattr(scene, "speed", None), "seed": scene.seed}
         result = kind_of(scene).run(scene, method=job.method, out=None, progress=silent)
-        return {**answer, **result.json(), "failure": result.failure}
+        return {**answer, **result.json(), **identity(scene), "failure": result.failure}
     except IdealRobotError as error:
         return {**answer, "failure": str(error)}
     except MemoryError:

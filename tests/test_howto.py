@@ -1,4 +1,4 @@
-"""How-to pages: twenty questions, one screen each, with commands that run as printed."""
+"""How-to pages: a question and one screen each, with commands that run as printed."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def options_of(verb: str) -> set[str]:
     return {option for one in typer.main.get_command(app).params for option in (*one.opts, *one.secondary_opts)}
 
 
-def test_twenty_questions_are_a_click_from_the_index() -> None:
+def test_the_questions_are_a_click_from_the_index() -> None:
     linked = re.findall(r"^- \[(.*?)\]\((\w+\.md)\)$", INDEX.read_text(encoding="utf-8"), flags=re.MULTILINE)
     titles = {page.name: page.read_text(encoding="utf-8").splitlines()[0] for page in PAGES}
     assert {name: f"# {title}" for title, name in linked} == titles
-    assert len(titles) == 20
+    assert len(titles) >= 20
     assert all("?" in title for title in titles.values())
 
 

@@ -161,8 +161,8 @@ class Scene(pydantic.BaseModel):
                              field="max_duration", value=self.max_duration)
 
     def played(self) -> dict[str, Any]:
-        """What every ``--json`` says of what was played: the scene, its seed, world and arm, and whose model it was."""
-        return {"scene": self.name, "seed": self.seed, "world": self.world.get("base", BENCH),
+        """What every ``--json`` says of what was played: the scene, its robot, seed, world and arm, and whose model."""
+        return {"scene": self.name, "robot": self.robot, "seed": self.seed, "world": self.world.get("base", BENCH),
                 "individual": self.world.get("individual", 1), "model": self.model}
 
     def changed(self, **changes: Any) -> Self:
@@ -192,12 +192,29 @@ def scene_of(model: type[S], values: dict[str, Any], path: Path) -> S:
     Raises:
         InputError: an unknown key, a missing one, a value out of range.
     """
+    scene = validated(model, values, path)
+    scene._given = deepcopy(values)
+    scene._source = path
+    return scene
+
+
+M = TypeVar("M", bound=pydantic.BaseModel)
+
+
+def validated(model: type[M], values: dict[str, Any], path: Path) -> M:
+    """The object that the values of a file describe.
+
+    Args:
+        model: its class.
+        values: keys as they stand in the file.
+        path: of the file, for messages.
+
+    Raises:
+        InputError: an unknown key, a missing one, a value out of range.
+    """
     checked(values, path)
     try:
-        scene = model(**values)
-        scene._given = deepcopy(values)
-        scene._source = path
-        return scene
+        return model(**values)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

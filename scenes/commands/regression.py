@@ -1,0 +1,116 @@
+"""Verbs that say whether path errors have changed: check, compare-results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from scenes.regression.comparison import Comparison
+
+
+def check(
+    suite: Annotated[Path, typer.Argument(help="Suite file (.toml): what is played, and its bounds.")],
+    update_baseline: Annotated[bool, typer.Option("--update-baseline", help="Write the results as the new "
+                                                                             "baseline.")] = False,
+    baseline: Annotated[Path | None, typer.Option(help="Baseline file instead of the suite's.")] = None,
+    processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
+    dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the reports; default out/check_SUITE.")] = None,
+) -> None:
+    """Plays a suite and says whether it is better, the same or worse than its baseline, and within its bounds.
+
+    Runs are paired by seed. The folder holds a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and
+    Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed or a run was lost.
+
+    Example: `ideal-robot check examples/nightly.toml --update-baseline`
+
+    Example: `ideal-robot check examples/nightly.toml`
+    """
+    from ideal_robot.errors import InputError
+    from scenes.commands.common import progress_bar
+    from scenes.outputs import check_outputs
+    from scenes.regression.comparison import bounds_of, comparison_of
+    from scenes.regression.results import Results, read_results, times_of
+    from scenes.regression.suite import Suite
+    from scenes.report.page import write_json
+    from scenes.sweep import sweep
+
+    asked = Suite(suite)
+    place = baseline or asked.baseline
+    folder = out or Path("out") / f"check_{suite.stem}"
+    check_outputs({"--out": folder}, **({"baseline": place} if update_baseline else {}))
+    if not place.is_file() and not update_baseline and not any(bounds for _, bounds in asked.work):
+        raise InputError("no such baseline, and no bounds to hold; --update-baseline makes one", file=place)
+    earlier = read_results(place) if place.is_file() else None
+    work = [job for job, _ in asked.work]
+    with progress_bar(f"{len(work)} runs") as progress:
+        answers = sweep(work, processes=processes, dask=dask,
+                        done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
+    results = Results.of(answers, str(suite))
+    bounds = bounds_of(results, [bounds for _, bounds in asked.work])
+    rules = {"figures": asked.file.figures, "rules": asked.rules, "title": asked.file.title}
+    try:
+        found = comparison_of(results, earlier, bounds, **rules)
+    except InputError:
+        if not update_baseline:
+            raise
+        found = comparison_of(results, None, bounds, **rules)
+    _report(found, folder)
+    write_json(folder / "times.json", {"runs": times_of(answers)})
+    if update_baseline:
+        typer.echo(f"baseline: {results.write(place)}")
+    elif earlier is None:
+        typer.echo("no baseline yet: --update-baseline writes one")
+    if found.verdict == "worse":
+        raise typer.Exit(1)
+
+
+def compare_results(
+    before: Annotated[Path, typer.Argument(help="Earlier results: file or folder that run, compare, sweep or check "
+                                                "has written.")],
+    after: Annotated[Path, typer.Argument(help="New results.")],
+    figures: Annotated[str, typer.Option(help="Figures to compare, by name and separated by commas; default: the "
+                                              "errors that a sweep shows.")] = "",
+    out: Annotated[Path, typer.Option(help="Folder of the reports.")] = Path("out/compare_results"),
+) -> None:
+    """Compares two results pair by pair: difference, standard error, p and verdict of each figure, with the picture.
+
+    Exit code 1 where anything is worse.
+
+    Example: `ideal-robot compare-results main.json branch.json`
+    """
+    from ideal_robot.errors import InputError, did_you_mean
+    from scenes.outputs import check_outputs
+    from scenes.regression.comparison import compared
+    from scenes.regression.results import MAIN, read_results
+
+    check_outputs({"--out": out})
+    results = read_results(before), read_results(after)
+    names = [name.strip() for name in figures.split(",") if name.strip()]
+    known = [name for name in results[0].figures if name in results[1].figures]
+    for name in names:
+        if name not in known:
+            raise InputError(f"not in both; {did_you_mean(name, known)}there are {', '.join(known)}", field="--figures",
+                             value=name)
+    found = compared(*results, figures=names or MAIN)
+    _report(found, out)
+    if found.verdict == "worse":
+        raise typer.Exit(1)
+
+
+def _report(found: Comparison, folder: Path) -> None:
+    from scenes.commands.common import show_table
+    from scenes.regression.formats import bounds_table, write_comparison
+
+    if found.before is not None:
+        show_table("what changed, or all cases together", *found.table())
+    if found.bounds:
+        show_table("bounds", *bounds_table(found))
+    report = write_comparison(found, folder)
+    if found.not_played:
+        typer.echo(f"{found.not_played} runs were not played", err=True)
+    typer.echo(f"verdict: {found.verdict}")
+    typer.echo(f"report: {report}")

@@ -1,0 +1,278 @@
+"""Results against earlier ones and against bounds: rows, verdicts, and what a suite's verdict is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from ideal_robot.errors import InputError
+from scenes.regression.paired import (
+    BETTER,
+    NOT_COMPARABLE,
+    SAME,
+    WORSE,
+    Row,
+    Rules,
+    judged,
+    over_all,
+    paired,
+    seeds_needed,
+)
+from scenes.regression.results import CASE, MAIN, Results, unit_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SUITE = "all cases"
+FAILURES = "runs that failed"
+_CERTAIN = 0.01
+"""A bound is flaky where as many seeds again could find the other answer with a larger chance than this."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A bound on a figure's mean over the seeds of a case.
+
+    Attributes:
+        case, figure: of what.
+        limit, mean, deviation: bound, mean and standard deviation over the seeds, in the figure's unit.
+        seeds: runs that gave a number; failed: runs that gave none.
+        flaky: chance that as many other seeds give the other answer; needed: seeds that tell it with certainty.
+    """
+
+    case: str
+    figure: str
+    limit: float
+    mean: float
+    deviation: float
+    seeds: int
+    failed: int
+    flaky: float
+    needed: int | None
+
+    @property
+    def kept(self) -> bool:
+        """Whether the mean is within the bound and no run failed."""
+        return not self.failed and self.mean <= self.limit
+
+    @property
+    def remark(self) -> str:
+        """What is to be said of it besides whether it is kept."""
+        if self.failed:
+            return f"{self.failed} of {self.seeds + self.failed} runs gave no figure"
+        if self.seeds == 1:
+            return "one seed does not tell how it scatters; give it three or more"
+        if self.flaky > _CERTAIN:
+            seeds = "more seeds than anybody plays" if self.needed is None else f"{self.needed} seeds"
+            return (f"flaky: {self.seeds} other seeds give the other answer with a chance of "
+                    f"{100.0 * self.flaky:.0f} %; {seeds} tell, or another bound")
+        return ""
+
+    def json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {**self.__dict__, "kept": self.kept, "remark": self.remark}
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """Results, and what they are compared with.
+
+    Attributes:
+        title: of the suite, or the two sources.
+        before: results compared with; None where only bounds were looked at.
+        after: the results.
+        rows: figures of all cases, those of the suite first; bounds: what was asked of the means.
+        pairs: a row a pair, with ``label``, ``seed`` and each figure ``NAME before``, ``NAME after``.
+        not_played: runs that were lost.
+    """
+
+    title: str
+    before: Results | None
+    after: Results
+    rows: tuple[Row, ...]
+    bounds: tuple[Bound, ...] = ()
+    pairs: pd.DataFrame | None = field(default=None)
+    not_played: int = 0
+
+    @property
+    def verdict(self) -> str:
+        """Of the suite: the worst that any figure, bound or run says."""
+        found = {row.verdict for row in self.rows}
+        if WORSE in found or self.not_played or not all(bound.kept for bound in self.bounds):
+            return WORSE
+        if BETTER in found:
+            return BETTER
+        return SAME if SAME in found or (self.before is None and self.bounds) else NOT_COMPARABLE
+
+    def json(self) -> dict[str, Any]:
+        """Verdicts with their figures; no times, no places."""
+        return {"schema": 1, "title": self.title, "verdict": self.verdict, "not_played": self.not_played,
+                "program": {"before": None if self.before is None else self.before.program,
+                            "after": self.after.program},
+                "figures": [row.json() for row in self.rows], "bounds": [bound.json() for bound in self.bounds]}
+
+    def table(self) -> tuple[list[str], list[list[Any]]]:
+        """Column titles and rows of what changed; where nothing did, of the suite."""
+        shown = [row for row in self.rows if row.verdict != SAME] or [row for row in self.rows if row.case == SUITE]
+        return (["case", "figure", "pairs", "before", "after", "difference", "standard error", "p", "verdict"],
+                [[row.case, row.figure, row.pairs, row.before, row.after, row.difference, row.error, row.corrected,
+                  f"{row.verdict}: {row.why}" if row.why else row.verdict] for row in shown])
+
+
+def compared(before: Results, after: Results, *, figures: Sequence[str] = MAIN, rules: Rules | None = None,
+             title: str = "") -> Comparison:
+    """Compares results pair by pair.
+
+    Args:
+        before: earlier results.
+        after: new ones.
+        figures: names of what is compared; those that neither has are passed over.
+        rules: what counts as a change.
+        title: of the comparison.
+
+    Raises:
+        InputError: they are of different arms, share no pair, or one of them holds a run twice.
+    """
+    pairs = _pairs(before, after)
+    rows: list[Row] = []
+    names = [name for name in figures if f"{name} before" in pairs]
+    for label, group in pairs.groupby("label", sort=False):
+        rows += _of_case(str(label), group, names)
+    whole = [row for name in names if (row := over_all(SUITE, [one for one in rows if one.figure == name]))]
+    return Comparison(title or f"{before.source} → {after.source}", before, after,
+                      tuple(judged([*whole, *rows], rules or Rules())), pairs=pairs)
+
+
+def _of_case(label: str, group: pd.DataFrame, names: Sequence[str]) -> list[Row]:
+    """Rows of one case: its figures, and a row of runs that fail on one side alone."""
+    sides = set(group["_merge"])
+    if sides != {"both"} and "both" not in sides:
+        side = "the new results" if sides == {"left_only"} else "the earlier ones"
+        return [Row(label, "", why=f"{side} have no such run; --update-baseline takes the cases of today")]
+    both = group[group["_merge"] == "both"]
+    for name, what in (("task_hash", "scene"), ("world_hash", "simulated world")):
+        old, new = both[f"{name} before"], both[f"{name} after"]
+        if ((old != new) & old.notna() & new.notna()).any():
+            return [Row(label, "", why=f"its {what} has changed; make a new baseline (--update-baseline)")]
+    rows = []
+    failed = [both[f"failure {side}"].notna() for side in ("before", "after")]
+    if bool((failed[0] != failed[1]).any()):
+        counts = [int(one.sum()) for one in failed]
+        newly = bool((failed[1] & ~failed[0]).any())
+        rows.append(Row(label, FAILURES, len(both), counts[0], counts[1], counts[1] - counts[0],
+                        verdict=WORSE if newly else BETTER, why=str(both["failure after"][failed[1]].iloc[0])
+                        if newly else ""))
+    for name in names:
+        values = both.loc[~(failed[0] | failed[1]), [f"{name} before", f"{name} after"]].astype(float).dropna()
+        if len(values):
+            rows.append(paired(label, name, *values.to_numpy().T))
+    return rows
+
+
+def _pairs(before: Results, after: Results) -> pd.DataFrame:
+    """One row a run of either side, merged over case and seed; methods are paired by name, or one with one."""
+    import pandas as pd
+
+    robots = [set(one.runs["robot"].dropna()) for one in (before, after)]
+    if all(robots) and not robots[0] & robots[1]:
+        raise InputError(f"is of another arm ({', '.join(sorted(robots[0]))}); these runs are of "
+                         f"{', '.join(sorted(robots[1]))}: give the baseline of that arm, or make one "
+                         "(--update-baseline)", file=before.source)
+    keys = [name for name in (*CASE, "seed") if all(one.runs[name].notna().any() for one in (before, after))]
+    sides = [one.runs.assign(**{name: one.runs[name].map(_word) for name in keys}) for one in (before, after)]
+    sides[0] = _same_method(sides[0], sides[1], keys)
+    for one, side in zip((before, after), sides, strict=True):
+        twice = side.duplicated(keys)
+        if twice.any():
+            run = ", ".join(side.loc[twice, keys].iloc[0])
+            raise InputError(f"holds a run twice ({run}); give one file for each version", file=one.source)
+    merged = pd.merge(sides[0], sides[1], on=keys, how="outer", suffixes=(" before", " after"), indicator=True,
+                      sort=False)
+    if not (merged["_merge"] == "both").any():
+        seen = [", ".join(sorted(set(side["scene"]))[:4]) for side in sides]
+        raise InputError(f"shares no pair with {after.source}: scenes {seen[0]} there, {seen[1]} here, or other "
+                         "speeds, seeds or methods; compare runs of the same", file=before.source)
+    merged["label"] = [_label({str(key): value for key, value in row.items()})
+                       for row in merged[[key for key in keys if key != "seed"]].to_dict("records")]
+    return merged
+
+
+def _same_method(before: pd.DataFrame, after: pd.DataFrame, keys: list[str]) -> pd.DataFrame:
+    """The earlier runs under the later method's name where each side has but one and they differ."""
+    if "method" not in keys:
+        return before
+    methods = set(before["method"]), set(after["method"])
+    if len(methods[0]) == len(methods[1]) == 1 and methods[0] != methods[1]:
+        return before.assign(method=next(iter(methods[1])))
+    return before
+
+
+def _word(value: Any) -> str:
+    return "" if value is None or value != value else f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
+def _label(row: dict[str, Any]) -> str:
+    """What a case is called: its scene, and what it does not have by default."""
+    parts = [row["scene"], f"{row['speed_m_s']} m/s" if row.get("speed_m_s") else "", row.get("method") or "",
+             row.get("world") or "", f"arm {row['individual']}" if row.get("individual", "1") != "1" else ""]
+    return ", ".join(part for part in parts if part)
+
+
+def bounds_of(results: Results, asked: Sequence[dict[str, float]]) -> tuple[Bound, ...]:
+    """What the bounds say of the means of each case.
+
+    Args:
+        results: of the runs.
+        asked: of each run the bounds of its case, by figure, in its unit.
+
+    Raises:
+        InputError: a figure that no run of the case has.
+    """
+    frame = results.runs.assign(label=[_label({str(key): _word(value) for key, value in row.items()})
+                                       for row in results.runs[list(CASE)].to_dict("records")])
+    found = []
+    for label, group in frame.groupby("label", sort=False):
+        for figure, limit in asked[int(group.index.min())].items():
+            if figure not in frame and not group["failure"].notna().all():
+                known = [name for name in results.figures if unit_of(name)]
+                raise InputError(f"no run has this figure; there are {', '.join(known)}", field="bounds", value=figure)
+            ended = group.loc[group["failure"].isna()]
+            values = ended[figure].astype(float).dropna().to_numpy() if figure in ended else np.empty(0)
+            found.append(_bound(str(label), figure, limit, values, len(group) - len(values)))
+    return tuple(found)
+
+
+def _bound(case: str, figure: str, limit: float, values: np.ndarray, failed: int) -> Bound:
+    n = len(values)
+    mean = float(np.mean(values)) if n else np.nan
+    deviation = float(np.std(values, ddof=1)) if n > 1 else np.nan
+    flaky, needed = 0.0, None
+    if deviation > 0.0:
+        effect = abs(limit - mean) / deviation
+        # Two means of n seeds each: the one that was seen, and another one.
+        flaky = float(stats.t.sf(effect / np.sqrt(2.0 / n), n - 1))
+        needed = seeds_needed(effect, _CERTAIN)
+    return Bound(case, figure, limit, mean, deviation, n, failed, flaky, needed)
+
+
+def comparison_of(after: Results, before: Results | None, bounds: tuple[Bound, ...], **rules: Any) -> Comparison:
+    """A suite's comparison with its baseline, where it has one, and with its bounds.
+
+    Args:
+        after: what was played.
+        before: the baseline; None where there is none yet.
+        bounds: from ``bounds_of``.
+        rules: as ``compared`` takes them, and ``title``.
+
+    Raises:
+        InputError: the baseline is of another arm, or shares no pair.
+    """
+    lost = int(after.runs["not_played"].notna().sum()) if "not_played" in after.runs else 0
+    if before is None:
+        return Comparison(rules.get("title", ""), None, after, (), bounds, None, lost)
+    found = compared(before, after, **rules)
+    return Comparison(found.title, before, after, found.rows, bounds, found.pairs, lost)

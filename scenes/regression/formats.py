@@ -1,0 +1,186 @@
+"""A comparison for others to read: a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines, Parquet."""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy import stats
+
+from ideal_robot.whole_file import whole_file, write_text
+from scenes.outputs import whole_folder
+from scenes.regression.comparison import Comparison
+from scenes.regression.paired import NOT_COMPARABLE, SAME, WORSE, Row
+from scenes.regression.results import unit_of
+from scenes.report.page import Report, plain, write_json
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_MOST_ROWS = 60
+"""Rows of a Markdown comment; forges cut off long ones."""
+_MOST_CASES = 24
+"""Cases in the picture."""
+
+
+def write_comparison(comparison: Comparison, out: Path) -> Path:
+    """Writes page, Markdown, JUnit XML, JSON, JSON Lines and Parquet into a folder; returns the page.
+
+    The same runs give the same bytes.
+
+    Args:
+        comparison: what was found.
+        out: folder.
+    """
+    with whole_folder(out) as new:
+        comparison.after.write(new / "results.json")
+        write_json(new / "comparison.json", comparison.json())
+        write_text(new / "comparison.md", markdown(comparison))
+        write_text(new / "junit.xml", junit(comparison))
+        lines = [json.dumps(plain(row), allow_nan=False) for row in comparison.json()["figures"]]
+        write_text(new / "comparison.jsonl", "".join(f"{line}\n" for line in lines))
+        with whole_file(new / "results.parquet") as file:
+            comparison.after.runs.to_parquet(file, index=False)
+        page(comparison).write(new / "report.html")
+    return out / "report.html"
+
+
+def markdown(comparison: Comparison) -> str:
+    """The comparison as a comment of a pull request: the verdict, then what changed, then the bounds."""
+    parts = [f"### Path error: {comparison.verdict}", "", _escaped(comparison.title), ""]
+    if comparison.before is not None:
+        parts += [f"{_version(comparison.before.program)} → {_version(comparison.after.program)}; "
+                  f"{sum(row.verdict == SAME for row in comparison.rows)} of {len(comparison.rows)} figures "
+                  "the same.", ""]
+    for columns, rows in (comparison.table(), bounds_table(comparison)):
+        if rows:
+            parts += ["| " + " | ".join(columns) + " |", "|" + " --- |" * len(columns)]
+            parts += ["| " + " | ".join(_escaped(_cell(cell)) for cell in row) + " |" for row in rows[:_MOST_ROWS]]
+            parts += [f"… and {len(rows) - _MOST_ROWS} more."] if len(rows) > _MOST_ROWS else []
+            parts.append("")
+    return "\n".join(parts)
+
+
+def bounds_table(comparison: Comparison) -> tuple[list[str], list[list[Any]]]:
+    """Column titles and rows of the bounds."""
+    return (["case", "bound on the mean", "limit", "mean", "deviation", "seeds", "result", "remark"],
+            [[one.case, one.figure, one.limit, one.mean, one.deviation, one.seeds, "kept" if one.kept else "missed",
+              one.remark] for one in comparison.bounds])
+
+
+def _version(program: dict[str, Any]) -> str:
+    return " ".join(str(program[key]) for key in ("version", "commit") if program.get(key)) or "unknown version"
+
+
+def _cell(cell: Any) -> str:
+    if isinstance(cell, float):
+        return f"{cell:.3g}" if np.isfinite(cell) else "–"
+    return str(cell)
+
+
+def _escaped(text: str) -> str:
+    return _one_line(text).replace("|", "\\|").replace("<", "&lt;").replace("@", "@\u200b")
+
+
+def junit(comparison: Comparison) -> str:
+    """JUnit XML: a suite a case, a test a figure or bound; worse and missed fail, what has no pair is skipped."""
+    cases: dict[str, list[tuple[str, str, str]]] = {}
+    for row in comparison.rows:
+        cases.setdefault(row.case, []).append((row.figure or "comparison", row.verdict, sentence(row)))
+    for one in comparison.bounds:
+        text = f"mean {one.mean:.4g}, bound {one.limit:.4g} {unit_of(one.figure) or ''} {one.remark}".rstrip()
+        cases.setdefault(one.case, []).append((f"{one.figure} bound", SAME if one.kept else WORSE, text))
+    if comparison.not_played:
+        cases["runs"] = [("not played", WORSE, f"{comparison.not_played} runs were lost")]
+    root = ET.Element("testsuites", name="ideal-robot check")
+    for case, tests in cases.items():
+        failures, skipped = (str(sum(verdict == what for _, verdict, _ in tests)) for what in (WORSE, NOT_COMPARABLE))
+        suite = ET.SubElement(root, "testsuite", name=_one_line(case), tests=str(len(tests)), errors="0",
+                              failures=failures, skipped=skipped)
+        for name, verdict, text in tests:
+            test = ET.SubElement(suite, "testcase", classname=_one_line(case), name=_one_line(name))
+            if verdict in (WORSE, NOT_COMPARABLE):
+                ET.SubElement(test, "failure" if verdict == WORSE else "skipped", message=_one_line(text))
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _one_line(text: str) -> str:
+    """A scene file's words without what XML refuses and a terminal would obey."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def sentence(row: Row) -> str:
+    """A row in words."""
+    if row.verdict == NOT_COMPARABLE or not np.isfinite(row.p):
+        return row.why or row.verdict
+    unit = unit_of(row.figure) or ""
+    return (f"{row.before:.4g} → {row.after:.4g} {unit}, difference {row.difference:+.3g} ± {row.error:.2g}, "
+            f"p {row.corrected:.2g}, {row.pairs} pairs")
+
+
+def page(comparison: Comparison) -> Report:
+    """The page: verdict, picture, what changed, bounds, and all figures."""
+    report = Report(f"Path error: {comparison.verdict}", comparison.title)
+    report.figures([("verdict", comparison.verdict), ("runs", str(len(comparison.after.runs))),
+                    ("figures compared", str(len(comparison.rows))),
+                    ("bounds kept", f"{sum(one.kept for one in comparison.bounds)} of {len(comparison.bounds)}")])
+    if comparison.pairs is not None and (drawn := picture(comparison)) is not None:
+        report.figure(drawn, "Left: each pair's error before and after; on the line nothing changed. Right: each "
+                             "pair's relative difference, with the mean of the case and its 95 % interval; right of "
+                             "zero is worse.")
+    report.heading("What changed")
+    report.table(*comparison.table(), caption="p is corrected for all figures looked at (Holm). Differences of the row "
+                                              "of all cases are relative.")
+    if comparison.bounds:
+        report.heading("Bounds")
+        report.table(*bounds_table(comparison))
+    report.heading("All figures")
+    report.table(["case", "figure", "pairs", "before", "after", "difference", "standard error", "p",
+                  "would be found", "verdict"],
+                 [[row.case, row.figure, row.pairs, row.before, row.after, row.difference, row.error, row.corrected,
+                   row.finds, row.verdict] for row in comparison.rows], folded="every figure of every case",
+                 caption="A difference as large as the column says would be found in nine of ten comparisons.")
+    return report
+
+
+def picture(comparison: Comparison) -> Figure | None:
+    """Errors before over after, and relative differences of each pair; None where no figure has pairs."""
+    import matplotlib.pyplot as plt
+
+    pairs = comparison.pairs
+    counts: dict[str, int] = {}
+    for row in comparison.rows:
+        if row.pairs and f"{row.figure} before" in (() if pairs is None else pairs):
+            counts[row.figure] = counts.get(row.figure, 0) + row.pairs
+    if pairs is None or not counts:
+        return None
+    name = max(counts, key=lambda one: counts[one])
+    groups = [(str(label), *group[[f"{name} before", f"{name} after"]].astype(float).dropna().to_numpy().T)
+              for label, group in pairs[pairs["_merge"] == "both"].groupby("label", sort=False)]
+    groups = [one for one in groups if len(one[1])]
+    # The cases that changed most, where there are too many to read.
+    groups = sorted(groups, key=lambda one: -abs(float(np.mean(one[2] - one[1]))) / max(float(np.mean(one[1])), 1e-12))
+    groups = groups[:_MOST_CASES]
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11.0, 1.6 + 0.3 * max(len(groups), 8)), layout="constrained",
+                                         width_ratios=(1.0, 1.3))
+    everything = np.concatenate([np.concatenate(one[1:]) for one in groups])
+    ends = [0.9 * everything.min(), 1.1 * everything.max()]
+    left.plot(ends, ends, color="0.6", lw=1.0)
+    for i, (_, before, after) in enumerate(groups):
+        left.plot(before, after, ".", color=f"C{i % 10}")
+        share = 100.0 * (after - before) / before
+        right.plot(share, np.full(len(share), float(i)), ".", color=f"C{i % 10}", alpha=0.5)
+        spread = float(stats.sem(share) * stats.t.ppf(0.975, len(share) - 1)) if len(share) > 1 else 0.0
+        right.errorbar(float(share.mean()), i, xerr=spread, fmt="k|", capsize=3.0)
+    left.set_xlabel(f"{name} before")
+    left.set_ylabel(f"{name} after")
+    right.axvline(0.0, color="0.6", lw=1.0)
+    right.set_yticks(range(len(groups)), [one[0] for one in groups])
+    right.invert_yaxis()
+    right.set_xlabel(f"difference of {name} [%]")
+    plt.close(figure)
+    return figure

@@ -1,0 +1,160 @@
+"""Paired comparison: differences of runs that differ in the program alone, seed by seed.
+
+Two-sided paired t-test; Holm's step-down correction over all figures and cases, so that an unchanged program is called
+worse or better with the chance ``false_alarms`` at most, however many figures there are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from ideal_robot.arrays import Array
+
+BETTER, SAME, WORSE, NOT_COMPARABLE = "better", "same", "worse", "not comparable"
+POWER = 0.9
+"""Chance with which a difference is to be found where it is said which one would be."""
+MOST_SEEDS = 100_000
+"""Beyond so many seeds none are asked for."""
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What counts as a change.
+
+    Attributes:
+        false_alarms: chance that anything of an unchanged program is called worse or better.
+        relevant: smallest change of a mean that counts, relative to its value before.
+    """
+
+    false_alarms: float = 0.01
+    relevant: float = 0.01
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure of one case, before and after.
+
+    Attributes:
+        case: what was played; figure: name with its unit.
+        pairs: seeds that both have.
+        before, after: means over the pairs.
+        difference, error: mean difference and its standard error; of the suite relative to ``before``.
+        p: chance of a difference as large from an unchanged program; corrected: after Holm's correction.
+        finds: smallest difference that so many pairs find with the chance ``POWER``.
+        verdict: better, same, worse or not comparable; why: of the last, with the remedy.
+    """
+
+    case: str
+    figure: str
+    pairs: int = 0
+    before: float = np.nan
+    after: float = np.nan
+    difference: float = np.nan
+    error: float = np.nan
+    p: float = np.nan
+    corrected: float = np.nan
+    finds: float = np.nan
+    verdict: str = NOT_COMPARABLE
+    why: str = ""
+
+    def json(self) -> dict[str, Any]:
+        """Plain values."""
+        return dict(self.__dict__)
+
+
+def paired(case: str, figure: str, before: Array, after: Array) -> Row:
+    """The difference of one figure over pairs; the verdict is made by ``judged`` for all rows together.
+
+    Args:
+        case: what was played.
+        figure: its name.
+        before: values of each pair ``(n,)``, in the figure's unit.
+        after: values of each pair ``(n,)``, in the figure's unit.
+    """
+    d = after - before
+    n, mean = len(d), float(np.mean(d))
+    error = float(np.std(d, ddof=1) / np.sqrt(n)) if n > 1 else np.nan
+    return Row(case, figure, n, float(np.mean(before)), float(np.mean(after)), mean, error, _p(mean, error, n - 1))
+
+
+def _p(mean: float, error: float, dof: float) -> float:
+    if not np.isfinite(error):
+        return np.nan
+    if error == 0.0:
+        return 1.0 if mean == 0.0 else 0.0
+    return float(2.0 * stats.t.sf(abs(mean) / error, dof))
+
+
+def over_all(name: str, rows: list[Row]) -> Row | None:
+    """The mean of the cases' relative differences of one figure: a small change of every case is seen here first.
+
+    Standard error and degrees of freedom (Welch and Satterthwaite) come from the scatter within the cases. None where
+    no case has two pairs and a mean to relate to.
+    """
+    known = [row for row in rows if row.pairs > 1 and row.before > 0.0]
+    if not known:
+        return None
+    share = np.array([row.difference / row.before for row in known])
+    variance = np.array([(row.error / row.before) ** 2 for row in known])
+    dof = float(variance.sum() ** 2 / max(float(np.sum(variance**2 / [row.pairs - 1 for row in known])), 1e-300))
+    mean, error = float(share.mean()), float(np.sqrt(variance.sum()) / len(known))
+    return Row(name, known[0].figure, sum(row.pairs for row in known), 1.0, 1.0 + mean, mean, error,
+               _p(mean, error, max(dof, 1.0)))
+
+
+def judged(rows: list[Row], rules: Rules) -> list[Row]:
+    """The rows with their corrected p and verdicts; one that has a verdict keeps it."""
+    tested = [i for i, row in enumerate(rows) if np.isfinite(row.p)]
+    order = sorted(tested, key=lambda i: rows[i].p)
+    corrected, largest = dict.fromkeys(range(len(rows)), np.nan), 0.0
+    for rank, i in enumerate(order):
+        largest = max(largest, min(1.0, (len(order) - rank) * rows[i].p))
+        corrected[i] = largest
+    level = rules.false_alarms / max(len(order), 1)
+    return [_judged(row, corrected[i], level, rules) for i, row in enumerate(rows)]
+
+
+def _judged(row: Row, corrected: float, level: float, rules: Rules) -> Row:
+    if not row.pairs or row.verdict != NOT_COMPARABLE:
+        return row
+    moved = abs(row.difference) > rules.relevant * abs(row.before)
+    finds = np.nan
+    if row.pairs > 1:
+        finds = float(stats.t.ppf(1.0 - level / 2.0, row.pairs - 1) + stats.t.ppf(POWER, row.pairs - 1)) * row.error
+    if not moved:
+        return replace(row, corrected=corrected, finds=finds, verdict=SAME)
+    if row.pairs < 2:
+        return replace(row, verdict=NOT_COMPARABLE, why="one pair has no standard error; give it three seeds or more")
+    sign = WORSE if row.difference > 0.0 else BETTER
+    return replace(row, corrected=corrected, finds=finds, verdict=sign if corrected < rules.false_alarms else SAME)
+
+
+def seeds_needed(effect: float, chance: float) -> int | None:
+    """How many seeds tell a mean from its bound, by a one-sided t-test with the chance ``POWER``.
+
+    The power is that of the noncentral t distribution.
+
+    Args:
+        effect: distance of mean and bound, relative to the standard deviation of one run.
+        chance: of a false answer.
+
+    Returns:
+        The number, or None where it is beyond ``MOST_SEEDS``.
+
+    >>> seeds_needed(1.0, 0.05)
+    11
+    """
+    def power(n: int) -> float:
+        return float(stats.nct.sf(stats.t.ppf(1.0 - chance, n - 1), n - 1, effect * np.sqrt(n)))
+
+    if effect <= 0.0 or power(MOST_SEEDS) < POWER:
+        return None
+    low, high = 1, MOST_SEEDS
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if power(middle) >= POWER else (middle, high)
+    return high

@@ -1,0 +1,180 @@
+"""Results as one table of runs, whatever file, table or folder they stand in."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ideal_robot.bounded_values import parsed_json, read_json, read_text
+from ideal_robot.errors import InputError
+from scenes.provenance import machine, program
+from scenes.report.page import plain, write_json
+from scenes.sweep import FIGURES
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SCHEMA = 1
+"""Counts the layouts of the file."""
+TIMES = ("real_time_factor", "cycle_time_ms", "seconds")
+PLACES = ("recording", "report", "urdf")
+"""Keys of an answer that say how long it took and where files lie; they stand apart from results."""
+CASE = ("scene", "robot", "individual", "world", "speed_m_s", "method")
+"""What runs of one case have in common; its runs differ in their seeds."""
+HASHES = ("task_hash", "world_hash", "model_hash")
+MAIN = tuple(name for name in FIGURES if name != "speed_m_s")
+"""Figures that are compared where nobody names others: those that a sweep shows; of all of them less is better."""
+UNITS = {"mm": {"um": 1e-3, "µm": 1e-3, "mm": 1.0, "m": 1e3}, "N": {"mN": 1e-3, "N": 1.0, "kN": 1e3},
+         "s": {"us": 1e-6, "ms": 1e-3, "s": 1.0}, "ms": {"us": 1e-3, "ms": 1.0, "s": 1e3}}
+"""Units of figures, and what may be given in their place: factor to the figure's own."""
+
+
+def unit_of(figure: str) -> str | None:
+    """Unit of a figure, which stands in its name; None where there is none.
+
+    >>> unit_of("control_error_mm.mean"), unit_of("contact_lost_s"), unit_of("fields.used")
+    ('mm', 's', None)
+    """
+    found = re.search(r"_(mm|N|ms|s)$", figure.partition(".")[0])
+    return found[1] if found else None
+
+
+@dataclass(frozen=True)
+class Results:
+    """Runs with their figures.
+
+    Attributes:
+        runs: one row a run: ``CASE``, ``seed``, ``failure``, ``HASHES``, and figures by their dotted names.
+        program, machine: what computed them, as ``scenes.provenance`` says it; empty where a file does not tell.
+        source: the file, table or folder.
+    """
+
+    runs: pd.DataFrame = field(repr=False)
+    program: dict[str, Any] = field(default_factory=dict)
+    machine: dict[str, Any] = field(default_factory=dict)
+    source: str = ""
+
+    @classmethod
+    def of(cls, answers: Iterable[dict[str, Any]], source: str = "this run") -> Results:
+        """Results of answers that this program has just computed."""
+        return cls(table(answers), dict(program()), machine(), source)
+
+    @property
+    def figures(self) -> list[str]:
+        """Names of all figures that are numbers."""
+        known = {*CASE, *HASHES, "seed", "failure", "not_played"}
+        return [name for name in self.runs.columns if name not in known and self.runs[name].dtype.kind in "fi"]
+
+    def write(self, path: Path) -> Path:
+        """Writes them as JSON, which ``read_results`` reads; the same runs give the same bytes."""
+        rows = self.runs.astype(object).where(self.runs.notna(), None).to_dict("records")
+        rows = [{str(key): int(value) if key in ("seed", "individual") else value for key, value in row.items()
+                 if value is not None} for row in rows]
+        return write_json(path, {"schema": SCHEMA, "program": self.program, "machine": self.machine, "runs": rows})
+
+
+def table(answers: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
+    """A table of answers of a sweep, without times and places; lists and texts that no column is for are left out."""
+    import pandas as pd
+
+    rows = []
+    for answer in answers:
+        kept = {key: value for key, value in plain(answer).items() if key not in (*TIMES, *PLACES)}
+        kept.setdefault("individual", 1)
+        rows.append({key: value for key, value in _flat(kept).items() if not isinstance(value, list)})
+    frame = pd.DataFrame(rows)
+    texts = {"scene", "robot", "world", "method", "failure", "not_played", *HASHES}
+    for name in (*CASE, *HASHES, "seed", "failure"):
+        if name not in frame:
+            frame[name] = None
+    numbers = [name for name in frame.columns if name not in texts and frame[name].map(_is_number).all()]
+    frame[numbers] = frame[numbers].astype(float)
+    return frame[[name for name in frame.columns if name in texts or name in numbers]]
+
+
+def times_of(answers: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What of answers is a time, with what was played."""
+    return [{key: answer.get(key) for key in (*CASE, "seed", *TIMES) if key in answer} for answer in answers]
+
+
+def _is_number(value: Any) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _flat(content: dict[str, Any], before: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        found |= _flat(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+    return found
+
+
+# Reading what run, compare, sweep and check have written.
+
+def read_results(path: Path) -> Results:
+    """Results of a file (JSON, JSON Lines, CSV, Parquet) or a folder of such.
+
+    Args:
+        path: what ``run``, ``compare``, ``sweep`` or ``check`` has written.
+
+    Raises:
+        InputError: no such file, or none with runs.
+    """
+    if path.is_dir():
+        return _of_folder(path)
+    if not path.is_file():
+        raise InputError("no such file or folder; give what run, compare, sweep or check has written", file=path)
+    if path.suffix in (".parquet", ".csv"):
+        return Results(_of_table(path), source=str(path))
+    if path.suffix == ".jsonl":
+        lines = [parsed_json(line, path, "results") for line in read_text(path, "results").splitlines() if line]
+        return _checked(table(one.get("answer", one) if isinstance(one, dict) else {} for one in lines), {}, path)
+    content = read_json(path, "results")
+    if not isinstance(content, dict):
+        raise InputError("holds no runs; give what run, compare, sweep or check has written", file=path)
+    if isinstance(content.get("schema", SCHEMA), int) and content.get("schema", SCHEMA) > SCHEMA:
+        raise InputError(f"written by a newer version (layout {content['schema']}, this one reads {SCHEMA}); update "
+                         "the program", file=path, field="schema")
+    if isinstance(content.get("runs"), list):
+        answers = content["runs"]
+    elif isinstance(content.get("methods"), dict):
+        answers = list(content["methods"].values())
+    else:
+        answers = [content]
+    return _checked(table(one if isinstance(one, dict) else {} for one in answers), content, path)
+
+
+def _of_folder(folder: Path) -> Results:
+    for name in ("results.json", "report.json"):
+        if (folder / name).is_file():
+            return read_results(folder / name)
+    files = [path for ending in ("parquet", "jsonl", "json") for path in sorted(folder.rglob(f"*.{ending}"))]
+    found = [read_results(path) for path in files if not path.name.startswith(".")]
+    if not found:
+        raise InputError("holds no results (.json, .jsonl, .parquet)", file=folder)
+    import pandas as pd
+
+    return Results(pd.concat([one.runs for one in found], ignore_index=True), source=str(folder))
+
+
+def _of_table(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        frame = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read as a table of runs ({str(error)[:200]})", file=path) from error
+    frame = frame.rename(columns={title: name for name, title in FIGURES.items()})
+    if "scene" not in frame:
+        raise InputError("has no column scene; give a table that sweep or check has written", file=path)
+    return table(frame.astype(object).where(frame.notna(), None).to_dict("records"))
+
+
+def _checked(frame: pd.DataFrame, content: dict[str, Any], path: Path) -> Results:
+    if frame["scene"].isna().any() or not len(frame):
+        raise InputError("holds something that is no run (no scene); give what run, compare, sweep or check has "
+                         "written", file=path)
+    said = {key: value if isinstance(value := content.get(key), dict) else {} for key in ("program", "machine")}
+    return Results(frame, source=str(path), **said)

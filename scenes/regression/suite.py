@@ -1,0 +1,149 @@
+"""Suite files: which scenes, arms, seeds, speeds and methods are played every night, and within which bounds."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from ideal_robot.bounded_values import read_toml
+from ideal_robot.errors import InputError, did_you_mean
+from scenes.kind import kind_of
+from scenes.methods import method_of
+from scenes.regression.paired import Rules
+from scenes.regression.results import MAIN, UNITS, unit_of
+from scenes.scene_file import load_scene
+from scenes.scene_files.scene import Scene, Table, chosen, validated
+from scenes.sweep import MOST, Job, jobs
+
+_RANGE = re.compile(r"\s*(\d{1,9})\s*-\s*(\d{1,9})\s*")
+
+
+class Case(Table):
+    """Runs that are played, in all combinations."""
+
+    scenes: tuple[str, ...] = pydantic.Field(min_length=1)
+    """Names of scenes, or paths of scene files as seen from the suite's folder."""
+    seeds: tuple[pydantic.NonNegativeInt, ...] = ()
+    """A list, or a range such as ``"1-10"``; each seed of the baseline is compared with the same seed."""
+    speeds: tuple[float, ...] = ()
+    """Speeds [m/s]; the scene's own if empty."""
+    arms: tuple[int, ...] = ()
+    """Arms of the type, each with a model of its own; the scene's arm if empty."""
+    methods: tuple[str, ...] = ()
+    """Methods; the scene's own if empty."""
+    world: str | None = None
+    """``workshop`` or ``bench``; the scene's own if not given."""
+    bounds: dict[str, Any] = pydantic.Field(default_factory=dict)
+    """Figure → largest mean over the seeds, with its unit: ``"control_error_mm.p95" = "0.3 mm"``."""
+
+    @pydantic.field_validator("seeds", mode="before")
+    @classmethod
+    def _of_a_range(cls, seeds: Any) -> Any:
+        if not isinstance(seeds, str):
+            return seeds
+        found = _RANGE.fullmatch(seeds)
+        if found is None or not 0 <= int(found[2]) - int(found[1]) < MOST:
+            raise ValueError('expected a list of whole numbers, or a range such as "1-10"')
+        return tuple(range(int(found[1]), int(found[2]) + 1))
+
+
+class SuiteFile(Table):
+    """Keys of a suite file."""
+
+    title: str
+    """What the suite is for, on one line."""
+    baseline: str | None = None
+    """File of the baseline, as seen from the suite's folder; ``NAME.baseline.json`` beside the suite if not given."""
+    figures: tuple[str, ...] = MAIN
+    """What is compared; less is better."""
+    false_alarms: float = pydantic.Field(default=0.01, gt=0.0, lt=0.5)
+    """Chance that an unchanged program is called worse or better, over all figures and cases together."""
+    relevant: float = pydantic.Field(default=0.01, ge=0.0, lt=1.0)
+    """Smallest change of a mean that counts, relative to the baseline's."""
+    case: tuple[Case, ...] = pydantic.Field(min_length=1)
+    """What is played."""
+
+
+class Suite:
+    """A suite, its scenes loaded and its bounds in the figures' units.
+
+    Args:
+        path: of the suite file.
+
+    Raises:
+        InputError: a key, scene, method or unit that is not known.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.file = _suite_file(path)
+        self.baseline = path.parent / (self.file.baseline or f"{path.stem}.baseline.json")
+        self.rules = Rules(self.file.false_alarms, self.file.relevant)
+        self.work: list[tuple[Job, dict[str, float]]] = []
+        """Jobs, and the bounds that hold for the mean of each one's case [the figures' units]."""
+        known: dict[tuple[Any, ...], Job] = {}
+        for number, case in enumerate(self.file.case):
+            loaded = [_scene(name, path, f"case.{number}.scenes") for name in case.scenes]
+            bounds = {figure: _bound(figure, value, path, f"case.{number}.bounds")
+                      for figure, value in _flat_bounds(case.bounds).items()}
+            for job in jobs(loaded, case.methods, case.speeds, case.seeds, case.arms, case.world):
+                assert isinstance(job.scene, Scene)
+                _check_options(job.scene, job, path, number)
+                key = (job.scene.name, *(getattr(job, name) for name in Job.__dataclass_fields__ if name != "scene"))
+                if key in known:
+                    raise InputError(f"asks for a run of {job.scene.name} that an earlier case has; ask for it once",
+                                     file=path, field=f"case.{number}")
+                known[key] = job
+                self.work.append((job, bounds))
+
+
+def _suite_file(path: Path) -> SuiteFile:
+    return validated(SuiteFile, read_toml(path, "a suite file"), path)
+
+
+def _scene(name: str, suite: Path, field: str) -> Scene:
+    beside = suite.parent / name
+    try:
+        return load_scene(beside if name.endswith(".toml") and beside.is_file() else name)
+    except InputError as error:
+        if error.field != "scene":
+            raise
+        raise InputError(error.message, file=suite, field=field, value=name) from error
+
+
+def _check_options(scene: Scene, job: Job, suite: Path, number: int) -> None:
+    """Raises InputError that names the case where a scene cannot be played so."""
+    try:
+        chosen(scene, speed=job.speed, individual=job.individual, world=job.world)
+        if job.method is not None:
+            method_of(job.method, kind_of(scene).methods())
+    except InputError as error:
+        raise InputError(error.message, file=suite, field=f"case.{number}.{(error.field or '').removeprefix('--')}",
+                         value=error.value) from error
+
+
+def _flat_bounds(bounds: dict[str, Any], before: str = "") -> dict[str, Any]:
+    """Bounds by dotted name, whether the name stands in quotes or as TOML's own dotted key."""
+    found: dict[str, Any] = {}
+    for key, value in bounds.items():
+        found |= _flat_bounds(value, f"{before}{key}.") if isinstance(value, dict) else {f"{before}{key}": value}
+    return found
+
+
+def _bound(figure: str, value: Any, suite: Path, field: str) -> float:
+    unit = unit_of(figure)
+    if unit is None:
+        if isinstance(value, int | float):
+            return float(value)
+        known = did_you_mean(figure, MAIN)
+        raise InputError(f"{figure} has no unit: expected a number, or a figure such as control_error_mm.p95; {known}",
+                         file=suite, field=field, value=value)
+    allowed = UNITS[unit]
+    parts = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµ]+)\s*", value) if isinstance(value, str) else None
+    if parts is None or parts[2] not in allowed:
+        raise InputError(f"{figure} is bounded in {', '.join(allowed)}: write for instance \"0.3 {unit}\"", file=suite,
+                         field=field, value=value)
+    return float(parts[1]) * allowed[parts[2]]
