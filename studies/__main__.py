@@ -26,7 +26,7 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 GROUPS = {
     "speed and memory": {
         "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "growth",
-        "fusion-cost": "fusion",
+        "fusion-cost": "fusion", "walks": "walks",
     },
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "knew": "arms",
