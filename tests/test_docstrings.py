@@ -34,10 +34,9 @@ def documented(docstring: str) -> set[str]:
     return {name.strip().lstrip("*") for line in lines for name in line.split(",")}
 
 
-SHARED = {target.id: node.value
-          for node in trees("scenes/commands")[ROOT / "scenes" / "commands" / "common.py"].body
+SHARED = {target.id: node.value for tree in trees("scenes/commands").values() for node in tree.body
           if isinstance(node, ast.Assign) for target in node.targets if isinstance(target, ast.Name)}
-"""Options that several verbs have: their annotations by name."""
+"""Options whose annotations have names."""
 
 
 def helped(function: Function) -> set[str]:

@@ -19,8 +19,11 @@ from scenes.commands.common import (
     Rest,
     Seed,
     Speed,
+    closed,
     completed,
     method_help,
+    progress_bar,
+    show_table,
 )
 
 
@@ -63,7 +66,6 @@ def follow(
     Example: `ideal-robot simulate line --serve` and, in another terminal,
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
-    from scenes.commands.common import closed, progress_bar
     from scenes.online.devices import Devices
     from scenes.online.run import follow, load_cell
     from scenes.outputs import check_outputs
@@ -160,7 +162,6 @@ def detect(
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar, show_table
     from scenes.detection import detection_page, figures, pictures, table
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -234,7 +235,6 @@ def rsi(
     from ideal_robot.rsi.message import RsiFormat
     from ideal_robot.signals.recording import WRITTEN
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar, show_table
     from scenes.online.processes import stopping_on_signals
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -276,7 +276,6 @@ def rsi(
 
 
 def _self_test(robot: str | None, model: Path | None, method: str, core: int | None, json: Path | None) -> None:
-    from scenes.commands.common import progress_bar, show_table
     from scenes.report.page import write_json
     from scenes.rsi.self_test import held_cycles
 

@@ -5,9 +5,16 @@ from __future__ import annotations
 import time
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from scenes.commands.common import progress_bar, show_table
+
+if TYPE_CHECKING:
+    from ideal_robot.arrays import Array
+    from ideal_robot.robots.robot import Robot
+    from scenes.report.replay import Replay
 
 
 class What(StrEnum):
@@ -31,7 +38,6 @@ def list_(
 
     Example: `ideal-robot list scenes`
     """
-    from scenes.commands.common import show_table
     from scenes.report.page import write_json
     from scenes.schema import catalogue, json_schema
 
@@ -91,7 +97,6 @@ def export(
     from ideal_robot.errors import InputError
     from ideal_robot.signals.recording import Recording
     from ideal_robot.signals.ros_export import write_mcap, write_rosbag2
-    from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
     from scenes.rerun_file import write_rerun
 
@@ -131,7 +136,6 @@ def fetch(
 
     Example: `ideal-robot fetch ur10e_ptp`
     """
-    from scenes.commands.common import show_table
     from scenes.data_sets import data_sets, fetch
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -167,44 +171,12 @@ def view(
 
     Example, after that of `run`: `ideal-robot view out/line/recording.parquet`
     """
-    from ideal_robot.robots.robot import SHIPPED, Robot
-    from scenes.commands.common import progress_bar
-    from scenes.kind import kind_of
-    from scenes.scene_file import load_scene
-    from scenes.view.viewer import Player, Viewer, open_recording, recorded_replay
+    from scenes.view.viewer import Player, Viewer
 
     if live is not None:
-        from scenes.online.run import load_cell
-        from scenes.scene_files.drawn_line import reference_points
-        from scenes.view.live import watch
-
-        cell = load_cell(what)
-        page = watch(Robot.load(robot or cell.robot), live, port, {"reference": reference_points(cell)})  # type: ignore[arg-type]
-        typer.echo(f"open http://127.0.0.1:{page.viewer.port} in a browser; Ctrl-C ends")
-        try:
-            while not once:
-                page.update()
-                time.sleep(0.1)
-        except KeyboardInterrupt:
-            typer.echo("closed")
-        page.viewer.server.stop()
+        _view_live(what, live, robot, port, once)
         return
-    replay = None
-    curves: dict = {}
-    if Path(what).suffix in (".parquet", ".csv"):
-        arm, recording = open_recording(Path(what), robot)
-        replay = recorded_replay(Path(what), arm, recording)
-    elif what in SHIPPED or Path(what).suffix == ".urdf":
-        arm = Robot.load(what)
-    else:
-        scene = load_scene(what)
-        kind = kind_of(scene)
-        arm = Robot.load(scene.robot)
-        if kind.replay is not None and not once:
-            with progress_bar(scene.name) as progress:
-                replay = kind.replay(kind.run(scene, progress=progress))
-        elif kind.curves is not None:
-            curves = kind.curves(scene)
+    arm, replay, curves = _shown(what, robot, play=not once)
     viewer = Viewer(arm, port)
     for (name, points), colour in zip(curves.items(), ((40, 40, 40), (224, 106, 0), (0, 110, 190)), strict=False):
         viewer.draw(name, points, colour)
@@ -220,3 +192,42 @@ def view(
             time.sleep(1.0)
     except KeyboardInterrupt:
         typer.echo("closed")
+
+
+def _view_live(what: str, live: Path, robot: str | None, port: int, once: bool) -> None:
+    """Shows a run on devices while it goes on."""
+    from ideal_robot.robots.robot import Robot
+    from scenes.online.run import load_cell
+    from scenes.scene_files.drawn_line import reference_points
+    from scenes.view.live import watch
+
+    cell = load_cell(what)
+    page = watch(Robot.load(robot or cell.robot), live, port, {"reference": reference_points(cell)})  # type: ignore[arg-type]
+    typer.echo(f"open http://127.0.0.1:{page.viewer.port} in a browser; Ctrl-C ends")
+    try:
+        while not once:
+            page.update()
+            time.sleep(0.1)
+    except KeyboardInterrupt:
+        typer.echo("closed")
+    page.viewer.server.stop()
+
+
+def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | None, dict[str, Array]]:
+    """The arm of what is to be shown, what moves, and curves to draw where nothing does."""
+    from ideal_robot.robots.robot import SHIPPED, Robot
+    from scenes.kind import kind_of
+    from scenes.scene_file import load_scene
+    from scenes.view.viewer import open_recording, recorded_replay
+
+    if Path(what).suffix in (".parquet", ".csv"):
+        arm, recording = open_recording(Path(what), robot)
+        return arm, recorded_replay(Path(what), arm, recording), {}
+    if what in SHIPPED or Path(what).suffix == ".urdf":
+        return Robot.load(what), None, {}
+    scene = load_scene(what)
+    kind, arm = kind_of(scene), Robot.load(scene.robot)
+    if kind.replay is not None and play:
+        with progress_bar(scene.name) as progress:
+            return arm, kind.replay(kind.run(scene, progress=progress)), {}
+    return arm, None, {} if kind.curves is None else kind.curves(scene)

@@ -7,22 +7,39 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from scenes.commands.common import DriveData, JsonPlan, RobotName, SearchSeed
+from scenes.commands.common import (
+    DriveData,
+    JsonPlan,
+    RobotName,
+    SearchSeed,
+    progress_bar,
+    show_table,
+)
 
 if TYPE_CHECKING:
     from ideal_robot.diagnosis import DiagnosisPlan
+    from ideal_robot.diagnosis.next_motion.questions import Open
+    from ideal_robot.identification.excitation import Workspace
+    from ideal_robot.model.model import Model
+    from ideal_robot.robots.robot import Robot
+    from ideal_robot.signals.recording import Recording
+    from scenes.result import Progress
+
+
+HowIdentified = Annotated[str, typer.Option(help="joint (optimised Fourier series) or two-step (trapezoidal moves at "
+                                                 "operating points, [G] 3.1.2).")]
+LeastHeight = Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; default: 0.15, less for "
+                                                        "arms that reach less than 1 m or stand low.")]
 
 
 def plan_identification(
     robot: RobotName,
     drive_data: DriveData = None,
-    method: Annotated[str, typer.Option(help="joint (optimised Fourier series) or two-step (trapezoidal moves at "
-                                             "operating points, [G] 3.1.2).")] = "joint",
+    method: HowIdentified = "joint",
     period: Annotated[float, typer.Option(help="Period of the Fourier motion [s].", min=1.0)] = 20.0,
     points: Annotated[int, typer.Option(help="Operating points of the two-step method.", min=2)] = 10,
     seed: SearchSeed = 1,
-    z_min: Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; default: 0.15, less for "
-                                                     "arms that reach less than 1 m or stand low.")] = None,
+    z_min: LeastHeight = None,
     play: Annotated[bool, typer.Option("--play", help="Play it on the simulated arm and record it.")] = False,
     json: JsonPlan = None,
     out: Annotated[Path, typer.Option(help="Folder of program, commands and recording.")] = Path("out/plan"),
@@ -35,20 +52,14 @@ def plan_identification(
 
     Example: `ideal-robot plan-identification --robot kr6 --play --out out/plan`
     """
-    from dataclasses import replace
-
-    from ideal_robot.identification.excitation import Workspace
     from ideal_robot.robots.robot import Robot
-    from scenes.commands.common import progress_bar, show_table
     from scenes.identification.plan import plan, play_plan
     from scenes.outputs import check_outputs, folders_held, whole_folder
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)
     arm = Robot.load(robot, drive_data)
-    workspace = Workspace.of(arm)
-    if z_min is not None:
-        workspace = replace(workspace, z_min=z_min)
+    workspace = _workspace(arm, z_min)
     with progress_bar("plan") as progress:
         planned = plan(arm, method, seed=seed, period=period, points=points, workspace=workspace)
         progress(0.2, "playing" if play else "")
@@ -69,16 +80,20 @@ def plan_identification(
         typer.echo(f"written: {path}")
 
 
+Diagnosed = Annotated[Path | None, typer.Option(help="What diagnose --json wrote of it; without it the recording is "
+                                                     "diagnosed now.")]
+HeightBeside = Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; wherever the recording "
+                                                         "has been is allowed too; default: by the arm's size.")]
+
+
 def plan_diagnosis(
     recording: Annotated[Path, typer.Argument(help="Recording that was diagnosed (Parquet, CSV, ROS 2 bag or MCAP).")],
     robot: RobotName,
-    result: Annotated[Path | None, typer.Option(help="What diagnose --json wrote of it; without it the recording is "
-                                                     "diagnosed now.")] = None,
+    result: Diagnosed = None,
     model: Annotated[Path | None, typer.Option(help="Model that the diagnosis was given.")] = None,
     drive_data: DriveData = None,
     length: Annotated[float, typer.Option(help="Longest motion [s], 4 to 600.")] = 30.0,
-    z_min: Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; wherever the recording "
-                                                     "has been is allowed too; default: by the arm's size.")] = None,
+    z_min: HeightBeside = None,
     seed: SearchSeed = 1,
     json: JsonPlan = None,
     out: Annotated[Path, typer.Option(help="File of the motion (CSV or Parquet).")] = Path("out/plan-diagnosis.csv"),
@@ -92,38 +107,28 @@ def plan_diagnosis(
     Example, after that of `diagnose`:
     `ideal-robot plan-diagnosis out/plan/recording.parquet --robot kr6 --result diagnosis.json --out motion.csv`
     """
-    from dataclasses import replace
-
-    from ideal_robot.bounded_values import read_json
-    from ideal_robot.diagnosis import diagnose, open_questions, plan_diagnosis, read_questions
+    from ideal_robot.diagnosis import plan_diagnosis
     from ideal_robot.errors import InputError
-    from ideal_robot.identification.excitation import Workspace
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import WRITTEN, Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
+    from scenes.result import part_of
 
     check_outputs(out=out, json=json)
     if out.suffix not in WRITTEN:
         raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(out))
     arm = Robot.load(robot, drive_data)
     taken = Recording.read(recording)
-    workspace = Workspace.of(arm)
-    if z_min is not None:
-        workspace = replace(workspace, z_min=z_min)
+    workspace = _workspace(arm, z_min)
     known = None if model is None else Model.load(model)
     with progress_bar("plan-diagnosis") as progress:
-        if result is not None:
-            questions = read_questions(read_json(result, "a diagnosis"), arm.n, result)
-        else:
-            questions = open_questions(diagnose(taken, arm, model=known,
-                                                progress=lambda share, word: progress(0.5 * share, word)))
+        questions = _questions(result, taken, arm, known, progress)
         begun = 0.0 if result is not None else 0.5
         plan = plan_diagnosis(taken, arm, questions, model=known, longest=length, workspace=workspace,
-                              seed=seed, progress=lambda share, word: progress(begun + (1.0 - begun) * share, word))
+                              seed=seed, progress=part_of(progress, begun, 1.0 - begun))
         with whole_files(out if plan.useful else None, json) as (motion_file, json_file):
             if motion_file is not None:
                 plan.path().write(motion_file)
@@ -132,10 +137,29 @@ def plan_diagnosis(
     _show_planned(plan, out)
 
 
+def _workspace(arm: Robot, z_min: float | None) -> Workspace:
+    """Where tool and links may be: by the arm's size, but for a height that is given [m]."""
+    from dataclasses import replace
+
+    from ideal_robot.identification.excitation import Workspace
+
+    return Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
+
+
+def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model | None,
+               progress: Progress) -> Open:
+    """What a diagnosis left open: as its file says, or of one that is made now, in half of the time."""
+    from ideal_robot.bounded_values import read_json
+    from ideal_robot.diagnosis import diagnose, open_questions, read_questions
+    from scenes.result import part_of
+
+    if result is not None:
+        return read_questions(read_json(result, "a diagnosis"), arm.n, result)
+    return open_questions(diagnose(taken, arm, model=known, progress=part_of(progress, 0.0, 0.5)))
+
+
 def _show_planned(plan: DiagnosisPlan, out: Path) -> None:
     """How far each pair of causes is told apart, what no motion can tell, and where the motion is."""
-    from scenes.commands.common import show_table
-
     if plan.pairs:
         show_table("what is to be told apart: standard deviations between the two, and share of its own",
                    ["cause", "or", "recorded σ", "own %", "planned σ", "own %", "told apart"],

@@ -7,7 +7,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from scenes.commands.common import Horizon, Individual, JsonFigures, SceneName, Seed, Speed, WorldName
+from scenes.commands.common import (
+    Horizon,
+    Individual,
+    JsonFigures,
+    SceneName,
+    Seed,
+    Speed,
+    WorldName,
+    closed,
+    length,
+    numbers,
+    progress_bar,
+    show_table,
+    whole_numbers,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,7 +49,6 @@ def run(
     """
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import closed, length, progress_bar
     from scenes.kind import kind_of
     from scenes.line.compare import fastest
     from scenes.line.result import LineResult
@@ -96,7 +109,6 @@ def compare(
 
     Example: `ideal-robot compare line --speed 0.7`
     """
-    from scenes.commands.common import progress_bar, show_table
     from scenes.kind import kind_of
     from scenes.outputs import check_outputs, folders_held
     from scenes.report.page import write_json
@@ -144,7 +156,6 @@ def sweep(
     """
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files
-    from scenes.commands.common import numbers, progress_bar, whole_numbers
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
     from scenes.sweep import SweepFile, jobs, sweep
@@ -178,7 +189,6 @@ def _show_swept(answers: list[dict[str, Any]], *, with_arm: bool) -> pd.DataFram
     """Prints every run and the largest figures of each kind of run; returns the table of the runs."""
     import pandas as pd
 
-    from scenes.commands.common import show_table
     from scenes.sweep import FIGURES
 
     frame = pd.json_normalize(answers)
@@ -211,7 +221,6 @@ def close_loop(
 
     Example: `ideal-robot close-loop close_elastic --json circle.json`
     """
-    from scenes.commands.common import progress_bar, show_table
     from scenes.diagnosis.page import summary
     from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
@@ -256,7 +265,6 @@ def prepare(
     """
     from ideal_robot.model.model import Model
     from ideal_robot.robots.robot import Robot
-    from scenes.commands.common import progress_bar, show_table
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json

@@ -18,9 +18,12 @@ from scenes.commands.common import (
     RobotName,
     completed,
     method_help,
+    progress_bar,
+    show_table,
 )
 
 if TYPE_CHECKING:
+    from ideal_robot.arrays import Array
     from ideal_robot.diagnosis import Diagnosis
     from ideal_robot.identification.whole_model import IdentificationResult
     from ideal_robot.robots.robot import Robot
@@ -31,26 +34,35 @@ SHARES_WITH_CASCADE = {"reading": 0.73, "drawing": 0.27}
 """With them."""
 
 
-def identify(
-    recordings: Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
-                                                          "MCAP).")],
-    robot: RobotName,
-    validate: Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
-                                                             "to; may be given several times.")] = None,
-    method: Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
-                                             "plan-identification --method two-step).")] = "joint",
-    drive_data: DriveData = None,
-    friction: Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
+Identified = Annotated[list[Path], typer.Argument(help="Recordings to identify from (Parquet, CSV, ROS 2 bag or "
+                                                       "MCAP).")]
+Unseen = Annotated[list[Path] | None, typer.Option(help="Recording the model is compared with and never fitted "
+                                                        "to; may be given several times.")]
+HowIdentified = Annotated[str, typer.Option(help="joint (whole motions at once) or two-step (the program of "
+                                                 "plan-identification --method two-step).")]
+FrictionLaw = Annotated[str, typer.Option(help="auto (law and refinements chosen per joint on held-back blocks), "
                                                "viscous_coulomb, cube_root, arctan, stribeck, "
-                                               "bell_stribeck or asymmetric.")] = "auto",
+                                               "bell_stribeck or asymmetric.")]
+Decimation = Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
+                                                       "filter.")]
+WithoutIntegrator = Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
+                                                                   "off, for their gains ([G] 5.2.2).")]
+UrdfOut = Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
+                                                   "inertias.")]
+
+
+def identify(
+    recordings: Identified,
+    robot: RobotName,
+    validate: Unseen = None,
+    method: HowIdentified = "joint",
+    drive_data: DriveData = None,
+    friction: FrictionLaw = "auto",
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
-    decimate_to: Annotated[float | None, typer.Option(help="Decimation filter [Hz]; default: half of the position "
-                                                           "filter.")] = None,
-    without_integrator: Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
-                                                                       "off, for their gains ([G] 5.2.2).")] = None,
+    decimate_to: Decimation = None,
+    without_integrator: WithoutIntegrator = None,
     model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None,
-    export_urdf: Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
-                                                          "inertias.")] = None,
+    export_urdf: UrdfOut = None,
     json: JsonResults = None,
     out: ReportFolder = Path("out/identify"),
 ) -> None:
@@ -64,7 +76,6 @@ def identify(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -94,8 +105,6 @@ def identify(
 
 def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: list[dict[str, Any]]) -> None:
     """Errors of each recording, the parameters with their uncertainty, the friction laws, warnings."""
-    from scenes.commands.common import show_table
-
     show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
                [[r["source"], r["role"], *r["residual_std_percent"]] for r in recordings])
     show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
@@ -137,7 +146,6 @@ def diagnose(
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar
     from scenes.diagnosis.page import diagnosis_page, summary
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -165,7 +173,6 @@ def diagnose(
 
 def _show_diagnosed(found: Diagnosis) -> None:
     """Errors of each channel, what was added, and what was found but not added or left open, with the reasons."""
-    from scenes.commands.common import show_table
     from scenes.diagnosis.page import unexplained, unused
 
     show_table(f"verdict: {found.verdict}; errors on held-out data ({found.held_out_how})",
@@ -213,7 +220,6 @@ def stiffness(
     from ideal_robot.signals.recording import Recording
     from ideal_robot.whole_file import whole_files
     from scenes.clamped.page import stiffness_page
-    from scenes.commands.common import progress_bar, show_table
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
 
@@ -237,18 +243,23 @@ def stiffness(
     typer.echo(f"report: {page}")
 
 
+JointPath = Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, "
+                                                "or q_c_1 … q_c_n) [rad].")]
+Corrector = Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
+        "precorrect", incomplete))]
+Played = Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
+                                                     "them.")]
+
+
 def precorrect(
-    path: Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, "
-                                              "or q_c_1 … q_c_n) [rad].")],
+    path: JointPath,
     model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
     robot: ModelsRobot = None,
-    method: Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
-        "precorrect", incomplete))] = "ideal",
+    method: Corrector = "ideal",
     delay: PlannerDelay = False,
     rest: Rest = 0.6,
-    play: Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
-                                                      "them.")] = False,
+    play: Played = False,
     seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1,
     json: JsonFigures = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/precorrect.")] = None,
@@ -261,11 +272,8 @@ def precorrect(
     Example, after that of `identify`:
     `ideal-robot precorrect out/plan/commands.csv --model model.json -o corrected.csv`
     """
-    import numpy as np
-
     from ideal_robot.model.model import Model
     from ideal_robot.whole_file import whole_files
-    from scenes.commands.common import progress_bar, show_table
     from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
     from scenes.report.page import write_json
@@ -285,10 +293,17 @@ def precorrect(
             result.recording.write(path_file)
             write_page(result, page_file, measured)
             if json_file is not None:
-                errors = {} if measured is None else {"played_rms_error_mrad": {
-                    word: 1e3 * np.sqrt(np.mean(error**2, axis=0))
-                    for word, error in zip(("corrected", "uncorrected"), measured, strict=True)}}
-                write_json(json_file, {**result.to_dict(), **errors, "output": output, "report": report})
+                write_json(json_file, {**result.to_dict(), **_played_errors(measured), "output": output,
+                                       "report": report})
     show_table("Correction per joint", *table(result, measured))
     typer.echo(f"corrected path: {output}")
     typer.echo(f"report: {report}")
+
+
+def _played_errors(measured: tuple[Array, Array] | None) -> dict[str, Any]:
+    """Root mean square of both plays' errors [mrad]; nothing where neither was played."""
+    import numpy as np
+
+    return {} if measured is None else {"played_rms_error_mrad": {
+        word: 1e3 * np.sqrt(np.mean(error**2, axis=0))
+        for word, error in zip(("corrected", "uncorrected"), measured, strict=True)}}

@@ -68,19 +68,37 @@ def run_page(result: LineResult) -> Report:
                  [[f"this run ({result.method})", mm["mean"], mm["p95"], mm["max"], scene.speed],
                   ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
                  "Distance from the line, in the surface. [L] reports about 0.6 mm mean control error at 0.7 m/s.")
-    if result.path_errors is not None:
-        path = result.path_errors.json_mm()
-        report.table(["path error against q_d", "E_car mm", "E_max mm"],
-                     [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
-                      for kind in ("time_matched", "aligned", "geometric")],
-                     "Another question than the distance from the line: how far the tool was from the planned path in "
-                     "the base frame, in all three directions and from rest to rest ([G] (14), (21)). An arm that is "
-                     "not where its kinematics say is off here and may still be on the line, because the camera sees "
-                     f"both. Aligned: after a delay of {path['delay_ms']:.2f} ms is removed.")
+    _path_errors(report, result)
     report.heading("The cell")
     report.figure(_cell(result), "The arm at the middle of the path.")
     report.figure(_from_above(result), "The surface from above with the drawn line, the reference path and where the "
                   "tool truly went.")
+    _camera(report, result)
+    report.heading("Along the line")
+    report.figure(_along(result), "Above: deviation from the reference path of the drawn line, and what planning made "
+                  "of the camera's fields. Below: signed distance of the true tool centre point from the drawn line "
+                  "over its length; the grey part does not count (before 0.3 s after the line is first followed).")
+    _timing(report, result)
+    _settings(report, result)
+    return report
+
+
+def _path_errors(report: Report, result: LineResult) -> None:
+    """How far the tool was from the planned path, in the three ways of [G]."""
+    if result.path_errors is None:
+        return
+    path = result.path_errors.json_mm()
+    report.table(["path error against q_d", "E_car mm", "E_max mm"],
+                 [[kind.replace("_", "-"), path[kind]["E_car"], path[kind]["E_max"]]
+                  for kind in ("time_matched", "aligned", "geometric")],
+                 "Another question than the distance from the line: how far the tool was from the planned path in "
+                 "the base frame, in all three directions and from rest to rest ([G] (14), (21)). An arm that is "
+                 "not where its kinematics say is off here and may still be on the line, because the camera sees "
+                 f"both. Aligned: after a delay of {path['delay_ms']:.2f} ms is removed.")
+
+
+def _camera(report: Report, result: LineResult) -> None:
+    """What the camera saw, and what its calibration by moving found."""
     report.heading("What the camera saw")
     if result.shown:
         report.figure(_fields(result.shown), "Camera fields along the way: search windows (blue), detected line "
@@ -100,13 +118,6 @@ def run_page(result: LineResult) -> Report:
         report.table(["correction found", "value", "± σ", "unit"],
                      [[name, calibrated.parameters[name] * scale, calibrated.sigma[name] * scale, unit]
                       for name, (unit, scale) in units.items()])
-    report.heading("Along the line")
-    report.figure(_along(result), "Above: deviation from the reference path of the drawn line, and what planning made "
-                  "of the camera's fields. Below: signed distance of the true tool centre point from the drawn line "
-                  "over its length; the grey part does not count (before 0.3 s after the line is first followed).")
-    _timing(report, result)
-    _settings(report, result)
-    return report
 
 
 def comparison_page(comparison: LineComparison) -> Report:

@@ -161,17 +161,7 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
         InputError: speed or acceleration not positive, a speed that no part of the path is long enough for, or one so
             low that the path lasts too long.
     """
-    if not (speed > 0 and acceleration > 0):
-        raise InputError("speed and acceleration must be positive", field="speed", value=(speed, acceleration))
-    longest = max(sum(length for _, length, _ in run) for run in shape.runs())
-    reachable = float(np.sqrt(longest * acceleration / 2))
-    if speed > reachable * (1 + 1e-9):
-        raise InputError(f"the path is too short for this speed: with {acceleration:g} m/s² it reaches "
-                         f"{reachable:.3g} m/s; move slower, or allow more acceleration", field="speed", value=speed)
-    lasts = sum(duration(sum(length for _, length, _ in run), speed, acceleration) for run in shape.runs())
-    if not lasts <= max_duration:
-        raise InputError(f"the path would last {lasts:.3g} s; {max_duration:g} s is the longest: move faster, or "
-                         "give the scene a larger max_duration", field="speed", value=speed)
+    _check(shape, speed, acceleration, max_duration)
     fixed = plane.rotation @ np.diag([1.0, -1.0, -1.0]) if rotation is None else np.asarray(rotation, dtype=float)
     points, speeds, shares = [], [], []
     carried = 0.0
@@ -196,6 +186,21 @@ def tool_path(shape: Shape, plane: pin.SE3, speed: float, acceleration: float, t
         turned = fixed if turn is None else pin.exp3(turn[1] * share * np.array(turn[0])) @ fixed
         poses.append(pin.SE3(turned, plane.act(np.array([x[0], x[1], 0.0]))))
     return ToolPath(np.asarray(t_ipo * np.arange(float(len(poses)))), poses, np.concatenate(speeds))
+
+
+def _check(shape: Shape, speed: float, acceleration: float, max_duration: float) -> None:
+    """Refuses speeds and accelerations that are none, that no part is long enough for, or that take too long."""
+    if not (speed > 0 and acceleration > 0):
+        raise InputError("speed and acceleration must be positive", field="speed", value=(speed, acceleration))
+    longest = max(sum(length for _, length, _ in run) for run in shape.runs())
+    reachable = float(np.sqrt(longest * acceleration / 2))
+    if speed > reachable * (1 + 1e-9):
+        raise InputError(f"the path is too short for this speed: with {acceleration:g} m/s² it reaches "
+                         f"{reachable:.3g} m/s; move slower, or allow more acceleration", field="speed", value=speed)
+    lasts = sum(duration(sum(length for _, length, _ in run), speed, acceleration) for run in shape.runs())
+    if not lasts <= max_duration:
+        raise InputError(f"the path would last {lasts:.3g} s; {max_duration:g} s is the longest: move faster, or "
+                         "give the scene a larger max_duration", field="speed", value=speed)
 
 
 # The figures of the papers' path experiments.

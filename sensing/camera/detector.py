@@ -29,6 +29,9 @@ class LineDetector(Protocol):
             camera: the camera as it is calibrated.
             prediction: where the line should be, in the tool frame; point i belongs to window i.
             settings: how the line looks and what is accepted.
+
+        Raises:
+            InputError: the field has not one window per predicted point.
         """
         ...
 
@@ -40,14 +43,7 @@ class EdgePairs:
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """As ``LineDetector.detect``.
-
-        Args:
-            field: patches of the windows that ``search_windows`` asked for.
-            camera: the camera as it is calibrated.
-            prediction: where the line should be, in the tool frame; point i belongs to window i.
-            settings: how the line looks and what is accepted.
-        """
+        """See ``LineDetector.detect``."""
         return detect_line(field, camera, prediction, settings)
 
 

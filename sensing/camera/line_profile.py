@@ -58,9 +58,48 @@ def _solve(A: Array, b: Array) -> bool:
 
 
 @jit()
-def fit_section(
-    patch: NDArray[np.uint8], start: float, slant: float, width: float, blur: float, polarity: float
-) -> tuple[float, float, float, float, float]:
+def _normal_equations(patch: NDArray[np.uint8], scan: tuple[float, float, float, float, float],
+                      box: tuple[float, float, float, float, float], A: Array, g: Array) -> tuple[float, int]:
+    """Sets ``A`` and ``g`` to those of one step; returns the sum of the squared residuals and how many pixels count.
+
+    Args:
+        patch: as in ``fit_section``.
+        scan: start, slant, reach, blur [px] and polarity.
+        box: u_0, w [px], c, b [gray], m [gray/px] so far.
+        A: ``(5, 5)`` for b, m, c, u_0, w.
+        g: ``(5,)``, likewise.
+    """
+    start, slant, reach, blur, polarity = scan
+    u0, w, c, b, m = box
+    rows, columns = patch.shape
+    middle = 0.5 * (rows - 1)
+    J = np.empty(5)
+    A[:] = 0.0
+    g[:] = 0.0
+    residual, n = 0.0, 0
+    for r in range(rows):
+        centre = u0 + slant * (r - middle)
+        for j in range(max(0, math.ceil(start + slant * (r - middle) - reach)),
+                       min(columns, math.floor(start + slant * (r - middle) + reach) + 1)):
+            d = j - centre
+            left, right = (d + 0.5 * w) / blur, (d - 0.5 * w) / blur
+            inside = 0.5 * (math.erf(left / SQRT2) - math.erf(right / SQRT2))
+            pl = math.exp(-0.5 * left * left) / (SQRT_2PI * blur)
+            pr = math.exp(-0.5 * right * right) / (SQRT_2PI * blur)
+            e = polarity * patch[r, j] - (b + m * d - c * inside)
+            J[0], J[1], J[2], J[3], J[4] = 1.0, d, -inside, c * (pl - pr) - m, -0.5 * c * (pl + pr)
+            residual += e * e
+            n += 1
+            for p in range(5):
+                g[p] += J[p] * e
+                for q in range(5):
+                    A[p, q] += J[p] * J[q]
+    return residual, n
+
+
+@jit()
+def fit_section(patch: NDArray[np.uint8], start: float, slant: float, width: float, blur: float,
+                polarity: float) -> tuple[float, float, float, float, float]:
     """Fits the cross-section near ``start`` [px from the window's first pixel].
 
     Args:
@@ -75,42 +114,17 @@ def fit_section(
         u_0 [px], w [px], c [gray], root mean square residual [gray], standard deviation of u_0 per unit of residual
         [px/gray]; NaN where the fit failed.
     """
-    rows, columns = patch.shape
-    middle = 0.5 * (rows - 1)
     reach = 0.5 * width + 2.5 * blur + 2.0
     u0, w, c = start, width, 0.0
     b, m = 0.0, 0.0
     failed = (np.nan, np.nan, np.nan, np.nan, np.nan)
-    A = np.empty((5, 5))
-    g = np.empty(5)
-    J = np.empty(5)
+    A, g = np.empty((5, 5)), np.empty(5)
     residual, n = 0.0, 0
     for iteration in range(8):
-        for p in range(5):
-            g[p] = 0.0
-            for q in range(5):
-                A[p, q] = 0.0
-        residual, n = 0.0, 0
-        for r in range(rows):
-            centre = u0 + slant * (r - middle)
-            for j in range(max(0, math.ceil(start + slant * (r - middle) - reach)),
-                           min(columns, math.floor(start + slant * (r - middle) + reach) + 1)):
-                d = j - centre
-                left, right = (d + 0.5 * w) / blur, (d - 0.5 * w) / blur
-                box = 0.5 * (math.erf(left / SQRT2) - math.erf(right / SQRT2))
-                pl = math.exp(-0.5 * left * left) / (SQRT_2PI * blur)
-                pr = math.exp(-0.5 * right * right) / (SQRT_2PI * blur)
-                e = polarity * patch[r, j] - (b + m * d - c * box)
-                J[0], J[1], J[2], J[3], J[4] = 1.0, d, -box, c * (pl - pr) - m, -0.5 * c * (pl + pr)
-                residual += e * e
-                n += 1
-                # The first pass has no depth yet, so centre and width do not show: it is linear in the other three.
-                for p in range(5):
-                    g[p] += J[p] * e
-                    for q in range(5):
-                        A[p, q] += J[p] * J[q]
+        residual, n = _normal_equations(patch, (start, slant, reach, blur, polarity), (u0, w, c, b, m), A, g)
         if n < 8:
             return failed
+        # The first pass has no depth yet, so centre and width do not show: it is linear in the other three.
         if iteration == 0:
             for p in (3, 4):
                 A[p, p] += 1e6
@@ -155,16 +169,29 @@ def _edges(profile: Array, threshold: float) -> tuple[Array, Array, Array, Array
 
 
 @jit()
-def find_sections(
-    patch: NDArray[np.uint8],
-    predicted: float,
-    slant: float,
-    width: float,
-    blur: float,
-    polarity: float,
-    min_contrast: float,
-    width_tolerance: float,
-) -> Array:
+def _centres(falling: Array, rising: Array, predicted: float, width: float, tolerance: float) -> Array:
+    """Middles of the edge pairs that are as far apart as the line is wide, the nearest to the prediction first."""
+    centres = np.empty(MAX_EDGES * MAX_EDGES)
+    k = 0
+    for i in range(falling.size):
+        for j in range(rising.size):
+            apart = rising[j] - falling[i]
+            if (1.0 - tolerance) * width - 1.0 <= apart <= (1.0 + tolerance) * width + 1.0:
+                centres[k] = 0.5 * (rising[j] + falling[i])
+                k += 1
+    # By insertion: a library's sort takes longer to compile than all the rest.
+    for i in range(1, k):
+        centre, j = centres[i], i
+        while j > 0 and abs(centres[j - 1] - predicted) > abs(centre - predicted):
+            centres[j] = centres[j - 1]
+            j -= 1
+        centres[j] = centre
+    return centres[:k]
+
+
+@jit()
+def find_sections(patch: NDArray[np.uint8], predicted: float, slant: float, width: float, blur: float, polarity: float,
+                  min_contrast: float, width_tolerance: float) -> Array:
     """All cross-sections in a window that pass the gates of width and contrast, nearest to the prediction first.
 
     Args:
@@ -189,23 +216,9 @@ def find_sections(
             profile[j] += polarity * patch[r, c] / rows
     # A box of that depth, blurred, is at least this steep at its edges.
     falling, rising, _, _ = _edges(profile, 0.15 * min_contrast)
-    centres = np.empty(MAX_EDGES * MAX_EDGES)
-    k = 0
-    for i in range(falling.size):
-        for j in range(rising.size):
-            apart = rising[j] - falling[i]
-            if (1.0 - width_tolerance) * width - 1.0 <= apart <= (1.0 + width_tolerance) * width + 1.0:
-                centres[k] = 0.5 * (rising[j] + falling[i])
-                k += 1
-    # By insertion, the nearest to the prediction first: a library's sort takes longer to compile than all the rest.
-    for i in range(1, k):
-        centre, j = centres[i], i
-        while j > 0 and abs(centres[j - 1] - predicted) > abs(centre - predicted):
-            centres[j] = centres[j - 1]
-            j -= 1
-        centres[j] = centre
+    centres = _centres(falling, rising, predicted, width, width_tolerance)
     n = 0
-    for i in range(min(k, 2 * MAX_CANDIDATES)):
+    for i in range(min(centres.size, 2 * MAX_CANDIDATES)):
         if n == MAX_CANDIDATES:
             break
         u0, w, c, residual, spread = fit_section(patch, centres[i], slant, width, blur, polarity)

@@ -43,17 +43,7 @@ class OpenCVProfiles:
 
     def detect(self, field: Field, camera: CameraModel, prediction: PredictedLine,
                settings: DetectionSettings) -> LineField:
-        """As ``LineDetector.detect``.
-
-        Args:
-            field: patches of the windows that ``search_windows`` asked for.
-            camera: the camera as it is calibrated.
-            prediction: where the line should be, in the tool frame; point i belongs to window i.
-            settings: how the line looks and what is accepted.
-
-        Raises:
-            InputError: the field has not one window per predicted point.
-        """
+        """See ``LineDetector.detect``."""
         m = len(prediction.points)
         if len(field.windows) != m or len(field.patches) != m:
             raise InputError("expected one window per predicted point", field="field.windows",

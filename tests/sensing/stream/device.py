@@ -18,10 +18,9 @@ def package(kind: int, stamp: float, payload: bytes) -> bytes:
 def device(hello: bytes, messages: Callable[[int], bytes | None], *, clock: Callable[[], float] = time.perf_counter,
            every: float = 0.01) -> Iterator[tuple[str, int]]:
     """Sends ``hello`` and then ``messages(k)`` every so often until it gives None, which closes the connection."""
-    stopped = threading.Event()
+    stopped, count = threading.Event(), 0
     listener = socket.create_server(("127.0.0.1", 0))
     listener.settimeout(0.05)
-    count = 0
 
     def answers(client: socket.socket) -> None:
         with client:
