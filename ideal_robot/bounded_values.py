@@ -148,8 +148,6 @@ def _short(error: BaseException) -> str:
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
-# What libraries written in C say on standard error while they read a file, which our one line stands for.
-
 @contextmanager
 def kept_words() -> Iterator[IO[bytes]]:
     """Yields the file that gets what is written to standard error, below Python, while the block runs."""

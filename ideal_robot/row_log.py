@@ -18,8 +18,6 @@ from numpy.typing import DTypeLike
 from ideal_robot.arrays import Array
 from ideal_robot.whole_file import OutputError
 
-# Arrays that may be larger than memory should hold: they lie in a file without a name, which ends with them.
-
 IN_MEMORY = 500_000
 """Values of an array that is held in memory; a larger one lies in a file."""
 
@@ -232,8 +230,6 @@ def _made_of(values: Array) -> RowLog:
         log.append(value)
     return log
 
-
-# Columns of a recording while it is made: in memory, or of a long one in a file without a name.
 
 class ColumnStore:
     """Columns of equal length that are filled piece by piece and then become those of a ``Recording`` without a copy.

@@ -19,8 +19,6 @@ from scenes.report.page import Report
 from sensing.camera.camera_device import Gray
 from sensing.camera.picture_line import PictureLine
 
-# Pictures from where a user has them: a file, a folder, a video, a camera or the address of a stream.
-
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
 
 
@@ -116,8 +114,6 @@ def _check_size(width: int, height: int, name: str) -> None:
         raise InputError(f"a picture of {width} × {height} pixels; expected 32 × 32 to 64 megapixels; scale it",
                          field="source", value=name)
 
-
-# The pages of ``ideal-robot detect``: every picture with its points, its polynomial, and why something was refused.
 
 _USED, _REFUSED, _CURVE = (30, 160, 30), (40, 40, 220), (0, 106, 224)
 _WIDEST = 900

@@ -133,8 +133,6 @@ def compared(wanted: Sequence[Any] | None, allowed: Sequence[str], left_out: Seq
     return found
 
 
-# The search for the gains of direct sensor feedback, [L] (1): a scan of K_p, then refinements around the best.
-
 @dataclass(frozen=True)
 class GainTrial:
     """One pair of gains and the error that it leaves; infinite where the run failed."""

@@ -39,8 +39,6 @@ def write_models(names: Sequence[str], folder: Path) -> list[Path]:
     return [_identified(name).save(folder / f"{name}.json") for name in names]
 
 
-# The model of one simulated arm from its own identification motions, kept by the content that it depends on.
-
 PROCEDURE = 2
 """Counts the ways in which models have been prepared; another one makes kept models void."""
 

@@ -56,8 +56,6 @@ class CompareResult(Protocol):
         ...
 
 
-# How results of scenes are shown: three lines at the prompt, a small table in a notebook, plain values for JSON.
-
 class ShownRun(Summarised):
     """Base of results of a scene that was played once; ``scene``, ``failure`` and ``json`` are the subclass's."""
 
@@ -106,8 +104,6 @@ class ShownTable(ABC):
         values: dict[str, Any] = plain(self.json())
         return values
 
-
-# Long series thinned for what people look at: pages, replays, curves in results.
 
 MOST = 100_000
 """Rows of a series at most, 200 s at 500 Hz; a picture is some thousand pixels wide."""

@@ -257,8 +257,6 @@ def _comment(key: Key) -> str:
     return f"# {key.name} = {value}{said}"
 
 
-# What there is: scenes, robots, methods, effects, detectors and keys, those that other packages added included.
-
 def catalogue(what: str, kind: str = "line") -> tuple[list[str], list[list[Any]]]:
     """Column titles and rows of a list.
 

@@ -118,8 +118,6 @@ class Reader:
             yield Package(kind, stamp, payload)
 
 
-# A client's side of a stream: connects, asks for the device's clock, and connects again where it breaks.
-
 ASKED_EVERY = 0.1
 """Time between two questions for the device's clock [s]."""
 AGAIN = 0.5
@@ -234,8 +232,6 @@ class StreamConnection:
             self.clock.least_delay = 0.5 * self._quickest
             self.clock.add(package.stamp, arrived)
 
-
-# Addresses of devices on a network, as one gives them on the command line.
 
 def host_and_port(rest: str, field: str, port: int | None = None) -> tuple[str, int]:
     """Host and port of ``//host:port``.

@@ -50,8 +50,10 @@ def helped(function: Function) -> set[str]:
 
 
 def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
-    """Public functions and methods of a module with their docstrings; of ``__init__`` the class's."""
+    """Public functions but overloads, and methods, with their docstrings; of ``__init__`` the class's."""
     for node in tree.body:
+        if isinstance(node, Function) and any(ast.unparse(one) == "overload" for one in node.decorator_list):
+            continue
         if isinstance(node, Function) and not node.name.startswith("_"):
             yield node.name, node, ast.get_docstring(node) or ""
         elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):

@@ -97,8 +97,6 @@ class Findings:
     held: tuple[int, ...] = ()
 
 
-# Whether another recording can judge: what the baseline of the first predicts worse than its mean decides nothing.
-
 def unlike(case: Case, found: Findings, validate: Recording) -> tuple[str, ...]:
     """Channels of the validation recording that the first one's parameters miss by more than they vary.
 

@@ -26,7 +26,6 @@ from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION
 from ideal_robot.effects.backlash import Backlash
 from ideal_robot.model.model import Model
 
-# Searches in what is measured beside motor torques: arm angles, TCP positions, force sensor, camera.
 
 def diagnosed_channels(case: Case, found: Findings) -> Iterator[DomainDiagnosis]:
     """The domains that the recording has beside the motor torque, after their search."""

@@ -138,8 +138,6 @@ def _substeps(q_a: Array, v_a: Array, q0: Array, q1: Array, v0: Array, v1: Array
     return x, v
 
 
-# Deflection of elastic gears on a known path: what lies between motor angles and arm angles ([L] 2.1).
-
 class GearDeflection:
     r"""Deflection :math:`q - q_a = \tau_g / k` with the gear torque of the desired path, [J] (1).
 

@@ -16,7 +16,6 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-# Linear least squares with the standard deviations of [J] (14)–(17), and wider ones where residuals are correlated.
 
 @dataclass(frozen=True)
 class LeastSquares:

@@ -120,8 +120,6 @@ def _with_torque(recording: Recording, robot: Robot) -> tuple[Recording, list[st
     return replace(recording, columns=columns), warnings
 
 
-# What the data did not show, once a model was identified from them. Warnings have a name, as in ``checks``.
-
 def excitation_warnings(model: Model, solution: Solution, wrong_sign: Sequence[int] = ()) -> list[str]:
     """What the data do not show, from the solution's statistics.
 

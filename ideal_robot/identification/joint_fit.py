@@ -21,8 +21,6 @@ from ideal_robot.signals.error_budget import ErrorBudget
 from ideal_robot.signals.preprocess import FilteredSignals, lowpass, preprocess, resampled
 from ideal_robot.signals.recording import Recording
 
-# Regions of a motion: samples at angles and velocities that are alike.
-
 _HALVINGS = 3
 
 
@@ -269,8 +267,6 @@ class JointProblem:
         drives = negative & np.any(friction < -3.0 * std, axis=1)
         return tuple(int(j) for j in np.flatnonzero(drives & (inertia < 0.0)))
 
-
-# Joint stiffness and damping from motor and arm angles, where an external device measured the arm ([J] (1)).
 
 _PASSED = 20.0
 """Twists are compared with loads up to this frequency at least [Hz]: gears of arms resonate at 10 to 20 Hz."""

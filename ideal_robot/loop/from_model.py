@@ -54,8 +54,6 @@ def _least_inertia(chain: Chain, q_min: Array, q_max: Array) -> Array:
     return np.asarray(least)
 
 
-# Torques that effects ask of the motors beside rigid body, friction and what else the loop has a place for.
-
 def further_torque(loop: LoopModel, t: Array, q: Array, qd: Array, qdd: Array, load: Array,
                    sliding: Array) -> Array:
     """Sum of the torques of ``loop.terms`` along a motion of the motors ``(N, n)`` [N m].

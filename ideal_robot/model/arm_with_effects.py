@@ -104,8 +104,6 @@ def _turn(axis: Array, angle: float) -> Array:
     return np.asarray(np.eye(3) + np.sin(angle) * K + (1.0 - np.cos(angle)) * K @ K)
 
 
-# On which side of its play a gear lies.
-
 _SLOW = 5e-3
 """Where the direction of motion decides, the side changes about this speed [rad/s]."""
 

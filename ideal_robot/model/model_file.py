@@ -50,8 +50,6 @@ def read_values(path: Path) -> dict[str, Any]:
     return values
 
 
-# Writes identified inertias into a URDF.
-
 def urdf_with_inertials(urdf: str, kinematics: pin.Model, parameters: Array) -> str:
     """The URDF text with the links' inertials replaced by ``parameters (10 n,)``.
 

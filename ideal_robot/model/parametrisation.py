@@ -131,8 +131,6 @@ def shape_columns(law: FrictionModel, qd: Array, load: Array | None, q: Array | 
     return result
 
 
-# The joint controllers as they are identified from outside, [G] 5.2.2.
-
 @dataclass(frozen=True)
 class ControllerModel:
     """Joint controllers of an arm with ``n`` joints; every array is ``(n,)``.
@@ -195,8 +193,6 @@ class ControllerModel:
                                      for key, value in values.items() if key in known}
         return cls(**arguments)
 
-
-# What a model expects of a recording, beside what was measured.
 
 @dataclass(frozen=True, repr=False)
 class Prediction(Summarised):

@@ -16,7 +16,6 @@ from itertools import islice
 from ideal_robot.deadline import Deadline
 from ideal_robot.errors import IdealRobotError
 
-# What can go wrong between us and a controller that speaks RTDE.
 
 class RtdeError(IdealRobotError):
     """The connection cannot go on; the controller's own program decides what the arm does then."""
@@ -139,8 +138,6 @@ def said(payload: bytes) -> str:
     text = payload[1 : 1 + length].decode("utf-8", "replace")
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
-
-# A TCP connection to a controller that speaks RTDE: what is agreed on at its beginning, and data packages after it.
 
 _VERSION = 2
 """Version of the protocol that is asked for: the first with a frequency of one's own."""

@@ -168,8 +168,6 @@ def _stamps(recording: Recording) -> list[ChannelFinding]:
     return [ChannelFinding(IRREGULAR, "t", -1, text)]
 
 
-# What an arm does when: at rest, at constant velocity, near a reversal, and which joint moves alone.
-
 @dataclass(frozen=True)
 class Segment:
     """A stretch of samples ``start … stop - 1`` of one joint.

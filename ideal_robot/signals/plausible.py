@@ -18,8 +18,6 @@ from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-# Values in other units than this program's, where that can be told: milliseconds, degrees, millimetres.
-
 _SLOWEST = 0.5
 """Samples further apart than this are of no use for an arm, so they are not in seconds [s]."""
 _FARTHEST = 30.0

@@ -291,8 +291,6 @@ def _own(values: Any, source: str, name: str) -> Array:
     return array
 
 
-# What was handed to a function, where people may hand over something else: a clear error instead of a late one.
-
 def recordings_of(given: Recording | Sequence[Recording], field: str) -> tuple[Recording, ...]:
     """One recording or several, as a tuple.
 

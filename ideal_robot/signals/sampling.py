@@ -79,8 +79,6 @@ def on_its_clock(recording: Recording) -> Recording:
     return replace(recording, columns={**recording.columns, "t": np.ascontiguousarray(t)}) if jitter else recording
 
 
-# Recordings of bounded length: of very long ones, stretches that are spread evenly over them.
-
 MOST = 500_000
 """Samples that are used at most, 17 minutes at 500 Hz: a fit takes about three kilobytes for each."""
 STRETCH = 50_000

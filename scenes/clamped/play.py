@@ -74,8 +74,6 @@ def record(scene: ClampedScene, robot: Robot, world: ClampWorld, postures: Array
     return recordings, truths
 
 
-# What a clamped scene yields: stiffnesses, and how far they are from the truth.
-
 @dataclass(frozen=True, repr=False)
 class ClampedResult(ShownRun):
     """One clamped scene played and analysed."""

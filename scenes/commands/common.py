@@ -29,8 +29,6 @@ def shown(text: object) -> str:
                    for c in str(text))
 
 
-# The progress bar of the command line.
-
 @contextmanager
 def progress_bar(title: str, rate: float = 10.0) -> Iterator[result.Progress]:
     """A bar on standard error while the block runs; yields the function that moves it.

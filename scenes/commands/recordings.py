@@ -245,8 +245,6 @@ def stiffness(
 
 JointPath = Annotated[Path, typer.Argument(help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n, "
                                                 "or q_c_1 … q_c_n) [rad].")]
-Corrector = Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
-        "precorrect", incomplete))]
 Played = Annotated[bool, typer.Option("--play", help="Play both paths on the simulated arm and say what became of "
                                                      "them.")]
 
@@ -256,7 +254,8 @@ def precorrect(
     model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")],
     output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
     robot: ModelsRobot = None,
-    method: Corrector = "ideal",
+    method: Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
+        "precorrect", incomplete))] = "ideal",
     delay: PlannerDelay = False,
     rest: Rest = 0.6,
     play: Played = False,

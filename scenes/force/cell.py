@@ -33,7 +33,6 @@ from sim.camera.bullet_camera import BulletCamera
 from sim.camera.surface import AT_A_TIME, DrawnLine
 from sim.contact.contact import ForceSensor, ForceSensorSettings, HeightSurface, Tip, TipContact, Wave
 
-# The tables of a force scene as the world has them.
 
 def true_surface(table: UnknownSurface) -> HeightSurface:
     """The surface that the follower does not know."""
@@ -184,8 +183,6 @@ def friction_above(key: str) -> FrictionAtWork | None:
         recording = arm.recording()
     return friction_at_work(recording, loop_model(cell.known.model, cell.known.robot, delay=cell.known.delay))
 
-
-# The drawn line of a ``glue`` scene as the world has it: what the camera sees, and how far the tip is from it.
 
 class GlueWorld:
     """Renders the line on the curved surface, and measures against it.

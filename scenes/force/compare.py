@@ -12,8 +12,6 @@ from scenes.methods import DIRECT, IDEAL, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, silent
 from scenes.scene_files.force_scene import ForceScene
 
-# The gains that direct force feedback does best with.
-
 PROPORTIONAL = (0.04, 0.08, 0.13, 0.17, 0.21, 0.26)
 """K_p tried, as shares of 1/E per cycle: 1 would take the whole error away in one cycle, did nothing delay it."""
 DIFFERENTIAL = (0.25, 0.5, 1.0)

@@ -20,7 +20,6 @@ from scenes.report.page import Report
 from scenes.report.replay import Replay, replay_beside, sensed_force, write_replay
 from scenes.result import extremes, step
 
-# The replay of a force scene: the arm, the path of the tool, how far the force is from the wanted one.
 
 def force_replay(result: ForceResult) -> Replay | None:
     """The replay of a run; None where it is too short for one.

@@ -127,8 +127,6 @@ def force_figures(scene: ForceScene, history: dict[str, Array], log: ForceLog) -
     return figures
 
 
-# The recording of a force scene: what the controller logged, what was desired, what the sensors said.
-
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 """Columns of a force sensor."""
 

@@ -123,8 +123,6 @@ def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
     return np.concatenate(rows)
 
 
-# The camera looks at the line before anything is calibrated: how wide it is, dark or bright.
-
 LOOKS = (0.2, 0.35, 0.5, 0.65, 0.8)
 """Shares of the line at which a whole picture is taken; one of them may fall into a gap."""
 CONTRAST = 0.3

@@ -37,8 +37,6 @@ from sim.camera.surface import DrawnLine
 from sim.camera.surface import Feature as DrawnFeature
 from sim.contact.contact import HeightSurface, Wave
 
-# The drawn line of a line scene as the world has it: where it really is, worn by use.
-
 WAVES = (0.37, 0.23, 0.11)
 """Wavelengths over which width and ink of a line drawn by hand change [m]."""
 
@@ -95,8 +93,6 @@ def _smooth(s: Array, rng: np.random.Generator) -> Array:
     phases = rng.uniform(0.0, 2.0 * np.pi, len(WAVES))
     return np.mean([np.sin(2.0 * np.pi * s / wave + phase) for wave, phase in zip(WAVES, phases, strict=True)], axis=0)
 
-
-# A surface that is slightly bent along the line that is drawn on it.
 
 def bent_surface(scene: LineScene, where: Geometry, rng: np.random.Generator) -> HeightSurface | None:
     """Half a sine wave over the line's longest extent, nothing at its ends; None where the surface is flat.
@@ -269,8 +265,6 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
     return Prepared(camera, detection, hand_eye, moved=tuple(moved), recorded=recorded,
                     warning="; ".join(reasons))
 
-
-# What a user's own simulated sensor may look at in a line scene: the true tool, and the line where it really is.
 
 class LineWorld:
     """The truth of a play, for sensors that are simulated; nothing of the controller's sees it."""

@@ -20,8 +20,6 @@ from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 
-# Which gains direct sensor feedback can take with a late camera ([L] 4.4).
-
 K_P = (0.01, 0.02, 0.03, 0.045, 0.065, 0.09, 0.13, 0.18, 0.25)
 """Gains tried on the deviation, per cycle."""
 K_D = (0.3, 1.0)
@@ -164,8 +162,6 @@ def compare_lines(scene: LineScene, methods: Sequence[SceneMethod], *, sensors: 
                                                      (1 - start) / len(methods)))
     return LineComparison(scene, runs, gains, tried, gain, overshoots)
 
-
-# The fastest speed at which a line is followed within a tolerance: trials from slow to fast, each predicted before.
 
 FIRST = 0.3
 """Speed of the first trial, or the scene's own where that is lower [m/s]."""

@@ -31,7 +31,6 @@ from sensing.camera.camera_model import CameraModel
 from sim.arm.arm import SimulatedArm
 from sim.equipped_arm import CarriedCamera, EquippedArm
 
-# The recording of a line-following run: what the controller logged, what was desired, what the camera said.
 
 def line_recording(arm: SimulatedArm, scene: LineScene, method: str, log: LineLog, camera: CameraModel) -> Recording:
     """The arm's own recording with columns added.

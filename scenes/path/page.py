@@ -17,7 +17,6 @@ from scenes.path.result import PathResult
 from scenes.report.page import COLUMNS, Report, world_rows, write_comparison_files, write_run_files
 from scenes.report.replay import Replay
 
-# The replay of a path: the arm, the desired path, the tool's distance from where it should be at the time.
 
 def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay | None:
     """The replay of a run; None where it is too short for one.

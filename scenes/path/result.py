@@ -23,8 +23,6 @@ from scenes.scene_files.path_scene import JointPath, PathScene
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 
-# Plays a known path on the simulated arm with a feedforward and measures what came of it.
-
 TWO_DOF = ("y", "z")
 """What the external sensor of ``learn_from = "two_dof"`` measures, in the base frame."""
 

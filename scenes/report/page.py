@@ -195,8 +195,6 @@ def _shown(cell: Any) -> str:
     return "–" if cell is None else str(cell)
 
 
-# Settings of the simulated world as rows of a page, with their units.
-
 UNITS = {
     "stiffness": "N m/rad", "damping": "N m s/rad", "backlash": "rad", "coulomb": "N m", "stribeck": "N m",
     "stribeck_velocity": "rad/s", "presliding": "rad", "viscous": "N m s/rad", "degressive": "N m",

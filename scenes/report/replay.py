@@ -122,8 +122,6 @@ class Replay:
         }
 
 
-# The replay of a run in a file beside its recording, for the viewer: what the recording's columns do not say.
-
 ENDING = ".replay.npz"
 _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 
@@ -191,8 +189,6 @@ def _floats(values: Array) -> Array:
         raise ValueError(f"numbers of type {values.dtype}")
     return values
 
-
-# What an arm's sensors felt and saw, in the base frame, from the columns of a recording.
 
 _GRAVITY = np.array([0.0, 0.0, -9.81])
 

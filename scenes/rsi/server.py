@@ -21,7 +21,6 @@ from scenes.online.processes import undisturbed
 from scenes.result import Progress, silent
 from scenes.scene_files.scene import SceneError
 
-# Rows of a run, into memory that is there before the first packet: nothing grows while a cycle waits.
 
 class CycleLog:
     """Time, desired and commanded position, measured position and torque of every cycle.
@@ -58,8 +57,6 @@ class CycleLog:
         values = self._values[:, : self._count]
         return self._t[: self._count], dict(zip(("q_d", "q_c", "q", "tau"), values, strict=True))
 
-
-# What came of a path that was played over RSI.
 
 @dataclass(frozen=True, repr=False)
 class RsiRun(Summarised):

@@ -188,8 +188,6 @@ def _lifted(xy: Array, plane: pin.SE3) -> Array:
     return np.asarray(np.column_stack([xy, np.zeros(len(xy))]) @ plane.rotation.T + plane.translation)
 
 
-# The camera of a scene file: as it really is, as it is believed to be, and how wrong its calibration is.
-
 class CameraTable(Table):
     """The camera, and what it does to picture and time."""
 

@@ -235,13 +235,9 @@ def _keys_at(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list
     return sorted(fields)
 
 
-# Failures while a scene is played.
-
 class SceneError(IdealRobotError):
     """Root of the failures of this package; bad input is ``ideal_robot.errors.InputError``."""
 
-
-# Speed, seed, arm, horizon and world given from outside in place of a scene's own.
 
 def chosen(scene: S, *, speed: float | None = None, seed: int | None = None, individual: int | None = None,
            n_d: int | None = None, world: str | None = None) -> S:

@@ -170,8 +170,6 @@ def _called(node: ast.Call, x: Array) -> Any:
     return function(*(_value(argument, x) for argument in node.args))
 
 
-# The first path of an .svg file beside a scene; nothing else of the file is used and nothing it names is fetched.
-
 MAX_PATH = 200_000
 """Longest ``d`` of a path [characters]."""
 MAX_SEGMENTS = 5_000

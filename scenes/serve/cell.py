@@ -233,8 +233,6 @@ def _line_of(cell: LineCell | ForceCell, scene: LineScene | ForceScene) -> tuple
     return line, LiveCamera(true, line, settings, noise, relief=cell.surface)
 
 
-# Serves a cell until it is told to stop, and says of each session what really happened.
-
 _PRIORITY = 30
 """Below that of a follower on the same computer: the time the world takes must not be counted as the follower's."""
 

@@ -155,8 +155,6 @@ def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
     return float(w), float(x), float(y), float(z)
 
 
-# What a recording shows when it is played: from the replay that was written beside it, or from its columns.
-
 MOST = 3000
 """Samples that are shown of a recording; longer ones are thinned out."""
 
@@ -234,8 +232,6 @@ def _places(arm: Robot, q: Array) -> Array:
     pose = arm.fk()
     return np.array([pose(row).translation for row in np.ascontiguousarray(q)])
 
-
-# A run played in the browser: slider, speed, the trace coloured by its error, the camera's picture, the error.
 
 PERIOD = 0.04
 """Time between two pictures [s]."""

@@ -9,8 +9,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-# What a camera delivers of one field: gray patches of the windows that were asked for, and its time stamp.
-
 Gray = NDArray[np.uint8]
 
 

@@ -20,7 +20,6 @@ from sensing.camera.camera_device import Gray
 from sensing.clock_relation import ClockRelation
 from sensing.stream import Package, StreamConnection, host_and_port
 
-# The seam of cameras on cables: whole pictures with stamps of the camera's own clock.
 
 @dataclass(frozen=True)
 class Frame:
@@ -66,8 +65,6 @@ class FrameSource(Protocol):
         """Gives the camera back."""
         ...
 
-
-# A camera behind our own stream, for machines that only have a socket.
 
 _CAMERA = struct.Struct(">HHd14d")
 _FIELD = struct.Struct(">IHH")
@@ -137,8 +134,6 @@ class StreamCamera:
         """See ``FrameSource.close``."""
         self._connection.close()
 
-
-# Industrial cameras: GenICam (GigE Vision, USB3 Vision) through the package ``harvesters``.
 
 _GRAY_OF = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono14": 14, "Mono16": 16}
 """Formats that are taken, with the bits that count. Packed and coloured ones are not: set ``PixelFormat``."""

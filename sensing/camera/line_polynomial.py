@@ -175,8 +175,6 @@ def _vandermonde(s: Array, centre: float, scale: float, degree: int) -> Array:
     return np.vander((s - centre) / scale, degree + 1, increasing=True)
 
 
-# Geometry of a dense polyline: points by arc length, nearest points, signed lateral distance.
-
 @dataclass(frozen=True)
 class Nearest:
     """Nearest points on the line.

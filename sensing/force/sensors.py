@@ -17,7 +17,6 @@ from ideal_robot.registry import Registry
 from sensing.clock_relation import ClockRelation
 from sensing.stream import Kind, StreamConnection, host_and_port, options
 
-# The seam of force sensors on networks: readings with stamps of the sensor's own clock.
 
 @dataclass(frozen=True)
 class Reading:
@@ -186,8 +185,6 @@ class NetFT:
         self.counts.readings += 1
         return Reading(stamp, self._scale * np.array(counts, dtype=float))
 
-
-# A force sensor behind our own stream, for sensors that some machine with a socket reads.
 
 _WRENCH = struct.Struct(">I6d")
 

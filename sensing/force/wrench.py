@@ -11,7 +11,6 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 
-# A sample of a force/torque sensor at the flange.
 
 @dataclass(frozen=True)
 class WrenchSample:
@@ -29,8 +28,6 @@ class WrenchSample:
     wrench: Array
 
 
-# The seam of force sensors: what a force/torque sensor at the flange gives.
-
 class ForceSensor(Protocol):
     """A force/torque sensor as a device.
 
@@ -42,8 +39,6 @@ class ForceSensor(Protocol):
         """The samples that have arrived by the controller time ``t`` [s], in order of arrival, each once."""
         ...
 
-
-# From wrenches to positional deviations, [L] (3): the filter acts on the wrench, never on the command.
 
 class WrenchFilter:
     """Moving average over the last samples, stamped with their mean time: no lag where the force changes evenly.

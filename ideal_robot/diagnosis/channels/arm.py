@@ -17,7 +17,6 @@ from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.signals.preprocess import resampled
 from ideal_robot.signals.recording import Recording
 
-# The regression of measured arm angles against motor angles.
 
 def arm_angle_regression(recording: Recording, robot: Robot, torque: Regression,
                    stiffness: Array | None) -> Regression | None:
@@ -88,8 +87,6 @@ def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regres
     return dataclasses.replace(made, W=np.concatenate([made.W, *loose], axis=2))
 
 
-# Joint frames and the TCP along a motion.
-
 def frames_along(robot: Robot, q: Array) -> Frames:
     """Joint frames, their axes and the TCP along a motion ``(N, n)``."""
     model, data, tool = robot.pinocchio, robot.pinocchio.createData(), robot.tool_id
@@ -116,8 +113,6 @@ def _jacobian(robot: Robot, data: pin.Data, q: Array) -> Array:
     full = pin.computeFrameJacobian(robot.pinocchio, data, q, robot.tool_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
     return np.asarray(full).reshape(6, robot.n)
 
-
-# The regression of a measured TCP against kinematics.
 
 @dataclass(frozen=True)
 class ToolRegression(Regression):

@@ -99,8 +99,6 @@ def without_known(made: Positions, effects: Sequence[FittedEffect]) -> Positions
     return replace(made, y=np.asarray(made.y - np.sum(said, axis=0)))
 
 
-# Which samples of a recording count: those at which a joint moves, apart from its reversals and from the ends.
-
 _SLOW = 0.004
 """Share of its top speed below which a joint rests or touches zero. If that takes longer than a period of the position
 filter's cut-off, the filter has blurred the direction on which friction depends, and those samples do not count."""
@@ -191,8 +189,6 @@ def small_velocity(recording: Recording, filtered: FilteredSignals) -> Array:
     return np.maximum(np.minimum(2.0 * noise * share, 0.02 * top), 1e-4 * top + 1e-9)
 
 
-# Level of the measurement's own noise, from parts of the spectrum where the motion is not.
-
 _FEWEST = 20
 """Differences from which a level is estimated, at least."""
 
@@ -254,8 +250,6 @@ def _third_differences(residual: Array, use: np.ndarray) -> tuple[Array, np.ndar
     """Third differences ``(N - 3, c)``, and where all samples of one count."""
     return np.diff(residual, 3, axis=0), use[3:] & use[2:-1] & use[1:-2] & use[:-3]
 
-
-# What of a recording a diagnosis does not use, and why: nothing that was measured is left out without a word.
 
 _FORCE, _MOMENT = ("fx", "fy", "fz"), ("mx", "my", "mz")
 _GAPS = "it holds gaps"

@@ -216,8 +216,6 @@ def require_within_limits(robot: Robot, q_c: Array, workspace: Workspace) -> Non
                          "try another --seed, or a lower --z-min", field="motion")
 
 
-# The regression of a motion that has not been played: everything but what would be measured.
-
 _STEP = 0.01
 """Sampling of what is foreseen [s]: twice what the band that is looked at needs."""
 

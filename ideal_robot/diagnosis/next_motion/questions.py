@@ -126,8 +126,6 @@ def _rival(text: str) -> tuple[str, int | None]:
     return (match["name"], int(match["joint"])) if match else (text, None)
 
 
-# The causes that a diagnosis names, with their numbers, and the pairs that are to be told apart.
-
 _MOST_THETAS = 12
 
 

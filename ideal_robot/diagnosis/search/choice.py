@@ -111,8 +111,6 @@ class Scored:
     dependence: Dependence | None = field(default=None)
 
 
-# The present model of a search: the parameters and the effects that were selected so far.
-
 _ROUNDS = 2
 """Refits after which the channels' weights have settled."""
 
@@ -200,8 +198,6 @@ class PresentModel:
     def _weights(self) -> Array:
         return weights_of_channels(self.design, self.keys(), self.problem.prior, _ROUNDS)
 
-
-# Comparing scored candidates: which stand out of chance, and which the data cannot tell apart.
 
 _NEARLY = 0.9
 """Share of a reduction from which on a cause is a rival, or is taken if it is likelier."""

@@ -32,7 +32,6 @@ from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import Effect, Signals
 
-# The pool of a search: every effect at every joint where it may sit, with values of theta to start from.
 
 def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int, str],
                absorbed: bool) -> Iterator[list[Candidate]]:
@@ -315,8 +314,6 @@ class Search:
                                 asked=self.scoring.share_asked(s, choice))
                 self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
 
-
-# Selection against a model known before: its parameters hold unless the data say that they have changed.
 
 _AS_GOOD = 1.05
 _NEARLY_AS_GOOD = 1.1

@@ -136,8 +136,6 @@ class LearnedCurves:
         return any(c.candidate.key == candidate.key for c in self.model.choices)
 
 
-# A pull that begins at some angle: what a law that bends to nearly any curve has to be told from to be claimed.
-
 _PLACES = np.linspace(0.1, 0.9, 17)
 """Where in the range a pull may begin: in what was seen it both is slack and pulls."""
 

@@ -311,8 +311,6 @@ class Scoring:
         return scored
 
 
-# Geometry of one joint that another's may reproduce: links between parallel axes are one length.
-
 def with_equivalents(problem: Problem, choices: list[Choice], share: float = 0.95) -> list[Choice]:
     """The choices with what other joints' geometry could do as well: links of parallel axes are one length.
 

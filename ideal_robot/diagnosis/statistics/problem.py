@@ -24,7 +24,6 @@ from ideal_robot.effects import Effect, FittedEffect
 from ideal_robot.friction import PerJointFriction
 from ideal_robot.model.model import Model
 
-# A candidate: an effect at a joint, with fixed theta.
 
 @dataclass(frozen=True)
 class Candidate:
@@ -112,8 +111,6 @@ def linear_unit(unit: str) -> str:
     """The unit of a prismatic joint's parameter: N m → N, rad → m, kg m² → kg."""
     return unit.replace("N m", "N").replace("kg m²", "kg").replace("rad", "m")
 
-
-# A model with other parameters, as a joint fit with the effects leaves them.
 
 def with_parameters(model: Model, change: Array, covariance: Array | None = None) -> Model:
     """The model with its parameter vector changed.
@@ -310,8 +307,6 @@ class Problem:
             design.add(f"d{i}:{candidate.key}", self.prepared(((sides[0] - sides[1]) / (2.0 * step))[:, :, None]))
         return keys
 
-
-# What is known of a model's parameters before a recording is looked at.
 
 def prior_precision(model: Model, problem: Problem) -> Array:
     """Precision of the model's parameters ``(P, P)``, in the units of the weighted squares.

@@ -50,8 +50,6 @@ def ranked_structure(problem: Problem, residual: Array, rng: np.random.Generator
     return tuple(result)
 
 
-# Numbers that stand at the end of what was searched: limits, not estimates.
-
 _NEAR = 0.05
 """A value within this share of itself from a bound stands at it: the search ends a little before."""
 _REACH = 3.0
@@ -123,8 +121,6 @@ def _side(value: float, low: float, high: float) -> int:
         return -1
     return 1 if value >= high - min(narrow, _NEAR * abs(high) or narrow) else 0
 
-
-# Standard deviations that hold what the model class leaves, not only what scatters.
 
 def with_misfit(problem: Problem, effects: Sequence[Candidate], found: Estimate) -> Estimate:
     """An estimate whose standard deviations hold the misfit, and what the numbers differ by in half of the band.

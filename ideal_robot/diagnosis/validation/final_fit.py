@@ -61,8 +61,6 @@ def beside_held_model(regression: Regression, model: Model,
                  and effect.effect.plausible(own, effect.theta, regression.signals, effect.joint))
 
 
-# One joint's friction fitted anew beside a model that otherwise stays as it is.
-
 def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...]) -> dict[int, Model]:
     """The model with the friction coefficients of one joint as a recording has them, for each of some joints.
 
@@ -93,8 +91,6 @@ def friction_anew(regression: Regression, model: Model, joints: tuple[int, ...])
         result[joint] = with_parameters(model, change)
     return result
 
-
-# Friction that brakes in the final fit too: a coefficient that would drive the joint is held at none.
 
 def with_braking_friction(case: Case, found: Findings) -> Findings:
     """The findings about a model in which coefficients of friction that come out negative are zero and stay so.
@@ -148,8 +144,6 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
                    validation=None if found.validation is None else about(found.validation),
                    held=(*found.held, *(int(i) for i in index)))
 
-
-# Parameters of a model that are not bent by a lag of all torques, where no search was free to name it.
 
 _ITERATIONS = 3
 """Fits after which the chord of the delay has become the delay."""

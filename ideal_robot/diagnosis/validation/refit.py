@@ -103,8 +103,6 @@ def _moved(model: Model, change: Array, W: Array, visible: float) -> tuple[Moved
                                 float(change[i] / sigma[i])) for i in far[:_MOST])
 
 
-# An oracle: given the names and joints of effects, it estimates their size.
-
 def with_named_effects(recording: Recording, robot: Robot, model: Model,
                        effects: tuple[tuple[str, int], ...]) -> Model:
     """The model with the named effects, each kind of measurement's together, beside the model as it is.

@@ -16,7 +16,6 @@ from ideal_robot.results import Summarised, over_time, plain
 if TYPE_CHECKING:
     from ideal_robot.results import Figure
 
-# A joint whose error falls by refitting the given model alone, as plain values.
 
 @dataclass(frozen=True)
 class MovedParameter:

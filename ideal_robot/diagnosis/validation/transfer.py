@@ -23,8 +23,6 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 
-# Which effects carry over to another recording: those that lower its error.
-
 T = TypeVar("T")
 Error = Callable[[Sequence[T]], Array]
 """Error of each channel of the other recording ``(c,)`` with some of the effects."""
