@@ -25,7 +25,7 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 
 GROUPS = {
     "speed and memory": {
-        "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "growth",
+        "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "speed",
         "fusion-cost": "fusion", "walks": "walks",
     },
     "accuracy": {
@@ -37,7 +37,7 @@ GROUPS = {
         "force": "force", "force-parts": "force", "stability": "stability",
         "measured": "measured", "measured-adapted": "measured",
     },
-    "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "planned"},
+    "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses"},
     "closings": {"closings": "closings", "outside": "outside", "true-friction": "outside"},
     "robustness": {
         "limits": "limits", "fuzz": "broken", "kill": "broken", "rsi-packets": "packets", "packets": "packets",

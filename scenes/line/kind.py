@@ -11,10 +11,9 @@ from planning.line.deviation_sensor import DeviationSensor
 from scenes.kind import SceneKind
 from scenes.line.cell import Prepared, prepared, streams
 from scenes.line.compare import LineComparison, best_gains, compare_lines
-from scenes.line.page import write_comparison, write_run
+from scenes.line.page import line_replay, write_comparison, write_run
 from scenes.line.play import methods as play_methods
 from scenes.line.play import play
-from scenes.line.replay import line_replay
 from scenes.line.result import LineResult
 from scenes.methods import DIRECT, PLAIN, compared, method_of
 from scenes.result import Progress, part_of, silent

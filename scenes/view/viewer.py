@@ -15,8 +15,16 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.recording import Recording
-from scenes.report.arm_shapes import link_poses, polygons
-from scenes.report.replay import Replay, read_replay, replay_beside, rises, sensed_force, sensed_line
+from scenes.report.replay import (
+    Replay,
+    link_poses,
+    polygons,
+    read_replay,
+    replay_beside,
+    rises,
+    sensed_force,
+    sensed_line,
+)
 
 GHOST = "ghost"
 ARM = "arm"
