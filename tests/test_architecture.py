@@ -22,8 +22,9 @@ PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
 IMPORTED_LATE = {"rerun", "rosbags", "lz4", "matplotlib", "dask", "viser", "trimesh", "svgpathtools", "harvesters",
                  "pandas", "pyarrow"}
 """Heavy packages that few users need, or a process that leads an arm does not: imported where they are used."""
-STARTS_FAST = "scenes.commands."
-"""The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program."""
+STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin")
+"""The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program, nor may
+every pytest of a user's."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
                     "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "RSIPI", "ur-rtde"}
 """Tools of development, and counterparts in tests, that are started as programs."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ideal_robot.bounded_values import parsed_json, read_json, read_text
-from ideal_robot.errors import InputError
+from ideal_robot.errors import InputError, did_you_mean
 from scenes.provenance import machine, program
 from scenes.report.page import plain, write_json
 from scenes.sweep import FIGURES
@@ -67,6 +67,20 @@ class Results:
         """Names of all figures that are numbers."""
         known = {*CASE, *HASHES, "seed", "failure", "not_played"}
         return [name for name in self.runs.columns if name not in known and self.runs[name].dtype.kind in "fi"]
+
+    def mean(self, figure: str) -> float:
+        """Mean of a figure over the runs, in the unit of its name.
+
+        Raises:
+            InputError: no run has it; or a run failed, with its reason.
+        """
+        failed = self.runs["failure"].dropna()
+        if len(failed):
+            raise InputError(f"{len(failed)} of {len(self.runs)} runs failed: {failed.iloc[0]}", field=figure)
+        if figure not in self.figures:
+            raise InputError(f"no run has this figure; {did_you_mean(figure, self.figures)}there are "
+                             f"{', '.join(self.figures)}", field="figure", value=figure)
+        return float(self.runs[figure].mean())
 
     def write(self, path: Path) -> Path:
         """Writes them as JSON, which ``read_results`` reads; the same runs give the same bytes."""
