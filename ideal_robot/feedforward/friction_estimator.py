@@ -221,7 +221,13 @@ def counted(x: Array, covariance: Array, h: Array, left: float, variance: float)
 
 
 def remembered(x: Array, covariance: Array, places: Array) -> tuple[Array, Array]:
-    """Parameters ``(n, p)`` and covariance ``(n, p, p)`` of those at ``places``; of the others nothing is known."""
+    """What is known of some parameters alone; of the others nothing is known.
+
+    Args:
+        x: parameters ``(n, p)``.
+        covariance: of them ``(n, p, p)``.
+        places: of the parameters that are kept ``(k,)``.
+    """
     kept, uncertain = np.zeros_like(x), np.tile(np.eye(x.shape[1]), (len(x), 1, 1))
     kept[:, places] = x[:, places]
     uncertain[:, places[:, None], places] = covariance[:, places[:, None], places]
