@@ -6,7 +6,7 @@ BIN := .venv/bin
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test pytest test-all test-part docs docs-figures bench models check clean
+.PHONY: demo test pytest test-all test-part docs docs-notebooks docs-figures bench models check clean
 
 demo: .venv/installed
 	$(BIN)/ideal-robot run line --out out/line
@@ -32,6 +32,10 @@ test-part: .venv/installed
 docs: .venv/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "open out/site/index.html in a browser"
+
+# Plays the notebooks that changed, so that their pages have outputs; minutes.
+docs-notebooks: .venv/installed
+	$(BIN)/python docs/execute_notebooks.py
 
 docs-figures: .venv/installed
 	$(BIN)/python docs/published_numbers.py

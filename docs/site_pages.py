@@ -1,4 +1,4 @@
-"""Pages of the documentation site that are made from the code: what a user imports, and all modules, room by room.
+"""Pages of the documentation site that are made: what a user imports, all modules room by room, the notebooks.
 
 A hook of MkDocs (``mkdocs.yml``); nothing is written into the source folder. The environment variable ``SITE_ROOMS``
 names the rooms whose API is made, parted by commas; without it all are.
@@ -7,6 +7,7 @@ names the rooms whose API is made, parted by commas; without it all are.
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,10 @@ import ideal_robot
 import scenes
 
 ROOT = Path(__file__).resolve().parents[1]
+# MkDocs loads this file by its path; what stands beside it is found from the root of the repository.
+sys.path.insert(0, str(ROOT))
+from docs.notebook_pages import linked, notebook_files  # noqa: E402
+
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes")
 DOORS = (
     ("ir", "import ideal_robot as ir", "Robots, recordings, models, diagnoses and corrected paths.",
@@ -36,7 +41,14 @@ def on_files(files: Files, config: Any) -> Files:
         first = summary.partition("\n")[0].strip('"') if summary.startswith(tuple("ABCDEFGHIJKLMNOPQRSTUVWXYZ")) else ""
         text = "\n\n".join([f"# {room}", first, *(f"::: {module}" for module in modules)])
         files.append(File.generated(config, f"api/modules/{room}.md", content=text))
+    for file in notebook_files(config):
+        files.append(file)
     return files
+
+
+def on_page_markdown(markdown: str, page: Any, **kept: Any) -> str:
+    """Leads links to notebooks to the pages made of them."""
+    return markdown if page.file.src_uri.startswith("notebooks/") else linked(markdown)
 
 
 def doors() -> str:

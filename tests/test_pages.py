@@ -1,4 +1,4 @@
-"""Notebooks: outputs are not committed, each has an exercise, and each runs from the first cell to the last."""
+"""Pages and notebooks: each notebook runs from the first cell to the last, and its exercise knows right from wrong."""
 
 from __future__ import annotations
 
@@ -11,20 +11,32 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import nbformat
 import pytest
-from nbclient import NotebookClient
 
-from docs import published_numbers
+from docs import execute_notebooks, published_numbers
+from docs.execute_notebooks import NOTEBOOKS
 from tests.sources import DATA, ROOT
 
-NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
-LONGEST_CELL = 600
-"""Time after which a cell counts as hanging [s]."""
+ANSWERS = {
+    "controller": ("min(np.geomspace(0.001, 3.0, 300), key=with_gain)", "0.001"),
+    "force": ("1 - 1 / 1.6", "0.6"),
+    "friction": ("friction_at('kr15', 3, 0.25, ARMS['kr15'][1].replace(start_temperature=22.0))"
+                 " / friction_at('kr15', 3, 0.25)", "1.0"),
+    "identification": ("float(unseen_errors.iloc[1])", "float(unseen_errors.iloc[0])"),
+    "latency": ("8.4", "12"),
+    "learning": ("next((n for n in (1, 2, 3, 4) if circle.runs[f'learned_{n}'].errors.time_matched.E_car"
+                 " < circle.runs['precorrected_1'].errors.time_matched.E_car), 0)", "5"),
+    "line_following": ("0.7 * 1000 * scene.camera.latency", "0.7"),
+    "precorrection": ("min(np.arange(0.0, 40.5, 0.5), key=off_by)", "0.0"),
+    "residual_to_effect": ("100 * (before - error) / before", "100 * (before - error) / error"),
+    "stiffness": ("100 * (both.loc[1, 'wrench'] - both.loc[1, 'motor']) / both.loc[1, 'motor']",
+                  "100 * (both.loc[1, 'motor'] - both.loc[1, 'wrench']) / both.loc[1, 'wrench']"),
+}
+"""A right and a wrong answer to the exercise of each notebook, of what its cells have made."""
 
 
 def read(path: Path) -> nbformat.NotebookNode:
@@ -32,42 +44,47 @@ def read(path: Path) -> nbformat.NotebookNode:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_committed_without_outputs_and_has_an_exercise_and_a_slider(path: Path) -> None:
+def test_a_notebook_has_question_slider_exercise_and_what_the_paper_shows(path: Path) -> None:
     book = read(path)
     nbformat.validate(book)
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in book.cells)
-    assert any("## Exercise" in cell.source for cell in book.cells)
+    assert re.match(r"# .*\n\n\*\*.*\?\*\*\n", book.cells[0].source)
+    parts = [cell.source.partition("\n")[0] for cell in book.cells if cell.source.startswith("## ")]
+    assert parts[-2:] == ["## Exercise", "## Beside the paper"]
     assert any("ipywidgets.interactive(" in cell.source for cell in book.cells if cell.cell_type == "code")
+    assert path.stem in ANSWERS
+
+
+def test_the_course_has_eight_lessons_with_a_notebook_each() -> None:
+    text = (ROOT / "docs" / "course.md").read_text(encoding="utf-8")
+    lessons = text.split("\n## ")[1:9]
+    assert [lesson[:2] for lesson in lessons] == [f"{k}." for k in range(1, 9)]
+    for lesson in lessons:
+        assert all(word in lesson for word in ("**Goal:**", "**Notebook:**", "**Exercise:**", "**Scene to play:**"))
+    assert {path.name for path in NOTEBOOKS} <= set(re.findall(r"notebooks/(\w+\.ipynb)", text))
 
 
 def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    text = path.read_text(encoding="utf-8")
-    if "IDEAL_ROBOT_DATA" in text:
+    if "IDEAL_ROBOT_DATA" in path.read_text(encoding="utf-8"):
         if not DATA.is_dir():
             pytest.skip("needs the public data sets beside the repository")
         monkeypatch.setenv("IDEAL_ROBOT_DATA", str(DATA))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("MPLBACKEND", "agg")
-    # Sockets in a folder of its own: the ports that a kernel is given may be taken by another one until it opens them,
-    # and who then waits for an answer waits until the end of his patience.
-    with tempfile.TemporaryDirectory(prefix="ir") as folder:
-        client = NotebookClient(read(path), timeout=LONGEST_CELL, startup_timeout=120,
-                                resources={"metadata": {"path": str(ROOT)}})
-        kernel = client.create_kernel_manager()
-        kernel.transport, kernel.ip, kernel.connection_file = "ipc", f"{folder}/ipc", f"{folder}/kernel.json"
-        client.execute()
+    right, wrong = ANSWERS[path.stem]
+    execute_notebooks.played(path, f"assert check({right})\nassert not check({wrong})\nassert not check(None)")
 
 
 @pytest.mark.parametrize("path", [one for one in NOTEBOOKS if read(one).metadata.get("quick")],
                          ids=lambda path: path.stem)
-def test_a_quick_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_quick_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(path, monkeypatch)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", [one for one in NOTEBOOKS if not read(one).metadata.get("quick")],
                          ids=lambda path: path.stem)
-def test_a_notebook_runs(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(path, monkeypatch)
 
 
@@ -136,6 +153,7 @@ def test_the_site_is_built_without_warnings(rooms: dict[str, str], tmp_path: Pat
     assert "WARNING" not in done.stderr
     pages = {str(path.relative_to(tmp_path / "site")) for path in (tmp_path / "site").rglob("index.html")}
     assert {"index.html", "tutorial/index.html", "scene_keys/index.html", "howto/index.html"} <= pages
+    assert {f"notebooks/{path.stem}/index.html" for path in NOTEBOOKS} <= pages
     api = tmp_path / "site" / "api"
     modules = (api / "modules" / "ideal_robot.friction" / "index.html").read_text(encoding="utf-8")
     assert re.search(r'id="ideal_robot\.friction\.laws\.Arctan"', modules)
