@@ -26,7 +26,7 @@ STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin")
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program, nor may
 every pytest of a user's."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
-                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "RSIPI", "ur-rtde"}
+                    "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "jupyterlab", "RSIPI", "ur-rtde"}
 """Tools of development, and counterparts in tests, that are started as programs."""
 
 

@@ -104,6 +104,14 @@ class _Passed(NamedTuple):
     Q: Array
 
 
+def _inverse(P: Array) -> Array:
+    """Of a covariance; the pseudo-inverse where a state is known exactly, such as an error that no sensor has."""
+    try:
+        return np.asarray(np.linalg.inv(P))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(P, hermitian=True))
+
+
 class DeviationFilter:
     r"""Kalman filter over a deviation model.
 
@@ -235,7 +243,8 @@ class DeviationFilter:
         begins = np.array([one.begin for one in kept] + [self.model.begin])
         xs, Ps, *_ = kf.rts_smoother(
             np.array([one.x for one in kept] + [kf.x]), np.array([one.P for one in kept] + [kf.P]),
-            [kf.F] + [one.F for one in kept], [kf.Q] + [one.Q for one in kept])  # of a step at its end
+            [kf.F] + [one.F for one in kept], [kf.Q] + [one.Q for one in kept],  # of a step at its end
+            inv=_inverse)
         mean, variance = np.full((2, len(s), self.model.directions), np.nan)
         which = np.searchsorted(begins, s, side="right") - 1
         for k in np.unique(which[which >= 0]):

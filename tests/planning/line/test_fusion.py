@@ -365,6 +365,17 @@ def test_the_smoother_knows_at_the_end_what_the_filter_did_not_as_it_passed() ->
     assert 0.5 < consistent / count < 1.6
 
 
+def test_an_error_that_is_known_to_be_none_does_not_keep_from_looking_back() -> None:
+    """Its variance is zero, and no covariance with it can be inverted: stamps that are not estimated, say."""
+    fusion, s = DeviationFilter(path_model(), biases={"camera": (0.0,)}), 0.014 * np.arange(30)
+    for k, place in enumerate(s):
+        fusion.travel(place)
+        fusion.update(points(0.02 * k, place + AHEAD, np.full(5, 0.002), bias=AHEAD[:, None]))
+    mean, variance = fusion.looked_back(s[3:])
+    np.testing.assert_allclose(mean, 0.002, atol=2e-4)
+    assert np.isfinite(variance).all()
+
+
 def test_of_a_map_that_was_replaced_nothing_is_looked_back_on() -> None:
     fusion = DeviationFilter(path_model(), confirm=3)
     for k in range(30):
