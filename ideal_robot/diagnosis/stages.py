@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.channels.arm import arm_angle_regression, tool_regression, with_loose_weights
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
@@ -14,15 +15,16 @@ from ideal_robot.diagnosis.channels.force import blocks_of, force_regressions
 from ideal_robot.diagnosis.channels.line import line_blocks, line_regression
 from ideal_robot.diagnosis.channels.motor_torque import about_model, in_position_band, with_reversal_width
 from ideal_robot.diagnosis.channels.regression import Regression, without_known
-from ideal_robot.diagnosis.search.forward_selection import Search, selected_against
+from ideal_robot.diagnosis.search.choice import Choice, Options
+from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.scoring import with_equivalents
 from ideal_robot.diagnosis.statistics.dependence import reversal_widths
-from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision, with_parameters
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.diagnosis.validation.final_fit import with_braking_friction, without_scatter
 from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transferring
-from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, library
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect, library
 from ideal_robot.effects.backlash import Backlash
 from ideal_robot.model.model import Model
 
@@ -155,13 +157,71 @@ def _searched(case: Case, found: Findings) -> Findings:
                          refuted=found.refuted, progress=case.progress).run(start)
         return replace(found, choices=tuple(choices))
     prior = prior_precision(found.start, problem)
-    selected = selected_against(problem, prior, effects, options, case.rng, only=case.only, progress=case.progress,
-                                start=start, refuted=found.refuted)
+    selected = _selected_against(case, found, prior, effects, options, start)
     if not selected.holds:
         warnings += ("the model's parameters do not hold for this recording and were fitted anew; changes of "
                      "parameters are therefore not listed as effects",)
     return replace(found, problem=problem.with_prior(prior if selected.holds else None), choices=selected.choices,
                    warnings=warnings, beside_known=selected.beside_known)
+
+
+_AS_GOOD = 1.05
+_NEARLY_AS_GOOD = 1.1
+"""Ratio of the mean squares with held parameters to those with free ones up to which the model holds: for the same
+effects, and after a search of its own. Where it takes learned curves to hold it has to be better by as much."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What was selected.
+
+    Attributes:
+        choices: the effects.
+        holds: whether the model's parameters hold.
+        beside_known: where they do not, what a search with held parameters selected all the same: all of it, and what
+            of it the parameters, as uncertain as they are, do not take over.
+    """
+
+    choices: tuple[Choice, ...]
+    holds: bool
+    beside_known: tuple[tuple[Candidate, ...], ...] = ()
+
+
+def _selected_against(case: Case, found: Findings, prior: Array, effects: Sequence[Effect], options: Options,
+                      start: Sequence[Choice]) -> Selection:
+    """Selects effects with the known model's parameters held, or with free ones where the model does not hold.
+
+    Args:
+        case: what is asked.
+        found: what was found before, with the problem about the known model, without a prior.
+        prior: precision of its parameters ``(P, P)``, in the units of the weighted squares.
+        effects: to choose from.
+        options: thresholds.
+        start: choices of an earlier search to begin with.
+    """
+    def search(problem: Problem, absorbed: bool) -> Search:
+        return Search(problem, effects, options, case.rng, absorbed=absorbed, only=case.only, refuted=found.refuted,
+                      progress=case.progress)
+
+    held = search(found.problem.with_prior(prior).held(), absorbed=True)
+    every = tuple(choice.candidate for choice in held.run(start))
+    held.settle(prior)
+    settled = tuple(choice.candidate for choice in held.model.choices)
+    free = search(found.problem, absorbed=False)
+    # A curve without a cause is no reason to hold what other parameters explain as well.
+    free.model.replace([c for c in held.model.choices
+                        if not (c.candidate.effect.absorbed_by_base or c.candidate.effect.learned)])
+    error = held.model.mean_squares()
+    curved = any(c.candidate.effect.learned for c in held.model.choices)
+    as_good, nearly = (1.0 / _AS_GOOD, 1.0 / _AS_GOOD) if curved else (_AS_GOOD, _NEARLY_AS_GOOD)
+    if error < as_good * free.model.mean_squares():
+        return Selection(tuple(held.model.choices), True)
+    # The search begins without effects, but with the weights that they leave.
+    free.model.choices = []
+    free.run()
+    if error < nearly * free.model.mean_squares():
+        return Selection(tuple(held.model.choices), True)
+    return Selection(tuple(free.model.choices), False, tuple(dict.fromkeys(own for own in (every, settled) if own)))
 
 
 def found_but_not_added(case: Case, found: Findings) -> Findings:

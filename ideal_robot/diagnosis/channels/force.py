@@ -166,7 +166,7 @@ def wrench_regression(wrench: Wrench, torque: Regression, turns: bool) -> Regres
              **{f"gravity_{axis}": wrench.pull[:, i] for i, axis in enumerate("xyz")}}
     names = ("fx", "fy", "fz", "mx", "my", "mz")[:count]
     units = ("N", "N", "N", "N m", "N m", "N m")[:count]
-    return sensor_regression(torque, filtered, names, units, y, filtered.decimate(W), extra, y)
+    return sensor_regression(torque, filtered, names, units, y, filtered.decimate(W), extra)
 
 
 def rows_of(torque: Regression, mask: np.ndarray) -> FilteredSignals:
@@ -178,8 +178,7 @@ def rows_of(torque: Regression, mask: np.ndarray) -> FilteredSignals:
 
 
 def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: tuple[str, ...],
-                      units: tuple[str, ...], y: Array, W: Array, extra: dict[str, Array],
-                      measured: Array) -> Regression:
+                      units: tuple[str, ...], y: Array, W: Array, extra: dict[str, Array]) -> Regression:
     """A regression of the sensor.
 
     Args:
@@ -190,11 +189,10 @@ def sensor_regression(torque: Regression, filtered: FilteredSignals, channels: t
         y: measured minus expected ``(N, c)``.
         W: its derivative by what is fitted beside effects ``(N, c, p)``.
         extra: signals for effects, undecimated.
-        measured: what was measured ``(N, c)``.
     """
     signals = dataclasses.replace(torque.signals, extra=extra, frames=None)
     return dataclasses.replace(torque, t=filtered.t_decimated - filtered.t[0], channels=channels, units=units, y=y,
-                               measured=measured, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
+                               measured=y, W=W, use=np.ones(y.shape, dtype=bool), signals=signals,
                                filtered=filtered, noise_floor=noise_in_band(y, torque), domain=SENSOR)
 
 
@@ -251,9 +249,9 @@ def contact_regression(recording: Recording, robot: Robot, wrench: Wrench, torqu
     y, W, pressed = (lowpass(values[touching], dt, band) for values in (y, W, pressed))
     small = filtered.decimate(y)
     extra = {CONTACT_FORCE: pressed, ASSUMED_GIVE: np.full(len(pressed), 1.0 / float(assumed) if assumed else 0.0)}
-    made = sensor_regression(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra,
-                 (small - small.mean())[:, None])
-    return dataclasses.replace(made, noise_floor=wide * np.sqrt(2.0 * band * dt * filtered.factor))
+    made = sensor_regression(torque, filtered, ("contact",), ("m",), small[:, None], filtered.decimate(W), extra)
+    return dataclasses.replace(made, measured=(small - small.mean())[:, None],
+                               noise_floor=wide * np.sqrt(2.0 * band * dt * filtered.factor))
 
 
 def _normal(force: Array, place: Array, strong: np.ndarray, dt: float) -> Array:

@@ -142,21 +142,6 @@ def with_named_effects(recording: Recording, robot: Robot, model: Model,
     return model.with_effects(tuple(found))
 
 
-def named_camera_effect(recording: Recording, robot: Robot, model: Model, name: str) -> FittedEffect:
-    """An effect of the camera by its name, fitted to all of a line-following recording.
-
-    Args:
-        recording: as for ``diagnose``.
-        robot: likewise.
-        model: likewise.
-        name: of the effect.
-
-    Raises:
-        InputError: no such effect, or no line in the recording.
-    """
-    return named_camera_effects(recording, robot, model, (name,))[0]
-
-
 def named_camera_effects(recording: Recording, robot: Robot, model: Model,
                          names: Sequence[str]) -> tuple[FittedEffect, ...]:
     """Effects of the camera by their names, fitted together to all of a line-following recording.
