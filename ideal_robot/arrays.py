@@ -1,4 +1,4 @@
-"""The array type of the whole project."""
+"""What all rooms share of numbers: the array type, the time law of motions from rest to rest, gravity."""
 
 from __future__ import annotations
 
@@ -7,6 +7,19 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 """Double precision, whatever the shape; the docstring of each function says which."""
+G = 9.81
+"""Acceleration of gravity [m/s²], as Pinocchio has it."""
+GRAVITY = np.array([0.0, 0.0, -G])
+"""Its direction and size in the base frame [m/s²]."""
+
+
+def eased(share: Array) -> Array:
+    """Way from rest to rest over the share of the time: both from 0 to 1, without a jump of the acceleration.
+
+    The polynomial s³ (10 - 15 s + 6 s²) has 1.875 times the mean speed, and 5.774 times the way over the squared
+    duration as acceleration, at its peaks.
+    """
+    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
 
 
 def held(rows: Array, *, before: int = 0, after: int = 0) -> Array:

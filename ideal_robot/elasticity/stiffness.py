@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.elasticity.clamped_signals import DECIMATE_HZ, ClampedSignals
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
@@ -270,7 +270,6 @@ def identify_stiffness(signals: Sequence[ClampedSignals], robot: Robot, method: 
 # linear in the compliances 1/k_j. It needs an expensive tracker, and postures in which every joint is loaded.
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-GRAVITY = 9.81
 LARGEST_STD_PERCENT = 10.0
 """A joint whose stiffness scatters more than this is not loaded enough to be named."""
 
@@ -340,7 +339,7 @@ def _postures(recording: Recording, robot: Robot) -> list[tuple[Array, Array]]:
         jacobian = flange_jacobian(robot, q[at][0])
         means = [_mean_pose(poses[at & (mass == level)]) for level in levels]
         for level, pose in zip(levels[1:], means[1:], strict=True):
-            force = means[0].rotation.T @ np.array([0.0, 0.0, -(level - levels[0]) * GRAVITY])
+            force = means[0].rotation.T @ np.array([0.0, 0.0, -(level - levels[0]) * G])
             wrench = np.concatenate([force, np.cross(lever, force)])
             found.append((jacobian * (jacobian.T @ wrench), np.array(pin.log6(means[0].inverse() * pose).vector)))
     return found

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.effects import FittedEffect
 from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.model.arm_with_effects import changes_of
@@ -108,7 +108,7 @@ class CorrectedArm:
 def taken_up(t: Array, settle: float = _SETTLE) -> Array:
     """Share of the correction at times ``(N,)`` [s] after the start: from none to all, smoothly."""
     begun = np.minimum(t / settle, 1.0)
-    return np.asarray(begun**3 * (10.0 - 15.0 * begun + 6.0 * begun**2))
+    return eased(begun)
 
 
 def _displace(model: pin.Model, robot: Robot, joint: int, normal: Array,

@@ -44,7 +44,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.jit import jit
 from ideal_robot.loop.loop_model import LoopModel, largest_speeds
 
@@ -71,7 +71,6 @@ SLIDES, SLOWEST = 0.9, 0.002
 WARMING = 600.0
 """Time over which friction becomes another [s]: after half an hour little changes ([G] Fig. 12), which is three time
 constants."""
-_GRAVITY = 9.81
 
 
 def likeness() -> Array:
@@ -140,7 +139,7 @@ def unknown_mass(dry: Array) -> float:
     Args:
         dry: dry friction ``(n,)`` [N m].
     """
-    return float(WEIGHT * dry.max() / _GRAVITY)
+    return float(WEIGHT * dry.max() / G)
 
 
 class Solved(NamedTuple):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array, held
+from ideal_robot.arrays import Array, eased, held
 from ideal_robot.dynamics.newton_euler import Chain, inverse_dynamics
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward, PassThrough
@@ -208,7 +208,7 @@ def training_motion(path: Array, t_ipo: float) -> Array:
     length = 8.0
     t = np.arange(0.0, length, t_ipo)
     fade = np.clip(np.minimum(t, length - t) / 1.0, 0.0, 1.0)
-    fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
+    fade = eased(fade)
     rate = np.clip(speed / amplitude, 1.0, 2 * np.pi * 0.8)
     phase = 2.4 * np.arange(n)
     waves = 0.7 * np.sin(np.outer(t, rate * 0.55) + phase) + 0.45 * np.sin(np.outer(t, rate * 1.25) + 1.7 * phase)

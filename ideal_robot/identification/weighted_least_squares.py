@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy import optimize, stats
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, G
 from ideal_robot.dynamics import BaseParameters, link_parameters, torques
 from ideal_robot.dynamics.base_parameters import parameter_scales
 from ideal_robot.robots.robot import Robot
@@ -293,7 +293,6 @@ def _jackknife(W: Array, residual: Array, inverse: Array, blocks: Sequence[np.nd
 
 _OFFSET = 0.2
 """Standard deviation of a torque offset, relative to that of the torque."""
-_GRAVITY = 9.81
 
 
 @dataclass(frozen=True)
@@ -338,7 +337,7 @@ def prior_of(robot: Robot, base: BaseParameters, signals: Sequence[FilteredSigna
     scale = unit * parameter_scales(nominal, n)
     at = slice(10 * n, 11 * n)
     scale[at] = np.maximum(scale[at], torque / np.maximum(np.std(acceleration, axis=0), 1e-6))
-    weight = unit * _GRAVITY * np.cumsum(nominal[: 10 * n : 10][::-1])[::-1]
+    weight = unit * G * np.cumsum(nominal[: 10 * n : 10][::-1])[::-1]
     scale[11 * n :] = np.where(robot.prismatic, np.maximum(weight, torque), _OFFSET * torque)
     covariance = (base.grouping * scale**2) @ base.grouping.T
     size = np.sqrt(np.diag(covariance))

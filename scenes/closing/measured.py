@@ -7,7 +7,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.effects import FittedEffect
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.errors import InputError
@@ -26,7 +26,7 @@ def at_speeds(motion: Array, slownesses: tuple[float, ...]) -> Array:
     parts = [np.column_stack([np.interp(np.arange(0.0, len(motion) - 1, 1.0 / slowness), rows, q) for q in motion.T])
              for slowness in slownesses]
     s = np.linspace(0.0, 1.0, _STEPS)[:, None]
-    ease = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    ease = eased(s)
     return np.concatenate([parts[0], *[np.concatenate([a[-1] + (b[0] - a[-1]) * ease, b]) for a, b in pairwise(parts)]])
 
 

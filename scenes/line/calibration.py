@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -106,10 +106,7 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
 
 
 def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
-    """Commands ``(K, n)`` of smooth moves from posture to posture with a rest at each.
-
-    The polynomial 10 u³ - 15 u⁴ + 6 u⁵ has 1.875 times the mean velocity and 5.774 times way/duration² at its peaks.
-    """
+    """Commands ``(K, n)`` of smooth moves from posture to posture with a rest at each; their peaks: ``eased``."""
     rest = max(round(REST / T), 1)
     v = SPEED * np.where(np.isfinite(robot.v_max), robot.v_max, 1.0)
     a = ACCELERATION * np.where(np.isfinite(robot.a_max), robot.a_max, 5.0)
@@ -119,7 +116,7 @@ def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
         duration = max(float(np.max(1.875 * way / v)), float(np.sqrt(np.max(5.774 * way / a))))
         n = max(int(np.ceil(duration / T)), 2)
         u = np.arange(1, n + 1)[:, None] / n
-        rows += [start + u**3 * (10 - 15 * u + 6 * u**2) * (end - start), np.tile(end, (rest, 1))]
+        rows += [start + eased(u) * (end - start), np.tile(end, (rest, 1))]
     return np.concatenate(rows)
 
 

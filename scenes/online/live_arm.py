@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.loop.impulse_response import LinearLoop
 from ideal_robot.loop.loop_model import LoopModel
@@ -228,7 +228,7 @@ def smooth_way(start: Array, end: Array, count: int) -> Array:
         count: cycles.
     """
     u = np.arange(1, count + 1)[:, None] / count
-    return np.asarray(start + u**3 * (10 - 15 * u + 6 * u**2) * (end - start))
+    return np.asarray(start + eased(u) * (end - start))
 
 
 def moves(robot: Robot, postures: list[Array], rest: float) -> Array:

@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from PIL import Image
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import GRAVITY, Array
 from ideal_robot.errors import InputError
 from ideal_robot.file_limits import REPLAY_BYTES
 from ideal_robot.robots.robot import Robot
@@ -295,7 +295,6 @@ def _floats(values: Array) -> Array:
     return values
 
 
-_GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 def sensed_line(arm: Robot, recording: Recording) -> Array:
@@ -336,6 +335,6 @@ def sensed_force(arm: Robot, recording: Recording, rows: Any = slice(None)) -> A
     tool = recording.meta.get("tool", {})
     tool = tool if isinstance(tool, dict) else {}
     bias = np.asarray(tool.get("bias", np.zeros(6)), dtype=float)[:3]
-    weight = float(tool.get("mass", 0.0)) * _GRAVITY
+    weight = float(tool.get("mass", 0.0)) * GRAVITY
     pose = arm.fk()
     return np.array([pose(row).rotation @ force - weight for row, force in zip(q, felt - bias, strict=True)])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ideal_robot.arrays import Array, held
+from ideal_robot.arrays import Array, eased, held
 from ideal_robot.errors import IdealRobotError, LimitError
 from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
 from ideal_robot.feedforward.base import Feedforward
@@ -206,7 +206,7 @@ class RsiServer:
                              f"{np.degrees(self.q_d[0, joint]):.2f}°; move the arm to the start of the path, or check "
                              "axis_sign and axis_zero in the robot's data")
         share = np.clip(np.arange(len(self.q_d)) / max(self.rest - 1, 1), 0.0, 1.0)[:, None]
-        return np.asarray(self.q_d + offset * (1.0 - share**3 * (10.0 - 15.0 * share + 6.0 * share**2)))
+        return np.asarray(self.q_d + offset * (1.0 - eased(share)))
 
     def _commands(self, q_d: Array) -> Iterator[tuple[Array, Array]]:
         """Desired position and command of every cycle; braking from where a limit or ``stop`` ends the path."""

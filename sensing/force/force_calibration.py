@@ -12,10 +12,8 @@ from itertools import permutations, product
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import GRAVITY, Array, G
 from sensing import SensingError
-
-GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ def require_gravity(wrenches: Array, rotations: Sequence[Array], t: Array, sigma
 
 def _allowed(noise: float, mass: float) -> float:
     """Largest force that may be left of a tool's weight in any posture [N]."""
-    return CLEARLY * noise + UNEXPLAINED * abs(mass) * 9.81
+    return CLEARLY * noise + UNEXPLAINED * abs(mass) * G
 
 
 def _weighed(f: Array, weights: Array, noise: float) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.rsi.link import stamp_arrivals
@@ -207,7 +207,7 @@ class ServedArm:
                        float(np.sqrt(np.max(5.774 * np.abs(way) / (_SHARE * robot.a_max)))), self._T)
         count = int(np.ceil(duration / self._T))
         u = np.arange(1, count + 1)[:, None] / count
-        for row in q + u**3 * (10.0 - 15.0 * u + 6.0 * u**2) * way:
+        for row in q + eased(u) * way:
             self._moved(row)
         for _ in range(round(_STANDING / self._T)):
             self._moved(self._start)

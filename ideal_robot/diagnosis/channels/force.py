@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from scipy import ndimage
 
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import GRAVITY, Array, G
 from ideal_robot.diagnosis.channels.arm import frames_along
 from ideal_robot.diagnosis.channels.blocks import Blocks, time_blocks
 from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
@@ -25,7 +25,6 @@ from ideal_robot.signals.recording import Recording
 #
 # Then the wrench is bias, the tool's weight in the changing orientation, and its inertia.
 
-GRAVITY = np.array([0.0, 0.0, -9.81])
 TURNS = 0.1
 """Spread of the direction of gravity in the sensor [rad] from which on weight and bias are distinguished."""
 FEWEST = 20
@@ -56,7 +55,7 @@ class Wrench:
     @property
     def turns(self) -> bool:
         """Whether the orientation changes enough for weight and bias to be distinguished."""
-        pull = self.pull[self.free] / 9.81
+        pull = self.pull[self.free] / G
         return bool(np.linalg.norm(np.std(pull, axis=0)) > TURNS) if len(pull) else False
 
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import ideal_robot as ir
-from ideal_robot.arrays import Array
+from ideal_robot.arrays import Array, eased
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.execution.command_governor import ACCELERATION, CommandGovernor
 from ideal_robot.execution.precorrect import path_at_cycles
@@ -45,7 +45,7 @@ class Follower:
 
 def path(size: float = 0.2, seconds: float = 1.0) -> Array:
     s = np.clip(np.linspace(-0.2, 1.2, round(1.4 * seconds / ROBOT.t_ipo)), 0.0, 1.0)[:, None]
-    return ROBOT.home + size * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return ROBOT.home + size * eased(s)
 
 
 def test_every_cycle_is_handed_over_and_recorded() -> None:
@@ -176,7 +176,7 @@ def test_what_keeps_the_limits_passes_bit_by_bit(amplitude: list[float], pace: f
     start = GOVERNED.home
     governor = CommandGovernor(GOVERNED, start)
     s = np.clip(np.arange(300) / 250.0, 0.0, 1.0)
-    path = start + 0.5 * np.outer(s**3 * (10 - 15 * s + 6 * s**2), amplitude) * min(pace, 1.0)
+    path = start + 0.5 * np.outer(eased(s), amplitude) * min(pace, 1.0)
     for q in path:
         np.testing.assert_array_equal(governor.allowed(q), q)
 

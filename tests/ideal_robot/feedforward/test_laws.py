@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from ideal_robot.arrays import eased
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import Feedforward, PassThrough
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
@@ -139,7 +140,7 @@ MODEL = Model.load(MODELS / "kr6.json")
 def path() -> np.ndarray:
     """Half a second of rest, a smooth move of all joints, rest again."""
     s = np.clip(np.linspace(-0.5, 1.5, 120), 0.0, 1.0)[:, None]
-    return KR6.home + 0.1 * s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    return KR6.home + 0.1 * eased(s)
 
 
 def practice() -> Practice:

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from ideal_robot.arrays import eased
 from ideal_robot.errors import InputError
 from ideal_robot.feedforward.learning import AXES, joint_errors, pose_errors
 from ideal_robot.feedforward.precorrection import Precorrection, at_cycle, command_inverse, spline_operators
@@ -204,7 +205,7 @@ def test_the_inverse_is_bounded_and_right_for_any_phase(zero):
     linear = LinearLoop((g / g.sum())[:, None], T)
     t = np.arange(200) * T
     ramp = np.clip(t - 0.4, 0, 1.2) / 1.2
-    q_d = (0.4 * ramp**3 * (10 - 15 * ramp + 6 * ramp**2))[:, None]
+    q_d = (0.4 * eased(ramp))[:, None]
     q_c = commands(LinearInverse(linear, 30), q_d)
     assert np.max(np.abs(q_c)) < 1.0
     assert rms(linear.predict(q_c) - q_d) < 0.05 * rms(linear.predict(q_d) - q_d)

@@ -13,9 +13,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from ideal_robot.arrays import GRAVITY
 from ideal_robot.errors import InputError
 from sensing import SensingError
-from sensing.force.force_calibration import GRAVITY, ToolLoad, identify_elasticity, identify_tool, require_gravity
+from sensing.force.force_calibration import ToolLoad, identify_elasticity, identify_tool, require_gravity
 from sensing.force.sensors import NetFT, Reading, StreamForce, WrenchSource, open_force
 from sensing.force.wrench import WrenchFilter, WrenchSample, force_deviation
 from sim.contact.contact import ForceSensor, ForceSensorSettings
