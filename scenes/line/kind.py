@@ -11,11 +11,12 @@ from planning.line.deviation_sensor import DeviationSensor
 from scenes.kind import SceneKind
 from scenes.line.cell import Prepared, prepared, streams
 from scenes.line.compare import LineComparison, best_gains, compare_lines
-from scenes.line.page import line_replay, write_comparison, write_run
+from scenes.line.page import comparison_page, line_replay, run_page
 from scenes.line.play import methods as play_methods
 from scenes.line.play import play
 from scenes.line.result import LineResult
 from scenes.methods import DIRECT, PLAIN, compared, method_of
+from scenes.report.page import write_comparison_files, write_run_files
 from scenes.result import Progress, part_of, silent
 from scenes.scene_files.drawn_line import geometry
 from scenes.scene_files.line_scene import LineScene
@@ -52,7 +53,7 @@ def run(scene: LineScene, *, method: Any = None, out: Path | None = None, progre
     result = play(scene, chosen, shared=shared, gains=gains, sensors=sensors, progress=part_of(progress, 0.0, _PLAYED),
                   pictures=out is not None)
     progress(_PLAYED, "report")
-    return result if out is None else write_run(result, out)
+    return result if out is None else write_run_files(result, run_page, out, line_replay(result))
 
 
 def compare(scene: LineScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
@@ -70,7 +71,7 @@ def compare(scene: LineScene, *, methods: Sequence[Any] | None = None, out: Path
         InputError: the scene cannot be played.
     """
     comparison = compare_lines(scene, compared(methods, play_methods(), PLAIN), sensors=sensors, progress=progress)
-    return comparison if out is None else write_comparison(comparison, out)
+    return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 
 
 def curves(scene: LineScene) -> dict[str, Array]:

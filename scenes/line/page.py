@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,7 +17,7 @@ from planning.path.reference import ReferencePath
 from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
 from scenes.online.line_task import FieldShown
-from scenes.report.page import COLUMNS, Report, world_rows, write_comparison_files, write_run_files
+from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay, sensed_force, sensed_line
 from scenes.result import step
 from sensing.camera.line_polynomial import Polyline
@@ -111,18 +110,6 @@ NAMED = {"ideal": "the ideal robot", "sensor_path": "the sensed path alone", "no
          "direct_feedback": "direct sensor feedback at its best gain"}
 PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 """[L] 5: mean control error at top speed."""
-
-
-def write_run(result: LineResult, out: Path) -> LineResult:
-    """Writes recording, figures and page into ``out`` and returns the result with their paths."""
-    written: LineResult = write_run_files(result, run_page, out, line_replay(result))
-    return written
-
-
-def write_comparison(comparison: LineComparison, out: Path) -> LineComparison:
-    """Writes each run's recording and the common page into ``out``."""
-    written: LineComparison = write_comparison_files(comparison, comparison_page, out)
-    return written
 
 
 def run_page(result: LineResult) -> Report:

@@ -11,8 +11,9 @@ from scenes.kind import SceneKind
 from scenes.methods import compared, method_of
 from scenes.path.cell import DELAY, path_methods, set_up
 from scenes.path.compare import PathComparison, compare_paths, play_method
-from scenes.path.page import path_replay, write_comparison, write_run
+from scenes.path.page import comparison_page, path_replay, run_page
 from scenes.path.result import PathResult
+from scenes.report.page import write_comparison_files, write_run_files
 from scenes.result import Progress, silent
 from scenes.scene_files.path_scene import PathScene
 
@@ -38,7 +39,7 @@ def run(scene: PathScene, *, method: Any = None, out: Path | None = None, progre
     steps.begin("setting up")
     result = play_method(scene, set_up(scene, delay=chosen.key.endswith(DELAY)), chosen, steps.part("playing"))
     steps.begin("report")
-    return result if out is None else write_run(result, out)
+    return result if out is None else write_run_files(result, run_page, out, path_replay(result))
 
 
 def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path | None = None,
@@ -55,7 +56,7 @@ def compare(scene: PathScene, *, methods: Sequence[Any] | None = None, out: Path
         InputError: no such method, or a scene that cannot be played.
     """
     comparison = compare_paths(scene, compared(methods, path_methods()), progress=progress)
-    return comparison if out is None else write_comparison(comparison, out)
+    return comparison if out is None else write_comparison_files(comparison, comparison_page, out)
 
 
 PATH = SceneKind(PathScene, path_methods, run, compare, None, "scenes.path.close_loop:close_loop", path_replay)

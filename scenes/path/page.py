@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +13,7 @@ from ideal_robot.robots.robot import Robot
 from scenes.path.cell import DELAY, path_methods
 from scenes.path.compare import PathComparison
 from scenes.path.result import PathResult
-from scenes.report.page import COLUMNS, Report, world_rows, write_comparison_files, write_run_files
+from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay
 
 
@@ -57,18 +56,6 @@ DEFINITION = (
     "Geometric: distance to the path. 'Less %' is the reduction against no correction without delay, of the weaker of "
     "time-matched and aligned; 'by motors' is the aligned E_car that motor angles show, which is what the paper could "
     "measure: elastic gears are invisible to it.")
-
-
-def write_run(result: PathResult, out: Path) -> PathResult:
-    """Writes recording, figures and page into ``out``; returns the result with their paths."""
-    written: PathResult = write_run_files(result, run_page, out, path_replay(result))
-    return written
-
-
-def write_comparison(comparison: PathComparison, out: Path) -> PathComparison:
-    """Writes each run's recording and the common page into ``out``."""
-    written: PathComparison = write_comparison_files(comparison, comparison_page, out)
-    return written
 
 
 def run_page(result: PathResult) -> Report:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import jinja2
 import numpy as np
@@ -131,7 +131,10 @@ def write_json(path: str | Path, content: dict[str, Any]) -> Path:
     return write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
 
-def write_run_files(result: Any, page: Callable[[Any], Report], out: Path, replay: Replay | None = None) -> Any:
+R = TypeVar("R", bound=Any)
+
+
+def write_run_files(result: R, page: Callable[[R], Report], out: Path, replay: Replay | None = None) -> R:
     """Writes recording, page and figures of a run into ``out``; returns the result with their paths.
 
     Args:
@@ -150,7 +153,7 @@ def write_run_files(result: Any, page: Callable[[Any], Report], out: Path, repla
     return result
 
 
-def write_comparison_files(comparison: Any, page: Callable[[Any], Report], out: Path) -> Any:
+def write_comparison_files(comparison: R, page: Callable[[R], Report], out: Path) -> R:
     """Writes each run's recording, the common page and the figures into a folder; returns it all with its places.
 
     Args:
