@@ -8,7 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from planning.force.contact import Phase
-from planning.line.fusion import Fused
+from planning.line.measurement import Fused
 from planning.path.pose_history import PoseHistory
 
 

@@ -34,7 +34,7 @@ GROUPS = {
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "world", "heating": "world", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "fusion": "fusion", "fusion-banks": "fusion",
-        "force": "force", "force-parts": "force", "stability": "stability",
+        "force": "force", "force-parts": "force", "stability": "stability", "surface-shapes": "shapes",
         "measured": "measured", "measured-adapted": "measured",
     },
     "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses"},

@@ -13,6 +13,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
 from planning.force.contact import Phase
+from planning.line.filter_bank import FilterBank
 from scenes.commands.common import numbers, whole_numbers
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.force.kind import run
@@ -119,19 +120,20 @@ class _Watched(ForceTask):
             self.believed[self.log.t[late]] = follower.history.q(self.log.t[late])
 
 
-class _KnownSurface:
-    """Takes the forecast's place."""
+class _KnownSurface(FilterBank):
+    """Takes the filter's place: what was felt before is followed, whatever is felt now."""
 
     def __init__(self, s: Array, height: Array) -> None:
         new = np.concatenate([[True], np.diff(s) > 1e-6])
         self._end = float(s[-1])
         self._spline = UnivariateSpline(s[new], height[new], s=np.count_nonzero(new) * SMOOTH**2, k=5)
 
-    def add(self, *_: Any) -> None:
-        """Nothing is learned."""
+    def in_place_of(self, bank: FilterBank) -> None:
+        super().__init__(bank.members)
 
-    def height(self, s: Array) -> Array:
-        return np.asarray(self._spline(np.clip(s, 0.0, self._end)))
+    def mean(self, s: Array) -> Array:
+        height = self._spline(np.clip(s, 0.0, self._end))
+        return np.column_stack([np.zeros(len(s)), height]) if self._s > 0 else super().mean(s)
 
 
 @dataclass(frozen=True)
@@ -159,7 +161,8 @@ def _played(scene: ForceScene, method: Any = IDEAL, surface: _KnownSurface | Non
     task = _Watched(cell.known, method_of(method, methods()), None, tool, elasticity, cell.camera_streams[0],
                     friction_shown(scene))
     if surface is not None:
-        vars(task.follower)["_forecast"] = surface
+        surface.in_place_of(vars(task.follower)["fusion"])
+        vars(task.follower)["fusion"] = surface
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, task.q_start) as arm:
         contact = TipContact(arm, cell.surface, true_tip(scene.tip))
         sensor = CarriedForceSensor(cell.sensor, arm, contact)

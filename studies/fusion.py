@@ -18,7 +18,8 @@ from filterpy.kalman import IMMEstimator, KalmanFilter, MMAEFilterBank
 
 from ideal_robot.arrays import Array
 from planning.line import fusion as fusing
-from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused, Measurement
 from scenes import load_scene
 from scenes.line.kind import run as run_line
 from scenes.play import run_scene as run

@@ -1,4 +1,4 @@
-"""What is wanted of a contact, the phases of a motion in contact, and the prior of the surface."""
+"""What is wanted of a contact, the phases of a motion in contact."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.line.deviation_model import PathDeviation
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 
@@ -118,30 +117,6 @@ class ContactSettings:
         if 0.5 * acceleration * UNSEEN**2 * SLOPE * self.elasticity <= TOLERATED:
             return jerk
         return min(jerk, max(GENTLEST, 6.0 * BEGUN / (UNSEEN**3 * SLOPE * self.elasticity)))
-
-
-def surface_model(
-    reference: ReferencePath, ahead: float, *, shape: float = 0.006, length: float = 0.08
-) -> PathDeviation:
-    """Prior of a surface: near its nominal plane, and smooth.
-
-    Args:
-        reference: the path along the nominal surface.
-        ahead: how far in front of the arm the deviation is needed [m].
-        shape: standard deviation of the surface's shape [m].
-        length: distance over which the shape becomes another [m].
-    """
-    return PathDeviation(
-        reference,
-        directions=2,
-        ahead=ahead,
-        behind=0.04,
-        knot=0.02,
-        displacement=0.02,
-        rotation=0.05,
-        shape=shape,
-        length=length,
-    )
 
 
 # What a force sensor shows of nothing: its bias has drifted since calibration, and the approach shows by how much.

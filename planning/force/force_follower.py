@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.force.contact import FORCE_ERRORS, SLOPE, ContactSettings, Phase, surface_model
+from planning.force.contact import FORCE_ERRORS, SLOPE, ContactSettings, Phase
 from planning.force.contour import SPARE, SlidingPlan
-from planning.force.surface_forecast import SurfaceForecast
-from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.force.surface_forecast import surfaces
+from planning.line.filter_bank import FilterBank
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused, Measurement
 from planning.path.desired_path import ReferenceTable
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
@@ -36,6 +39,14 @@ SLIDES = 1e-4
 KNOWN_AFTER = 0.03
 """Way after which the slope along the path is known from the map [m]."""
 
+Errors = tuple[float, float, float]
+"""Standard deviations of what is estimated of the force: relative error of E, lateness [s], coefficient of friction."""
+
+
+def surface_filter(errors: Errors) -> FilterBank:
+    """Of a surface of which nothing is known but that it is smooth."""
+    return FilterBank([DeviationFilter(model, biases={"force": errors}, confirm=0) for model in surfaces()])
+
 
 class SurfaceFollower:
     r"""Desired joint positions over a horizon from a reference path, wrenches and, with a camera, line points.
@@ -51,8 +62,8 @@ class SurfaceFollower:
         profile: the travel along it.
         n_d: desired positions a call of ``horizon`` gives.
         settings: what is wanted.
-        fusion: the filter over a model with two directions.
-        force_errors: standard deviations of the force sensor's own errors in the filter that is made if none is given.
+        fusion: makes the filter over models with two directions, from the errors of the force that it estimates.
+        force_errors: standard deviations of the relative error of E and of the time by which forces are late [s].
         lateral: whether a sensor shows the lateral deviation, too; without one the path is the reference's there.
         start_height: of the tip over the reference when the approach begins [m].
     """
@@ -65,7 +76,7 @@ class SurfaceFollower:
         n_d: int,
         settings: ContactSettings,
         *,
-        fusion: DeviationFilter | None = None,
+        fusion: Callable[[Errors], FilterBank] = surface_filter,
         lateral: bool = False,
         force_errors: tuple[float, float] = FORCE_ERRORS,
         start_height: float = 0.01,
@@ -75,16 +86,8 @@ class SurfaceFollower:
         self._T = robot.t_ipo
         self._kinematics = InverseKinematics(robot)
         samples = n_d + SPARE
-        ahead = samples * self._T * profile.top_speed + 0.03
-        self.fusion = fusion or DeviationFilter(surface_model(reference, ahead), biases={"force": force_errors})
-        if self.fusion.model.directions != 2:
-            raise InputError(
-                "the filter's model needs two directions, across the path and out of the surface",
-                field="fusion",
-                value=self.fusion.model.directions,
-            )
-        self._force_errors = force_errors
-        self._forecast = self._fresh_forecast()
+        self._force_errors, self._made = force_errors, fusion
+        self.fusion = self._fresh()
         self._table = table = ReferenceTable(self._kinematics, reference, profile, 2 * samples)
         first = pin.SE3(table.rotations[0], table.frames.position[0] + start_height * table.frames.up[0])
         self._q_start = self._kinematics.solve(first, table.q[0])
@@ -130,12 +133,12 @@ class SurfaceFollower:
         """Assumes this elasticity of tip and surface [N/m] from now on."""
         self.settings = replace(self.settings, elasticity=elasticity)
         if self._contact_since is None:
-            self._forecast = self._fresh_forecast()
+            self.fusion = self._fresh()
 
-    def _fresh_forecast(self) -> SurfaceForecast:
+    def _fresh(self) -> FilterBank:
         """Of a surface of which nothing was felt, on a contact of the elasticity that is assumed."""
         ratio, lateness = self._force_errors
-        return SurfaceForecast((ratio, min(lateness, self.settings.lateness), FRICTION))
+        return self._made((ratio, min(lateness, self.settings.lateness), FRICTION))
 
     def update_force(self, t: Array, contact: Array) -> Fused | None:
         """Fuses the contact forces that arrived since the last cycle.
@@ -172,25 +175,21 @@ class SurfaceFollower:
         ]
         covariance = np.diag([one.sigma**2 for one in seen]) + settings.position_noise**2
         value = np.array([one.value for one in seen])
-        upward = height + value
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
             # With a camera the force says how far to go along the surface's normal, not along the reference's. While
             # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
             direction = np.tile([normal @ across, normal @ up], (len(t), 1))
-            value = direction[:, 0] * lateral + direction[:, 1] * height + value * float(normal @ up)
+            origin, value = direction[:, 0] * lateral + direction[:, 1] * height, value * float(normal @ up)
         else:
-            direction = np.tile([0.0, 1.0], (len(t), 1))
-            value = upward
-        # With E assumed r times too large a deviation Δ is felt as Δ/r: (1 - r) Δ is missing. A tip with damping, or
-        # a wrong time stamp, adds a share of the velocity.
-        rising = float(self._velocity(float(t[middle])) @ up)
-        wrong = np.column_stack([[one.value for one in seen], np.full(len(t), rising)])
-        fused = self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong))
-        if fused.dof:
-            at = float(s.mean())
-            self._forecast.add(at, float(upward.mean()), float(covariance.mean()),
-                               np.append(wrong.mean(axis=0), self._by_friction(at)))
-        return fused
+            direction, origin = np.tile([0.0, 1.0], (len(t), 1)), height
+        value = origin + value
+        # With E assumed too large a deviation is felt as too small, by a ratio. A tip with damping adds a share of the
+        # velocity into the surface; along it there is none.
+        sinking = float(self._velocity(float(t[middle])) @ normal)
+        wrong = np.column_stack([np.zeros(len(t)), np.full(len(t), sinking),
+                                 np.full(len(t), self._by_friction(float(s.mean())))])
+        return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
+                                              origin=origin, at=float(s.max())))
 
     def _velocity(self, t: float) -> Array:
         """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""
@@ -228,10 +227,7 @@ class SurfaceFollower:
 
     def _slope_along(self, s: float, step: float) -> float:
         """Slope along the path at arc length ``s``, from heights ``step`` [m] apart."""
-        if self._lateral:
-            d, _ = self.fusion.deviation(np.array([s - 2 * step, s]))
-            return float(d[1, 1] - d[0, 1]) / (2 * step)
-        before, after = self._forecast.height(np.array([s - step, s + step]))
+        before, after = self.fusion.mean(np.array([s - step, s + step]))[:, 1]
         return float(after - before) / (2 * step)
 
     @property
@@ -283,11 +279,9 @@ class SurfaceFollower:
     def _estimate(self, t: float, keep: int, rows: NDArray[np.int_]) -> Array:
         """Wanted deviation ``(samples, 2)`` of the coming cycles: descending, on the map, or lifting."""
         ahead = (keep + 1 + np.arange(self._plan.samples)) * self._T
-        estimate, _ = self.fusion.deviation(self._table.s[rows], t)
+        estimate = self.fusion.mean(self._table.s[rows])
         if self._contact_since is None:
             estimate[:, 1] = self._height - self.settings.approach * (t + ahead)
-        elif self.phase is Phase.TRAVEL:
-            estimate[:, 1] = self._forecast.height(self._table.s[rows])
         elif self.phase in (Phase.LIFT, Phase.DONE):
             rise = np.clip((t + ahead - self._t_lift) * 0.05, 0.0, self.settings.clearance)
             estimate = self._lift_from + np.column_stack([np.zeros(len(rise)), rise])

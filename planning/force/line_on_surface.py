@@ -22,8 +22,8 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning import LineLostError, LineNeverSeenError, PlanningError
 from planning.force.force_follower import SurfaceFollower
-from planning.line.fusion import Fused, Measurement
 from planning.line.line_view import LineAhead, SeenLine
+from planning.line.measurement import Fused, Measurement
 from planning.path.path_kernels import cross, dot, unit
 
 OBLIQUE = 0.1
@@ -161,7 +161,8 @@ class LineOnSurface:
         moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
         # A wrong distance scales what is beside the optical axis.
         beside = dot(frames.normal, (offset - along) @ pose.rotation.T)
-        return Measurement(t, s, value, covariance, g, "camera", np.column_stack([turned, moved, beside]))
+        return Measurement(t, s, value, covariance, g, "camera", np.column_stack([turned, moved, beside]),
+                           at=follower.s_at(t))
 
     def _implausible(self, measurement: Measurement) -> str:
         """Why a field cannot be of the line; empty if it can.

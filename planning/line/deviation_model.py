@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,13 +17,20 @@ from planning.path.path_kernels import deviation_basis
 from planning.path.reference import ReferencePath
 
 
+class Stand(NamedTuple):
+    """Where a state stands: from which arc length on it holds places, and how far the tool has come [m]."""
+
+    begin: float = -np.inf
+    s: float = 0.0
+
+
 class DeviationModel(ABC):
     """Seam of the deviation models.
 
     Attributes:
         directions: number of sensed directions: 1 lateral (along the path's ``normal``), 2 also height (``up``).
         size: number of states.
-        drifts: whether the state changes with time, so that the order of measurements matters.
+        drifts: whether the state changes with time or with the tool's way, so that the order of measurements matters.
     """
 
     directions: int
@@ -39,12 +47,12 @@ class DeviationModel(ABC):
         return -np.inf
 
     @abstractmethod
-    def basis(self, s: Array, begin: float | None = None) -> Array:
+    def basis(self, s: Array, stand: Stand | None = None) -> Array:
         """Deviation per state.
 
         Args:
             s: arc lengths ``(m,)`` [m].
-            begin: of a state that was kept [m]; the present one's if None.
+            stand: of the state; the present window if None.
 
         Returns:
             ``(m, directions, size)``.
@@ -59,6 +67,21 @@ class DeviationModel(ABC):
         """Covariance ``(size, size)`` by which the state becomes uncertain in ``dt`` seconds."""
         del dt
         return np.zeros((self.size, self.size))
+
+    def carry(self, way: float) -> tuple[Array, Array] | None:
+        """Transition ``(F, Q)`` of the state when the tool goes on by ``way`` [m]; None if there is none."""
+        del way
+        return None
+
+    def spread(self, s: Array, stand: Stand) -> Array:
+        """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²].
+
+        Args:
+            s: arc lengths [m].
+            stand: of the state.
+        """
+        del stand
+        return np.zeros((len(s), self.directions))
 
 
 @dataclass(frozen=True)
@@ -82,7 +105,7 @@ class ConstantDeviation(DeviationModel):
         """Zero, with the expected variance."""
         return np.zeros(self.size), self.sigma**2 * np.eye(self.size)
 
-    def basis(self, s: Array, begin: float | None = None) -> Array:
+    def basis(self, s: Array, stand: Stand | None = None) -> Array:
         """The identity everywhere."""
         return np.broadcast_to(np.eye(self.directions), (len(s), self.directions, self.size)).copy()
 
@@ -192,7 +215,7 @@ class PathDeviation(DeviationModel):
         """Arc length from which on the window holds places [m]."""
         return self._start
 
-    def basis(self, s: Array, begin: float | None = None) -> Array:
+    def basis(self, s: Array, stand: Stand | None = None) -> Array:
         """Rigid part and B-splines; outside the window the splines stay at its edge."""
         s = np.asarray(s, dtype=float)
         frames = self.reference.frames(s)
@@ -205,7 +228,7 @@ class PathDeviation(DeviationModel):
                 self._axes,
                 self._rigid,
                 s,
-                self._start if begin is None else begin,
+                self._start if stand is None else stand.begin,
                 self._knot,
                 self._count,
             )

@@ -10,8 +10,8 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.line.fusion import Fused, Measurement
 from planning.line.line_follower import LineFollower
+from planning.line.measurement import Fused, Measurement
 
 
 @dataclass(frozen=True)

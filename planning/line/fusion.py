@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,9 +12,9 @@ from filterpy.kalman import KalmanFilter
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
-from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
-from planning.line.deviation_model import DeviationModel
+from planning.line.deviation_model import DeviationModel, Stand
+from planning.line.measurement import Fused, Measurement, check
 
 DOUBT = 1e-2
 """Probability with which a measurement that has nothing wrong makes one think of a moved sensor."""
@@ -30,52 +30,6 @@ LOOKED_BACK = 200
 """Travel steps that are kept for the smoother: 5 m of a line."""
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """Deviations from the reference that one sensor measured at one instant, whatever the sensor.
-
-    Attributes:
-        t: instant of measurement, not of arrival [s].
-        s: arc lengths of the reference that were looked at ``(m,)`` [m].
-        value: deviations ``(m,)`` [m]: components of Δx_r along ``direction``; or ``(k,)`` combinations of them.
-        covariance: of the values ``(m, m)`` [m²], or ``(k, k)``.
-        direction: sensed directions as components along the path's normal and up, ``(m, directions)``; they need not be
-            orthogonal to each other. None for purely lateral.
-        sensor: name of the sensor, for its own errors and statistics.
-        bias: how much each error of the sensor adds to the values, ``(m, b)``; see ``DeviationFilter``.
-        combination: how the values follow from the deviations at ``s``, ``(k, m)``, such as value and slope of a
-            polynomial through them; they then count as one, all or none. None where each deviation is a value.
-    """
-
-    t: float
-    s: Array
-    value: Array
-    covariance: Array
-    direction: Array | None = None
-    sensor: str = "camera"
-    bias: Array | None = None
-    combination: Array | None = None
-
-
-@dataclass(frozen=True)
-class Fused:
-    """What became of a measurement.
-
-    Attributes:
-        used: which values went in ``(m,)``, or ``(k,)`` where they are combinations.
-        innovation: values minus their predictions ``(m,)`` or ``(k,)`` [m].
-        nis: normalised innovation squared of the values that went in; ``dof`` on average if all is consistent.
-        dof: number of values that went in.
-        reason: why values were left out; empty if none were.
-    """
-
-    used: Array
-    innovation: Array
-    nis: float
-    dof: int
-    reason: str = ""
-
-
 @dataclass
 class _Track:
     """One hypothesis: a filter, how often it agreed with the sensor, and how much likelier it is than the map's."""
@@ -88,16 +42,19 @@ class _Track:
 
 @dataclass
 class _Memory:
+    """The state before a measurement or a travel step ``(F, Q)``, and which of them it was."""
+
     t: float
+    stand: Stand
     x: Array
     P: Array
-    measurement: Measurement = field(repr=False)
+    then: Measurement | tuple[Array, Array] = field(repr=False)
 
 
 class _Passed(NamedTuple):
-    """The state before a travel step, from which arc length on it held places [m], and the step."""
+    """The state before a travel step, where it stood, and the step."""
 
-    begin: float
+    stand: Stand
     x: Array
     P: Array
     F: Array
@@ -167,6 +124,7 @@ class DeviationFilter:
         self._rival: _Track | None = None
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
         self._shaken: list[_Track] = []
+        self._stand = Stand(model.begin)
         self._memory: list[_Memory] = []
         self._passed: deque[_Passed] = deque(maxlen=LOOKED_BACK)
         self.t = -np.inf
@@ -181,15 +139,23 @@ class DeviationFilter:
 
     def travel(self, s: float) -> None:
         """Moves the state along with the arm, which is at arc length ``s`` [m]."""
-        begin = self.model.begin
         while (step := self.model.travel(s)) is not None:
             F, Q = np.eye(self._size), np.zeros((self._size, self._size))
             F[: self.model.size, : self.model.size], Q[: self.model.size, : self.model.size] = step
-            self._passed.append(_Passed(begin, self._track.kf.x, self._track.kf.P, F, Q))
-            begin = self.model.begin
-            for track in (self._track, self._rival, *self._shaken):
-                if track is not None:
-                    track.kf.predict(F=F, Q=Q)
+            self._passed.append(_Passed(self._stand, self._track.kf.x, self._track.kf.P, F, Q))
+            if self.model.drifts:
+                self._remember(self.t, (F, Q))
+            self._step(F, Q, self.model.begin)
+
+    def _step(self, F: Array, Q: Array, begin: float) -> None:
+        for track in (self._track, self._rival, *self._shaken):
+            if track is not None:
+                track.kf.predict(F=F, Q=Q)
+        self._stand = Stand(begin, self._stand.s)
+
+    def _remember(self, t: float, then: Measurement | tuple[Array, Array]) -> None:
+        kf = self._track.kf
+        self._memory.append(_Memory(t, self._stand, kf.x, kf.P, then))
 
     def update(self, measurement: Measurement) -> Fused:
         """Fuses one measurement, which may be older than those before.
@@ -197,7 +163,7 @@ class DeviationFilter:
         Raises:
             InputError: shapes that do not fit each other or the model, or values that are not finite.
         """
-        _check(measurement, self.model.directions)
+        check(measurement, self.model.directions)
         if not self.model.drifts:
             # Nothing depends on time: late and unordered measurements are as good as any.
             self.t = max(self.t, measurement.t)
@@ -209,11 +175,15 @@ class DeviationFilter:
         if late:
             # Back to before the first one that is younger, then all again in the right order.
             self._memory = self._memory[: len(self._memory) - len(late)]
-            self._track.kf.x, self._track.kf.P = late[0].x.copy(), late[0].P.copy()
+            self._track.kf.x, self._track.kf.P, self._stand = late[0].x, late[0].P, late[0].stand
             self.t = self._memory[-1].t if self._memory else measurement.t
         fused = self._in_time(measurement)
-        for past in late:
-            self._in_time(past.measurement)
+        for past, after in zip(late, [*(one.stand.begin for one in late[1:]), self.model.begin], strict=False):
+            if isinstance(past.then, Measurement):
+                self._in_time(past.then)
+            else:
+                self._remember(past.t, past.then)
+                self._step(*past.then, after)
         return fused
 
     def deviation(self, s: Array, t: float | None = None) -> tuple[Array, Array]:
@@ -226,9 +196,9 @@ class DeviationFilter:
         Returns:
             ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²].
         """
-        H = self.model.basis(s)
+        H = self.model.basis(s, self._stand)
         mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size), t)
-        return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2])
+        return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2]) + self.model.spread(s, self._stand)
 
     def looked_back(self, s: Array) -> tuple[Array, Array]:
         """The deviation as all measurements show it, those of other places as well: smoothed (Rauch, Tung, Striebel).
@@ -240,15 +210,15 @@ class DeviationFilter:
             ``(m, directions)`` [m] and its variance ``(m, directions)`` [m²]; NaN where nothing is kept.
         """
         kf, kept = self._track.kf, list(self._passed)
-        begins = np.array([one.begin for one in kept] + [self.model.begin])
+        stands = [one.stand for one in kept] + [self._stand]
         xs, Ps, *_ = kf.rts_smoother(
             np.array([one.x for one in kept] + [kf.x]), np.array([one.P for one in kept] + [kf.P]),
             [kf.F] + [one.F for one in kept], [kf.Q] + [one.Q for one in kept],  # of a step at its end
             inv=_inverse)
         mean, variance = np.full((2, len(s), self.model.directions), np.nan)
-        which = np.searchsorted(begins, s, side="right") - 1
+        which = np.searchsorted([one.begin for one in stands], s, side="right") - 1
         for k in np.unique(which[which >= 0]):
-            H = self.model.basis(s[which == k], float(begins[k]))
+            H = self.model.basis(s[which == k], stands[k])
             mean[which == k] = H @ xs[k][: self.model.size]
             P = Ps[k][: self.model.size, : self.model.size]
             variance[which == k] = np.einsum("mdi,ij,mdj->md", H, P, H)
@@ -261,7 +231,7 @@ class DeviationFilter:
 
     def mean(self, s: Array) -> Array:
         """The deviation alone, ``(m, directions)`` [m]."""
-        return self.model.basis(s) @ self.state
+        return self.model.basis(s, self._stand) @ self.state
 
     def mean_and_variance(self, H: Array, t: float | None = None) -> tuple[Array, Array]:
         """Mean and variance ``(m,)`` of linear functions ``H (m, size)`` of the state, e.g. rows of a basis."""
@@ -277,21 +247,30 @@ class DeviationFilter:
         return self._track.kf.x[at].copy(), np.sqrt(np.diag(self._track.kf.P)[at])
 
     def _in_time(self, measurement: Measurement) -> Fused:
-        kf = self._track.kf
-        self._memory.append(_Memory(measurement.t, kf.x.copy(), kf.P.copy(), measurement))
+        self._remember(measurement.t, measurement)
         self._memory = [past for past in self._memory if past.t >= measurement.t - self._memory_length]
-        Q = np.zeros((self._size, self._size))
+        model, F, Q = self.model, np.eye(self._size), np.zeros((self._size, self._size))
         if np.isfinite(self.t):
-            Q[: self.model.size, : self.model.size] = self.model.drift(max(measurement.t - self.t, 0.0))
-        kf.predict(F=np.eye(self._size), Q=Q)
-        self.t = measurement.t
+            Q[: model.size, : model.size] = model.drift(max(measurement.t - self.t, 0.0))
+        way = 0.0 if measurement.at is None else max(measurement.at - self._stand.s, 0.0)
+        if way and (step := model.carry(way)) is not None:
+            F[: model.size, : model.size] = step[0]
+            Q[: model.size, : model.size] += step[1]
+        self._track.kf.predict(F=F, Q=Q)
+        self.t, self._stand = measurement.t, Stand(self._stand.begin, self._stand.s + way)
+        ahead = model.spread(measurement.s, self._stand)
+        if ahead.any() and measurement.direction is not None:
+            unknown = np.diag(np.sum(measurement.direction**2 * ahead, axis=1))
+            measurement = replace(measurement, covariance=measurement.covariance + unknown)
         return self._fuse(measurement)
 
     def _fuse(self, measurement: Measurement) -> Fused:
         H = self._rows(measurement)
+        if measurement.origin is not None:
+            measurement = self._extended(measurement, H)
         seen = _innovation(self._track, measurement, H)
         moved = self._weighed(measurement, H, seen)
-        fused = self._try(self._track, measurement, H, seen)
+        fused = replace(self._try(self._track, measurement, H, seen), likelihood=self._likelihood(seen))
         if moved:
             self._replace(moved)
             count = len(measurement.value)
@@ -349,13 +328,26 @@ class DeviationFilter:
         return _Track(kf)
 
     def _rows(self, measurement: Measurement) -> Array:
-        basis = self.model.basis(measurement.s)
+        basis = self.model.basis(measurement.s, self._stand)
         rows = basis[:, 0] if measurement.direction is None else np.einsum("md,mdn->mn", measurement.direction, basis)
         H = np.zeros((len(measurement.value), self._size))
         H[:, : self.model.size] = rows if measurement.combination is None else measurement.combination @ rows
         if measurement.bias is not None and measurement.sensor in self._bias_at:
             H[:, self._bias_at[measurement.sensor]] = measurement.bias
         return H
+
+    def _extended(self, measurement: Measurement, H: Array) -> Measurement:
+        r"""About the state that is estimated: the rows' Jacobian goes into ``H``, the rest into the values.
+
+        With a ratio r of the distances from the sensor's place o (an extended Kalman filter, [L] 4.3):
+
+        .. math:: z = g^T \Delta x_r + r\, (g^T \Delta x_r - o) + v
+        """
+        size, ratio, x = self.model.size, self._bias_at[measurement.sensor].start, self._track.kf.x
+        predicted = H[:, :size] @ x[:size]
+        H[:, :size] *= 1.0 + x[ratio]
+        H[:, ratio] = predicted - measurement.origin
+        return replace(measurement, value=measurement.value + x[ratio] * predicted)
 
     def _try(self, track: _Track, measurement: Measurement, H: Array, seen: _Innovation) -> Fused:
         """Gates a measurement against a hypothesis and fuses what is left of it."""
@@ -403,18 +395,3 @@ def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, 
     nis: float = np.sum(innovation * np.linalg.solve(S, innovation))
     return innovation, S, nis, np.linalg.slogdet(S)[1]
 
-
-def _check(measurement: Measurement, directions: int) -> None:
-    m = k = len(measurement.s)
-    shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
-    if measurement.combination is not None:
-        k = len(measurement.value)
-        shapes["combination"] = (measurement.combination.shape, (k, m))
-    shapes |= {"value": (measurement.value.shape, (k,)), "covariance": (measurement.covariance.shape, (k, k))}
-    if measurement.direction is not None:
-        shapes["direction"] = (measurement.direction.shape, (m, directions))
-    for key, (given, expected) in shapes.items():
-        if given != expected:
-            raise InputError(f"expected shape {expected}", field=f"measurement.{key}", value=given)
-    if not (np.isfinite(measurement.value).all() and np.isfinite(measurement.covariance).all()):
-        raise InputError("expected finite numbers", field=f"measurement of {measurement.sensor}")

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from planning.line.fusion import Measurement
+from planning.line.measurement import Measurement
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_detection import PoseAt, PredictedLine, predicted_by_rows
 from sensing.camera.line_polynomial import LinePolynomial, fit_of_lowest_order

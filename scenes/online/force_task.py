@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -24,10 +24,11 @@ from planning import OutOfReachError
 from planning.follower import ForceFollower
 from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, StopConditions, Tare
 from planning.force.contour import ContourFollower, ContourSettings
-from planning.force.force_follower import DirectForceFeedback, SurfaceFollower
+from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower, surface_filter
 from planning.force.line_on_surface import LineOnSurface, SightSettings
-from planning.force.surface_forecast import FeltArm
+from planning.force.surface_forecast import FeltArm, surfaces
 from planning.line.deviation_model import PathDeviation
+from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
@@ -83,7 +84,8 @@ class Known:
         """Desired positions over the horizon, one a cycle."""
         return round(HORIZON / self.robot.t_ipo)
 
-    def follower(self, elasticity: float, fusion: DeviationFilter | None = None) -> SurfaceFollower:
+    def follower(self, elasticity: float,
+                 fusion: Callable[[Errors], FilterBank] | None = None) -> SurfaceFollower:
         """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
         settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
         estimated = self.scene.assumed.elasticity_estimated
@@ -93,7 +95,8 @@ class Known:
             with suppress(InputError):  # a path too short to reach its speed so gently begins as it can
                 gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
                 profile = SpeedProfile.plan(self.robot, self.reference, gentle)
-        return SurfaceFollower(self.robot, self.reference, profile, self.n_d, settings, fusion=fusion,
+        return SurfaceFollower(self.robot, self.reference, profile, self.n_d, settings,
+                               fusion=fusion or surface_filter,
                                lateral=fusion is not None, start_height=START_HEIGHT,
                                force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
 
@@ -147,16 +150,21 @@ CONFIRM = 0
 """No rival hypotheses: with two sensors one that agrees would always outvote the other."""
 
 
-def glue_fusion(cell: Known) -> DeviationFilter:
-    """One filter for both sensors: a map in two directions, and the camera's own errors."""
+def glue_fusion(cell: Known) -> Callable[[Errors], FilterBank]:
+    """One filter for both sensors: a map across the path, the height along it, and the sensors' own errors."""
     sight = SightSettings()
-    assumed = cell.scene.assumed
-    camera = (sight.yaw, sight.stamp, sight.scale if assumed.distance_estimated else KNOWN)
-    force = FORCE_ERRORS if assumed.elasticity_estimated else (KNOWN, FORCE_ERRORS[1])
+    camera = (sight.yaw, sight.stamp, sight.scale if cell.scene.assumed.distance_estimated else KNOWN)
     ahead = (cell.n_d + 6) * cell.robot.t_ipo * cell.profile.top_speed + 0.2
-    model = PathDeviation(cell.reference, directions=2, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02,
-                          rotation=0.05, shape=0.01, length=0.1)
-    return DeviationFilter(model, biases={"camera": camera, "force": force}, confirm=CONFIRM)
+
+    def across() -> PathDeviation:
+        return PathDeviation(cell.reference, ahead=ahead, behind=0.04, knot=0.02, displacement=0.02, rotation=0.05,
+                             shape=0.01, length=0.1)
+
+    def made(errors: Errors) -> FilterBank:
+        biases = {"camera": camera, "force": errors}
+        return FilterBank([DeviationFilter(model, biases=biases, confirm=CONFIRM) for model in surfaces(across)])
+
+    return made
 
 
 class GlueCamera:

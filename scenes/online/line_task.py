@@ -20,7 +20,8 @@ from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
 from planning.line.deviation_sensor import DeviationSensor, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
-from planning.line.fusion import DeviationFilter, Fused
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
 from scenes.online.line_known import START, Known

@@ -16,7 +16,7 @@ from ideal_robot.execution.command_governor import CommandGovernor
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
-from planning.line.fusion import Fused
+from planning.line.measurement import Fused
 from scenes.online.camera_process import CameraProcess, Evaluated, Header
 from scenes.online.cycle import Task
 from scenes.online.live_arm import LiveArm

@@ -9,24 +9,19 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.special import gamma, kv
 
-from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot
-from planning.force import surface_forecast
-from planning.force.contact import ContactSettings, Phase, surface_model
-from planning.force.force_follower import DirectForceFeedback, SurfaceFollower
+from planning.force.contact import ContactSettings, Phase
+from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower, surface_filter
 from planning.force.line_on_surface import LineOnSurface, SightSettings
-from planning.force.surface_forecast import (
-    BETTER,
-    LENGTH,
-    MOST_WAVES,
-    ROTATION,
-    ROUGHEST,
-    SurfaceForecast,
-    likelier_variances,
-)
-from planning.line.deviation_model import matern
+from planning.force.surface_forecast import ORDER, SmoothSurface, surfaces
+from planning.line.deviation_model import PathDeviation, Stand
+from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused, Measurement
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
 from sensing.camera.camera_model import default_mount
@@ -47,8 +42,15 @@ def above_the_surface(**camera: Any) -> SurfaceFollower:
     x = np.linspace(0.0, 0.5, 300)
     reference = ReferencePath(np.column_stack([np.full(300, 0.98), x - 0.25, np.full(300, 0.35)]), turning=1.0)
     profile = SpeedProfile.plan(robot, reference, 0.2)
-    biases = {"camera": (0.003, 0.0005, 1e-6), "force": (0.3, 0.002)}
-    fusion = DeviationFilter(surface_model(reference, 0.3), biases=biases)
+    biases = {"camera": (0.003, 0.0005, 1e-6)}
+
+    def across() -> PathDeviation:
+        return PathDeviation(reference, ahead=0.3)
+
+    def fusion(errors: Errors) -> FilterBank:
+        return FilterBank([DeviationFilter(model, biases=biases | {"force": errors}, confirm=0)
+                           for model in surfaces(across)])
+
     made = SurfaceFollower(robot, reference, profile, 20, ContactSettings(), fusion=fusion, **camera)
     for k in range(6):
         made.observe(0.012 * k, made.q_start)
@@ -186,6 +188,26 @@ def test_the_map_shows_the_surface_that_was_felt() -> None:
     assert np.all(np.abs(off) < 3.0 * job.sigma[job.s > 0.05])
 
 
+def test_the_filter_is_what_keeps_the_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With forces kept out of it from 50 mm on, the tip goes straight on."""
+    def surface(s: np.ndarray) -> np.ndarray:
+        return 3e-3 * np.exp(-(((s - 0.2) / 0.04) ** 2))
+
+    kept = pressed(surface)
+    inner = DeviationFilter.update
+
+    def update(self: DeviationFilter, measurement: Measurement) -> Fused:
+        if measurement.s[0] < 0.05:
+            return inner(self, measurement)
+        return Fused(np.zeros(1, dtype=bool), np.zeros(1), 0.0, 0)
+
+    monkeypatch.setattr(DeviationFilter, "update", update)
+    without = pressed(surface)
+    rms, left_out = (np.sqrt(np.mean((one.force - 20.0) ** 2)) for one in (kept, without))
+    assert rms < 1.0
+    assert left_out > 4.0
+
+
 def test_the_expected_torques_do_the_work_of_the_wanted_force(follower: SurfaceFollower) -> None:
     """τ_d of [L] 2.2: τ_dᵀ δq = Fᵀ δx for any small motion, as long as there is contact, and none before."""
     q_d, fk = np.tile(follower.q_start, (20, 1)), follower.robot.fk()
@@ -213,124 +235,119 @@ def test_direct_force_feedback_follows_its_law(follower: SurfaceFollower, k_p: f
     np.testing.assert_allclose(np.diff(heights), (k_p * error + k_d * np.diff(error, prepend=0.0))[1:], atol=1e-7)
 
 
-# The surface ahead of the tip: waves once felt go on, and one that has none is not continued worse.
+# The surface as a Gaussian process.
 
+NOISE = 3e-5
 STEP = 0.0024
-AHEAD = 0.014
-NOISE = 1.2e-5
 
 
-def waves(s: Array) -> Array:
-    return 4e-3 * np.sin(2 * np.pi * s / 0.26) + 1.5e-3 * np.sin(2 * np.pi * s / 0.14 + 1.2) + 0.01 * s + 0.004
+@pytest.mark.parametrize("length", [0.03, 0.1])
+def test_the_states_are_those_of_materns_kernel(length: float) -> None:
+    """Covariance of two heights, against the kernel's formula with Bessel's function; Rasmussen and Williams (4.14)."""
+    model = SmoothSurface(length)
+    P, nu = model.prior()[1][2:, 2:], ORDER + 0.5
+    for way in (0.001, 0.01, 0.05):
+        r = np.sqrt(2 * nu) * way / length
+        expected = P[0, 0] * 2 ** (1 - nu) / gamma(nu) * r**nu * kv(nu, r)
+        F, Q = model.carry(way)
+        assert (F[2:, 2:] @ P)[0, 0] == pytest.approx(expected, rel=1e-6)
+        np.testing.assert_allclose(F[2:, 2:] @ P @ F[2:, 2:].T + Q[2:, 2:], P, rtol=1e-9, atol=1e-9 * P.max())
+        assert model.spread(np.array([way]), Stand())[0, 1] == pytest.approx(Q[2, 2], abs=1e-12 * P[0, 0])
 
 
-def bump(s: Array) -> Array:
-    return 0.3 * (s - 0.4) ** 2 + 1e-3 * np.exp(-(((s - 0.45) / 0.08) ** 2))
+def test_a_way_is_the_sum_of_its_parts() -> None:
+    model = SmoothSurface(0.05)
+    (F, Q), (F_1, Q_1), (F_2, Q_2) = (model.carry(way) for way in (0.03, 0.01, 0.02))
+    np.testing.assert_allclose(F, F_2 @ F_1, atol=1e-9)
+    np.testing.assert_allclose(Q, F_2 @ Q_1 @ F_2.T + Q_2, atol=1e-12)
 
 
-def errors(surface: Callable[[Array], Array], count: int = 240) -> tuple[Array, Array]:
-    """Errors 14 mm ahead of the forecast, and of a prior that knows smoothness alone."""
-    s = STEP * np.arange(count)
-    felt = surface(s) + NOISE * np.random.default_rng(3).standard_normal(count)
-    forecast = SurfaceForecast((0.3, 0.002))
-    ours, smooth = np.zeros(count), np.zeros(count)
-    for n in range(count):
-        forecast.add(float(s[n]), float(felt[n]), NOISE**2, np.zeros(2))
-        x, here = s[n : n + 1] + AHEAD, s[max(0, n - 120) : n + 1]
-        ours[n] = forecast.height(x)[0] - surface(x)[0]
-        away = here - here[-1]
-        K = 0.02**2 + ROTATION**2 * np.outer(away, away) + NOISE**2 * np.eye(len(here))
-        K += ROUGHEST**2 * matern(np.abs(here[:, None] - here), LENGTH)
-        cross = 0.02**2 + ROTATION**2 * AHEAD * away + ROUGHEST**2 * matern(np.abs(x - here), LENGTH)
-        smooth[n] = cross @ np.linalg.solve(K, felt[max(0, n - 120) : n + 1]) - surface(x)[0]
-    return ours, smooth
+def felt_at(k: int, height: float, **more: object) -> Measurement:
+    s = STEP * k
+    return Measurement(0.012 * k, np.array([s]), np.array([height]), np.array([[NOISE**2]]), np.array([[0.0, 1.0]]),
+                       "force", at=s, **more)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("surface", "share"), [(waves, 0.4), (bump, 0.6)])
-def test_what_was_felt_is_continued_better_than_by_smoothness_alone(
-    surface: Callable[[Array], Array], share: float
-) -> None:
-    ours, smooth = errors(surface)
-    later = slice(120, None)
-    assert np.sqrt(np.mean(ours[later] ** 2)) < share * np.sqrt(np.mean(smooth[later] ** 2))
+def bump(s: float) -> float:
+    return 2e-3 * float(np.exp(-0.5 * ((s - 0.3) / 0.04) ** 2))
+
+
+@given(st.permutations(range(8)))
+@settings(max_examples=20, deadline=None)
+def test_forces_that_come_late_and_in_any_order_say_the_same(order: list[int]) -> None:
+    """Also where the map across the path has travelled on meanwhile."""
+    x = np.linspace(0.0, 0.5, 100)
+    reference = ReferencePath(np.column_stack([x, 0 * x, 0 * x]))
+
+    def filled(which: list[int], travelled: float) -> DeviationFilter:
+        made = DeviationFilter(SmoothSurface(0.065, PathDeviation(reference, ahead=0.2)), confirm=0)
+        for k in range(100, 104):
+            made.travel(STEP * k)
+            made.update(felt_at(k, bump(STEP * k)))
+        made.travel(travelled)
+        for k in which:
+            made.update(felt_at(104 + k, bump(STEP * (104 + k))))
+        return made
+
+    ahead = np.array([0.28, 0.3])
+    late, straight = filled(order, STEP * 112 + 0.03), filled(sorted(order), STEP * 112 + 0.03)
+    for one, other in zip(late.deviation(ahead), straight.deviation(ahead), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
+
+
+def test_a_bank_finds_the_length_scale_and_says_how_sure_the_height_ahead_is() -> None:
+    rng = np.random.default_rng(5)
+    model, picked, off, stated = SmoothSurface(0.045), [], [], []
+    root = np.linalg.cholesky(model.prior()[1][2:, 2:] + 1e-16 * np.eye(ORDER + 1))
+    F, Q = model.carry(STEP)
+    value, vector = np.linalg.eigh(Q[2:, 2:])
+    driven, x = vector * np.sqrt(np.maximum(value, 0.0)), root @ rng.standard_normal(ORDER + 1)
+    heights = []
+    for _ in range(400):
+        heights.append(x[0])
+        x = F[2:, 2:] @ x + driven @ rng.standard_normal(ORDER + 1)
+    bank = FilterBank([DeviationFilter(one, confirm=0) for one in surfaces(lengths=(0.02, 0.045, 0.15))])
+    for k in range(395):
+        bank.update(felt_at(k, heights[k] + NOISE * rng.standard_normal()))
+        mean, variance = bank.deviation(np.array([STEP * (k + 5)]))
+        picked.append(bank.weights)
+        off.append(mean[0, 1] - heights[k + 5])
+        stated.append(variance[0, 1])
+    assert np.mean(picked[100:], axis=0).argmax() == 1
+    assert np.sqrt(np.mean(np.square(off[100:]) / stated[100:])) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_wrong_stiffness_is_found_and_noise_is_not_taken_for_one() -> None:
+    """The distance that the ratio counts for is the state's: the value felt has the noise in it."""
+    for ratio in (0.0, -0.3, 0.4):
+        rng = np.random.default_rng(7)
+        found = DeviationFilter(SmoothSurface(0.065), biases={"force": (0.3,)}, confirm=0)
+        for k in range(220):
+            height = bump(STEP * k)
+            origin = height + 1.5e-4 * np.sin(0.4 * k)
+            value = origin + (1.0 + ratio) * (height - origin) + 2 * NOISE * rng.standard_normal()
+            found.update(felt_at(k, value, bias=np.zeros((1, 1)), origin=np.array([origin])))
+        estimate, sigma = found.bias("force")
+        assert estimate[0] == pytest.approx(ratio, abs=0.06)
+        assert sigma[0] < 0.06
 
 
 def test_a_tip_at_rest_says_where_it_is_and_nothing_else() -> None:
-    forecast = SurfaceForecast((0.3, 0.002))
-    for _ in range(40):
-        forecast.add(0.0, 0.003, NOISE**2, np.zeros(2))
-    np.testing.assert_allclose(forecast.height(np.array([0.0, 0.005])), 0.003, atol=2e-4)
+    bank = surface_filter((0.3, 0.002, 0.3))
+    for k in range(40):
+        bank.update(Measurement(0.012 * k, np.zeros(1), np.array([0.003]), np.array([[NOISE**2]]),
+                                np.array([[0.0, 1.0]]), "force", np.zeros((1, 3)), at=0.0))
+    np.testing.assert_allclose(bank.mean(np.array([0.0, 0.005]))[:, 1], 0.003, atol=2e-4)
 
 
 def test_what_friction_hides_as_the_tip_begins_to_slide_is_no_slope() -> None:
     """Level ground; from the first tenth of a millimetre on friction makes it look 90 µm lower."""
-    forecasts = SurfaceForecast((0.3, 0.002)), SurfaceForecast((0.3, 0.002, 0.3))
+    banks = surface_filter((0.3, 0.002, 1e-6)), surface_filter((0.3, 0.002, 0.3))
     for k in range(60):
         s = max(0.0, 1e-4 * (k - 30))
         slides = 3e-4 * -np.expm1(-s / 1e-4)
-        for forecast, wrong in zip(forecasts, ([0.0, 0.0], [0.0, 0.0, slides]), strict=True):
-            forecast.add(s, -0.3 * slides, NOISE**2, np.array(wrong))
-    without, told = (abs(float(one.height(np.array([0.008]))[0])) for one in forecasts)
+        for bank in banks:
+            bank.update(Measurement(0.012 * k, np.array([s]), np.array([-0.3 * slides]), np.array([[1.2e-5**2]]),
+                                    np.array([[0.0, 1.0]]), "force", np.array([[0.0, 0.0, slides]]), at=s))
+    without, told = (abs(float(one.mean(np.array([0.008]))[0, 1])) for one in banks)
     assert told < 0.5 * without
-
-
-# Variances of waves: the same as with a likelihood that is computed anew for each change.
-
-WAVELENGTHS = 1.0 / np.linspace(1.0 / 0.8, 1.0 / 0.08, 40)
-LARGEST = 1e-4
-
-
-def wave_columns(s: Array) -> Array:
-    phase = 2 * np.pi / WAVELENGTHS * s[:, None]
-    return np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-
-
-@dataclass(frozen=True)
-class Felt:
-    """Two waves with noise, and what a regression makes of them."""
-
-    s: Array
-    value: Array
-    noise: float
-
-    def covariance(self, gamma: Array) -> Array:
-        return (wave_columns(self.s) * np.tile(gamma, 2)) @ wave_columns(self.s).T + self.noise**2 * np.eye(len(self.s))
-
-    def likelihood(self, gamma: Array) -> float:
-        K = self.covariance(gamma)
-        return -0.5 * float(self.value @ np.linalg.solve(K, self.value) + np.linalg.slogdet(K)[1])
-
-    def likelier(self, gamma: Array) -> Array:
-        inverse = np.linalg.inv(self.covariance(gamma))
-        return likelier_variances(gamma, wave_columns(self.s), inverse, inverse @ self.value, LARGEST)
-
-
-@pytest.fixture(params=[1e-5, 1e-7], ids=["noise 10 µm", "noise 0.1 µm"])
-def felt(request: pytest.FixtureRequest) -> Felt:
-    s = np.linspace(0.0, 0.5, 60)
-    value = 3e-3 * np.sin(2 * np.pi * s / WAVELENGTHS[11]) + 5e-4 * np.cos(2 * np.pi * s / WAVELENGTHS[22])
-    return Felt(s, value + request.param * np.random.default_rng(1).standard_normal(len(s)), request.param)
-
-
-def test_changes_without_a_new_inverse_are_those_with_one(
-    felt: Felt, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    start = np.full(len(WAVELENGTHS), 1e-8)
-    together = felt.likelier(start)
-    monkeypatch.setattr(surface_forecast, "MOST_WAVES", 1)
-    alone = start
-    for _ in range(MOST_WAVES):
-        alone = felt.likelier(alone)
-    assert np.count_nonzero(together != start) > 2
-    np.testing.assert_allclose(together, alone, rtol=1e-3, atol=1e-14)
-
-
-def test_each_change_gains_likelihood(felt: Felt, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(surface_forecast, "MOST_WAVES", 1)
-    gamma = np.full(len(WAVELENGTHS), 1e-8)
-    for _ in range(MOST_WAVES):
-        changed = felt.likelier(gamma)
-        if np.array_equal(changed, gamma):
-            break
-        assert felt.likelihood(changed) > felt.likelihood(gamma) + BETTER
-        gamma = changed

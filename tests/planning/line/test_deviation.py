@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from planning.line.deviation_model import ConstantDeviation, DeviationModel, PathDeviation, SlowlyVaryingDeviation
-from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused, Measurement
 from planning.path.reference import ReferencePath
 from tests.planning.cell import reference
 

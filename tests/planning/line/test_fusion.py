@@ -11,7 +11,8 @@ from scipy.stats import chi2
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import ConstantDeviation, DeviationModel, PathDeviation, SlowlyVaryingDeviation
-from planning.line.fusion import DeviationFilter, Fused, Measurement
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused, Measurement
 from tests.planning.cell import reference
 
 NOISE = 5e-5

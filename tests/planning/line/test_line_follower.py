@@ -11,8 +11,9 @@ from ideal_robot.errors import InputError
 from planning import LineLostError, LineNeverSeenError, OutOfReachError, PlanningError
 from planning.line.deviation_model import PathDeviation
 from planning.line.direct_feedback import DirectFeedback
-from planning.line.fusion import DeviationFilter, Measurement
+from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower
+from planning.line.measurement import Measurement
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import JointPath, Limits, SpeedProfile
 from tests.planning.cell import (

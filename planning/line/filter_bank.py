@@ -1,0 +1,76 @@
+"""Filters with different models on the same measurements, weighed by how likely each makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from planning.line.deviation_model import DeviationModel
+from planning.line.fusion import DeviationFilter
+from planning.line.measurement import Fused, Measurement
+
+FORGETS = 0.1
+"""Way over which what was likely before counts for less [m]: a surface changes its shape."""
+
+
+class FilterBank:
+    r"""Multiple models (Magill 1965).
+
+    What ``filterpy``'s ``MMAEFilterBank`` does, with gates, late measurements and forgetting.
+
+    .. math:: p_i \propto \exp \sum_k e^{-(s - s_k) / s_f} \ln p(z_k \mid i), \qquad
+              \Delta x_r = \sum_i p_i\, \Delta x_{r,i}
+
+    Args:
+        members: filters of the same directions and sensors.
+        forgets: s_f [m].
+    """
+
+    def __init__(self, members: Sequence[DeviationFilter], forgets: float = FORGETS) -> None:
+        self.members, self._forgets = list(members), forgets
+        self._log, self._s = np.zeros(len(self.members)), 0.0
+
+    @property
+    def model(self) -> DeviationModel:
+        """Of the likeliest member."""
+        return self.members[int(np.argmax(self._log))].model
+
+    @property
+    def weights(self) -> Array:
+        """Probabilities of the members."""
+        weights = np.exp(self._log - self._log.max())
+        return np.asarray(weights / weights.sum())
+
+    def travel(self, s: float) -> None:
+        """Moves all states along with the arm, which is at arc length ``s`` [m]."""
+        for member in self.members:
+            member.travel(s)
+
+    def update(self, measurement: Measurement) -> Fused:
+        """Fuses one measurement in every member; what became of it in the likeliest."""
+        every = [member.update(measurement) for member in self.members]
+        if measurement.at is not None and measurement.at > self._s:
+            self._log *= np.exp((self._s - measurement.at) / self._forgets)
+            self._s = measurement.at
+        self._log += [one.likelihood for one in every]
+        self._log -= self._log.max()
+        return every[int(np.argmax(self._log))]
+
+    def deviation(self, s: Array, t: float | None = None) -> tuple[Array, Array]:
+        """See ``DeviationFilter.deviation``; the variance has what the members differ by in it."""
+        every = [member.deviation(s, t) for member in self.members]
+        means, variances = (np.array(part) for part in zip(*every, strict=True))
+        mean = np.tensordot(self.weights, means, 1)
+        return mean, np.tensordot(self.weights, variances + (means - mean) ** 2, 1)
+
+    def mean(self, s: Array) -> Array:
+        """The deviation alone, ``(m, directions)`` [m]."""
+        return np.asarray(np.tensordot(self.weights, [member.mean(s) for member in self.members], 1))
+
+    def bias(self, sensor: str) -> tuple[Array, Array]:
+        """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
+        means, sigmas = (np.array(part) for part in zip(*[one.bias(sensor) for one in self.members], strict=True))
+        mean = self.weights @ means
+        return mean, np.sqrt(self.weights @ (sigmas**2 + (means - mean) ** 2))
