@@ -80,7 +80,7 @@ def arms_models(individuals: str = "1-10", seeds: str = "1-3") -> None:
         row(title, *_mm(values))
 
 
-def arms_adapted(individuals: str = "1-10", seeds: str = "6-13") -> None:
+def arms_adapted(individuals: str = "1-20", seeds: str = "6-8") -> None:
     """Each arm with its own model, adapted over not adapted: how much worse where nothing is to be adapted.
 
     With the standard error of the ratio over the seeds.
