@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import pandas as pd
 
@@ -35,6 +35,18 @@ FIGURES = {"speed_m_s": "m/s", "control_error_mm.mean": "mean mm", "control_erro
 """Figures of a run that the table shows where the kind of scene has them, and the columns' titles."""
 _LARGEST = 1e15
 """Numbers beyond are no figures."""
+
+
+class Kept(Protocol):
+    """Where answers are kept as they come, so that a sweep that was ended can go on."""
+
+    answers: dict[Hashable, dict[str, Any]]
+
+    def add(self, job: dict[str, Any], answer: dict[str, Any]) -> None:
+        """Keeps an answer; it is on the disk when this returns."""
+
+    def close(self) -> None:
+        """Called when the sweep has ended, in whatever way."""
 
 
 class SweepFile:
@@ -96,6 +108,10 @@ class SweepFile:
                                                    "this one") from error
 
 
+    def close(self) -> None:
+        """Nothing is left to be done."""
+
+
 def _checked(answer: dict[str, Any]) -> dict[str, Any]:
     """An answer that tables can be made of; raises an error of Python for any other."""
     for key, kinds in (("scene", str), ("method", str | None), ("seed", int | None), ("failure", str | None)):
@@ -119,7 +135,7 @@ def _append(descriptor: int, line: bytes) -> None:
     os.fsync(descriptor)
 
 
-def key_of(job: dict[str, Any]) -> Hashable:
+def key_of(job: dict[str, Any]) -> str:
     """What tells jobs apart."""
     return json.dumps(plain(job), sort_keys=True)
 
@@ -182,7 +198,7 @@ def play(job: Job) -> dict[str, Any]:
 
 
 def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
-          done: Callable[[int], None] = lambda count: None, file: SweepFile | None = None,
+          done: Callable[[int], None] = lambda count: None, file: Kept | None = None,
           function: Callable[[Job], dict[str, Any]] = play) -> list[dict[str, Any]]:
     """Plays all jobs and returns their answers in the order of ``work``.
 
@@ -210,16 +226,20 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
     tasks = [work[index] for index in left]
     count = len(work) - len(left)
     coming = work_off_on(dask, tasks, function) if dask else work_off(tasks, function, max(1, processes))
-    for place, answer in coming:
-        index = left[place]
-        if isinstance(answer, LostError):
-            answers[index] = {**_named(work[index]), "not_played": str(answer), "failure": f"not played: {answer}"}
-            continue
-        answers[index] = answer
+    try:
+        for place, answer in coming:
+            index = left[place]
+            if isinstance(answer, LostError):
+                answers[index] = {**_named(work[index]), "not_played": str(answer), "failure": f"not played: {answer}"}
+                continue
+            answers[index] = answer
+            if file is not None:
+                file.add(described[index], answer)
+            count += 1
+            done(count)
+    finally:
         if file is not None:
-            file.add(described[index], answer)
-        count += 1
-        done(count)
+            file.close()
     return [answer for answer in answers if answer is not None]
 
 

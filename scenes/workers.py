@@ -6,6 +6,7 @@ scheduler, or all of them.
 
 from __future__ import annotations
 
+import itertools
 import logging
 import multiprocessing
 import os
@@ -139,16 +140,27 @@ def _end_with(parent: int) -> None:
 
 PATIENCE = 60.0
 """How long a cluster may be without a worker, or its scheduler without an answer, while tasks are left [s]."""
+BATCH = 1.0
+"""How long the tasks that are handed over together take [s]: a hundred times what Dask spends on them."""
+_MOST_OF_A_BATCH = 100
+_AHEAD = 4
+"""Batches handed over for each worker: the next ones are there when one is done, and the scheduler's memory is flat."""
+_LOSSES = 2
+"""How often a task is begun alone whose worker is lost each time."""
 _ANSWERS = 5.0
 """How long the scheduler has to say which workers there are [s]; it is asked as often."""
 _FETCHED = 1.0
 """How long a result may take to come, which is a few kilobytes [s]; later it is asked for again."""
 _RESULTS_LOOK = 0.02
-"""How often it is looked for results [s]."""
+"""How often it is looked for results, and for a scheduler that has gone [s]."""
 
 
 def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], Any]) -> Iterator[tuple[int, Any]]:
-    """Yields index and result of each task as they are done.
+    """Yields index and result of each task as they are done, each once.
+
+    Short tasks are handed over in batches. Where a batch's worker is lost each time, its tasks are begun alone after
+    all others, so that the one that ends its worker costs no other. A scheduler that has gone is waited for, and a new
+    one at the same address gets what is left.
 
     Args:
         address: of a running Dask scheduler.
@@ -166,21 +178,130 @@ def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], An
     except ImportError as error:
         raise InputError("needs the package dask[distributed] (pip install 'ideal-robot[cluster]')",
                          field="--dask") from error
+    work, begun = _Handed(tasks, function), False
+    patience = Deadline.within(PATIENCE)
     with _quiet():
+        while work.left and not (begun and patience.passed):
+            try:
+                client = Client(address, timeout="10s" if not begun else f"{_ANSWERS}s")
+            except (OSError, ValueError, TimeoutError) as error:
+                if not begun:
+                    raise InputError(f"no Dask scheduler answers ({error})", field="--dask", value=address) from error
+                time.sleep(_RESULTS_LOOK)
+                continue
+            begun = True
+            try:
+                yield from work.done_by(client)
+            except _GoneError:
+                patience = Deadline.within(PATIENCE)
+                work.again()
+                continue
+            finally:
+                with suppress(Exception):  # a scheduler that has gone has nothing to cancel
+                    client.cancel(list(work.pending))
+                with suppress(Exception):
+                    client.close(timeout=_ANSWERS)
+            break
+    for index in sorted(work.left):
+        yield index, LostError(f"the cluster was without a worker for {PATIENCE:.0f} s")
+
+
+class _GoneError(Exception):
+    """The scheduler has gone."""
+
+
+def _batch(function: Callable[[Any], Any], tasks: list[Any]) -> tuple[float, list[Any]]:
+    """On a worker: the time that a task takes [s], and the results."""
+    start = time.perf_counter()
+    results = [function(task) for task in tasks]
+    return (time.perf_counter() - start) / len(tasks), results
+
+
+class _Handed:
+    """Tasks that are handed to a cluster, and what has become of them."""
+
+    def __init__(self, tasks: Sequence[Any], function: Callable[[Any], Any]) -> None:
+        self.tasks, self.function = tasks, function
+        self.left = set(range(len(tasks)))
+        self.pending: dict[Any, list[int]] = {}
+        self._queue: deque[list[int]] = deque()
+        self._suspects: deque[int] = deque()
+        self._next = iter(range(len(tasks)))
+        self._losses = [0] * len(tasks)
+        self._size = 1
+
+    def again(self) -> None:
+        """What was with a scheduler that has gone is handed over once more."""
+        self._queue.extend(self.pending.values())
+        self.pending = {}
+
+    def done_by(self, client: Client) -> Iterator[tuple[int, Any]]:
+        """Index and result as they come; raises ``_GoneError``. What stays in ``left`` at the end had no worker."""
+        from dask.distributed import as_completed
+
+        coming = as_completed()
+        workers = _workers(client)
+        patience, asked = Deadline.within(PATIENCE), Deadline.within(_ANSWERS)
+        while self.left:
+            while len(self.pending) < _AHEAD * max(workers, 1) and (batch := self._taken()):
+                future = client.submit(_batch, self.function, [self.tasks[i] for i in batch], pure=False)
+                self.pending[future] = batch
+                coming.add(future)
+            for future in coming.next_batch(block=False) if coming.has_ready() else ():
+                found = self._fetched(future)
+                if found is None:  # its worker has gone with it: another one does it again
+                    coming.add(future)
+                    continue
+                patience = Deadline.within(PATIENCE)
+                yield from found
+            if client.status != "running":
+                raise _GoneError
+            if asked.passed:
+                workers = _workers(client)
+                patience = Deadline.within(PATIENCE) if workers else patience
+                asked = Deadline.within(_ANSWERS)
+            if patience.passed:
+                return
+            time.sleep(_RESULTS_LOOK)
+
+    def _taken(self) -> list[int]:
+        batch = self._queue.popleft() if self._queue else list(itertools.islice(self._next, self._size))
+        if batch or self.pending or not self._suspects:
+            return batch
+        # With nothing beside it: a worker that dies counts for all that it was given.
+        return [self._suspects.popleft()]
+
+    def _fetched(self, future: Any) -> list[tuple[int, Any]] | None:
+        """Indices and results of a batch; empty where it was handed over anew, None where it is not there yet."""
+        from dask.distributed import KilledWorker
+
+        batch = self.pending[future]
+        if future.status == "cancelled":
+            raise _GoneError
         try:
-            client = Client(address, timeout="10s")
-        except (OSError, ValueError, TimeoutError) as error:
-            raise InputError(f"no Dask scheduler answers ({error})", field="--dask", value=address) from error
-        pending: dict[Any, int] = {}
-        try:
-            # A task whose worker is lost goes to another one; Dask gives up after its own count of losses.
-            pending.update({client.submit(function, task, pure=False, retries=2): index
-                            for index, task in enumerate(tasks)})
-            yield from _finished(client, pending)
-        finally:
-            with suppress(Exception):  # a scheduler that has gone has nothing to cancel
-                client.cancel(list(pending))
-            client.close(timeout=_ANSWERS)
+            seconds, results = future.result(timeout=_FETCHED)
+        except TimeoutError:
+            return None
+        except (KilledWorker, MemoryError) as error:
+            del self.pending[future]
+            return self._lost(batch, f"its worker was lost each time ({type(error).__name__})")
+        except Exception as error:  # whatever else a cluster makes of a task
+            del self.pending[future]
+            return self._lost(batch, f"the cluster lost it ({type(error).__name__})")
+        del self.pending[future]
+        self._size = int(min(max(BATCH / max(seconds, 1e-6), 1.0), _MOST_OF_A_BATCH))
+        found = [(index, result) for index, result in zip(batch, results, strict=True) if index in self.left]
+        self.left -= set(batch)
+        return found
+
+    def _lost(self, batch: list[int], why: str) -> list[tuple[int, Any]]:
+        """Tasks of a lost batch begin alone, after all others; one that was lost alone too often is given up."""
+        for index in batch:
+            self._losses[index] += not self.pending
+        given_up = [index for index in batch if len(batch) == 1 and self._losses[index] >= _LOSSES]
+        self._suspects.extend(index for index in batch if index not in given_up)
+        self.left -= set(given_up)
+        return [(index, LostError(why)) for index in given_up]
 
 
 @contextmanager
@@ -191,35 +312,6 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logging.disable(logging.NOTSET)
-
-
-def _finished(client: Client, pending: dict[Any, int]) -> Iterator[tuple[int, Any]]:
-    """Results as they come; of all that is left ``LostError`` where nobody is left to do it."""
-    from dask.distributed import as_completed
-
-    coming = as_completed(list(pending))
-    left = set(pending)
-    patience, asked = Deadline.within(PATIENCE), Deadline.within(_ANSWERS)
-    while left:
-        for future in coming.next_batch(block=False) if coming.has_ready() else ():
-            try:
-                result = future.result(timeout=_FETCHED)
-                patience = Deadline.within(PATIENCE)
-            except TimeoutError:  # its worker has gone with it: another one does it again
-                coming.add(future)
-                continue
-            except Exception as error:  # whatever a cluster makes of lost workers, or of a scheduler that has gone
-                result = LostError(f"the cluster lost it ({type(error).__name__})")
-            left.discard(future)
-            yield pending[future], result
-        if asked.passed:
-            patience = Deadline.within(PATIENCE) if _workers(client) else patience
-            asked = Deadline.within(_ANSWERS)
-        if patience.passed:
-            for future in left:
-                yield pending[future], LostError(f"the cluster was without a worker for {PATIENCE:.0f} s")
-            return
-        time.sleep(_RESULTS_LOOK)
 
 
 def _workers(client: Client) -> int:

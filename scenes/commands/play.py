@@ -142,15 +142,17 @@ def sweep(
     dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
     lines: Annotated[Path | None, typer.Option(help="Append each answer to this file as it comes (JSON "
                                                     "lines).")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the file of --lines: runs that it holds are not "
+    runs: Annotated[Path | None, typer.Option(help="Folder of a Parquet data set of the answers, partitioned by scene, "
+                                                   "which grows as they come and can be queried meanwhile.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what --lines or --runs hold: such runs are not "
                                                           "played again.")] = False,
     json: Annotated[Path | None, typer.Option(help="Write all answers as JSON to this file.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the table as CSV to this file.")] = None,
 ) -> None:
     """Plays many runs and prints one table of their errors; a run that fails is a row, not the end.
 
-    A run whose process or worker was lost is not played: it stands in the table, not in the file of `--lines`, and
-    `--resume` plays it. Exit code 1 where runs were not played, or none succeeded.
+    A run whose process or worker was lost is not played: it stands in the table, not in what `--lines` or `--runs`
+    keep, and `--resume` plays it. Exit code 1 where runs were not played, or none succeeded.
 
     Example: `ideal-robot sweep straight --speeds 0.4,0.7 --seeds 1-2 --lines runs.jsonl --resume`
     """
@@ -158,15 +160,19 @@ def sweep(
     from ideal_robot.whole_file import inert, whole_files
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
-    from scenes.sweep import SweepFile, jobs, sweep
+    from scenes.run_set import RunSet
+    from scenes.sweep import Kept, SweepFile, jobs, sweep
 
     work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
                 numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),
                 whole_numbers(individuals, "--individuals"), world)
-    check_outputs(json=json, csv=csv, lines=lines)
-    if resume and lines is None:
-        raise InputError("needs --lines FILE, the file to go on with", field="--resume")
-    file = None if lines is None else SweepFile(lines, resume=resume)
+    check_outputs({"--runs": runs}, json=json, csv=csv, lines=lines)
+    if resume and lines is None and runs is None:
+        raise InputError("needs --lines FILE or --runs FOLDER, what to go on with", field="--resume")
+    if lines is not None and runs is not None:
+        raise InputError("keeps the same answers as --lines; give one of them", field="--runs", value=str(runs))
+    file: Kept | None = None if lines is None else SweepFile(lines, resume=resume)
+    file = file if runs is None else RunSet(runs, resume=resume)
     with progress_bar(f"{len(work)} runs") as progress:
         answers = sweep(work, processes=processes, dask=dask, file=file,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))

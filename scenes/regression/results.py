@@ -181,6 +181,8 @@ def _of_table(path: Path) -> pd.DataFrame:
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read as a table of runs ({str(error)[:200]})", file=path) from error
     frame = frame.rename(columns={title: name for name, title in FIGURES.items()})
+    if "scene" not in frame and path.parent.name.startswith("scene="):
+        frame["scene"] = path.parent.name.removeprefix("scene=")
     if "scene" not in frame:
         raise InputError("has no column scene; give a table that sweep or check has written", file=path)
     return table(frame.astype(object).where(frame.notna(), None).to_dict("records"))

@@ -5,17 +5,21 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from ideal_robot.errors import InputError
-from scenes import workers
+from scenes import run_set, workers
 from scenes.commands.common import numbers, whole_numbers
+from scenes.regression.results import read_results
+from scenes.run_set import RunSet
 from scenes.sweep import Job, SweepFile, jobs, play, sweep
 from scenes.workers import LostError, work_off
 from tests.sources import ROOT
@@ -186,8 +190,10 @@ def _waits(job: Job) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_what_a_dead_scheduler_has_lost_is_played_by_the_next_sweep(tmp_path: Path) -> None:
+def test_what_a_dead_scheduler_has_lost_is_played_by_the_next_sweep(tmp_path: Path,
+                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("dask.distributed")
+    monkeypatch.setattr(workers, "PATIENCE", 8.0)
     lines, told, dask = tmp_path / "lines.jsonl", tmp_path / "scheduler.json", [sys.executable, "-m", "dask"]
     scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
                                   "--scheduler-file", str(told)], stderr=subprocess.DEVNULL)
@@ -224,3 +230,89 @@ def test_dask_goes_on_when_a_worker_is_killed(tmp_path: Path) -> None:
 def _killed_once_job(job: Job) -> dict[str, Any]:
     """Kills its worker the first time it is called for the folder that stands in place of the method."""
     return {"scene": job.scene, "failure": None if _killed_once(str(job.method)) == "done" else "?"}
+
+
+# A Parquet data set that grows while the sweep runs; a cluster that loses its scheduler.
+
+def test_a_data_set_grows_can_be_queried_and_gone_on_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_set, "PART", 2)
+    folder, seen = tmp_path / "runs", []
+    rows = sweep(WORK[:3], processes=1, function=measured, file=RunSet(folder, resume=False),
+                 done=lambda count: seen.append(sum(len(pd.read_parquet(path)) for path in folder.rglob("*.parquet"))))
+    assert seen == [0, 2, 2]
+    assert read_results(folder).runs["control_error_mm.mean"].tolist() == [1 / 3, 2 / 3, 1 / 3]
+    with pytest.raises(InputError, match="--resume"):
+        RunSet(folder, resume=False)
+    again = sweep(WORK, processes=1, function=_always_killed_but_last, file=RunSet(folder, resume=True))  # type: ignore[arg-type]
+    assert again[:3] == rows
+    assert len(RunSet(folder, resume=True).answers) == 4
+
+
+def measured(job: Job) -> dict[str, Any]:
+    return {**answer(job), "control_error_mm": {"mean": (job.seed or 0) / 3}}
+
+
+def _always_killed_but_last(job: Job) -> dict[str, Any]:
+    return measured(job) if (job.scene, job.seed) == ("straight", 2) else _always_killed(job)  # type: ignore[return-value]
+
+
+def test_what_a_killed_sweep_left_between_tail_and_part_is_there_once(tmp_path: Path) -> None:
+    folder = tmp_path / "runs"
+    first = RunSet(folder, resume=False)
+    for seed in (1, 2):
+        first.add({"seed": seed}, measured(Job("line", None, None, seed)))
+    tail = (folder / "open.jsonl").read_bytes()
+    first.close()
+    (folder / "open.jsonl").write_bytes(tail)
+    second = RunSet(folder, resume=True)
+    assert len(second.answers) == 2
+    second.close()
+    assert len(read_results(folder).runs) == 2
+    (folder / "scene=line" / "part-0.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="part-0"):
+        RunSet(folder, resume=True)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_comes_back_gets_what_is_left_and_a_poisoned_task_costs_no_other(tmp_path: Path) -> None:
+    pytest.importorskip("dask.distributed")
+    told, dask, port = tmp_path / "scheduler.json", [sys.executable, "-m", "dask"], free_port()
+    at = ["--host", "127.0.0.1", "--port", str(port), "--no-dashboard", "--scheduler-file", str(told)]
+    own = {**os.environ, "PYTHONPATH": str(ROOT), "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+
+    def begun() -> list[subprocess.Popen[bytes]]:
+        return [subprocess.Popen([*dask, *words], stderr=subprocess.DEVNULL, env=own) for words in
+                (["scheduler", *at], ["worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1", "--no-dashboard"])]
+
+    started = begun()
+
+    def restarted(count: int) -> None:
+        if count == 20:
+            started[0].kill()
+            started[1].terminate()
+            started.extend(begun())
+
+    try:
+        while not told.exists():
+            time.sleep(0.1)
+        rows = sweep(jobs(["line"], seeds=range(40)), dask=f"tcp://127.0.0.1:{port}", function=poisoned, done=restarted)
+    finally:
+        for process in started:
+            process.terminate()
+            process.wait(20)
+    assert [row["seed"] for row in rows if "not_played" in row] == [30]
+    assert [row["control_error_mm"]["mean"] for row in rows if "not_played" not in row] == [
+        seed / 3 for seed in range(40) if seed != 30]
+
+
+def poisoned(job: Job) -> dict[str, Any]:
+    if job.seed == 30:
+        os._exit(1)
+    time.sleep(0.05)
+    return measured(job)
+
+
+def free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
