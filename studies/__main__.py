@@ -43,6 +43,7 @@ GROUPS = {
         "limits": "limits", "fuzz": "broken", "kill": "broken", "rsi-packets": "packets", "packets": "packets",
         "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults",
+        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback",
     },
 }
