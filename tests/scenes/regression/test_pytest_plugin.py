@@ -75,9 +75,10 @@ def test_from_the_wheel(installed: Path, folder: Path, words: tuple[str, ...]) -
     assert "2 passed, 2 errors" in same.stdout, same.stdout
     for file in kept:
         told = json.loads(file.read_text())
+        # By as much for each seed: three seeds tell no change that scatters with them.
+        by = 0.2 * min(run["control_error_mm.mean"] for run in told["runs"])
         for run in told["runs"]:
-            for name in ("mean", "p95", "max"):
-                run[f"control_error_mm.{name}"] *= 0.8
+            run["control_error_mm.mean"] -= by
         file.write_text(json.dumps(told))
     worse = run_tests(folder, installed, *words)
     assert "Path error: worse" in worse.stdout
