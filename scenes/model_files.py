@@ -33,7 +33,8 @@ def model_at(wanted: str, robot: Robot, source: str | None = None) -> Model:
     if not os.path.isfile(path):
         raise InputError("no such model file; give the path of one that identify or prepare wrote, or shipped"
                          if wanted != SHIPPED else
-                         f"no model is shipped for {robot.name}; identify one and give its path", file=source,
+                         f'no model is shipped for {robot.name}; model = "own" has it identified by '
+                         "motions of the scene's arm, or identify one and give its path", file=source,
                          field="model", value=wanted)
     model = _load(path, path.stat().st_mtime_ns)
     model.require_arm(robot, file=path)

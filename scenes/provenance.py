@@ -12,7 +12,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.model_files import shipped_model
 from scenes.models import cache_name
 from scenes.scene_files.scene import OWN, SHIPPED, Scene
@@ -75,7 +75,7 @@ def identity(scene: Scene) -> dict[str, str | None]:
     asked = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
     if scene.model == OWN:
-        model: str | None = cache_name(Robot.load(scene.robot), world)
+        model: str | None = cache_name(arm_of(scene.robot), world)
     else:
         path = shipped_model(scene.robot) if scene.model == SHIPPED else Path(scene.model)
         model = hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
 from scenes.methods import ADAPTED, IDEAL
@@ -124,7 +124,7 @@ def _whole(text: str) -> list[int]:
 
 def _model(scene: LineScene) -> str:
     """The model that the scene's arm gave by motions of its own."""
-    return own_model(scene, Robot.load(scene.robot))
+    return own_model(scene, arm_of(scene.robot))
 
 
 def _error(scene: LineScene, seed: int, method: str) -> tuple[float, float, float]:

@@ -20,6 +20,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
+from scenes.arms import arm_of
 from scenes.closing.result import Closing
 from scenes.line import close_loop as line_closing
 from scenes.models import model_for
@@ -164,7 +165,7 @@ def _closed_line(rng: np.random.Generator, right: bool, measured: str) -> dict[s
 
 def _closed_path(rng: np.random.Generator, kind: str, measured: str, individuals: int, rounds: int) -> dict[str, Any]:
     scene = _drawn_scene(rng, individuals)
-    robot = Robot.load(scene.robot)
+    robot = arm_of(scene.robot)
     cell = set_up(scene, delay=False, model=model_for(scene, robot))
     result, misfit = _with_misfit(rng, kind, scene, cell, measured, rounds)
     values = result.json()

@@ -14,6 +14,7 @@ from ideal_robot.feedforward.base import Feedforward
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.commands.common import whole_numbers
 from scenes.methods import ADAPTED, IDEAL, NONE
 from scenes.metrics import PathErrors
@@ -55,7 +56,7 @@ def paths(individuals: str = "1-10", scenes: str = SCENES) -> None:
         for j, name in enumerate(names):
             scene = chosen(scene_of(PathScene, name), individual=individual)
             other = chosen(scene_of(PathScene, name), individual=individual % 10 + 1)
-            stranger = scene.changed(model=own_model(other, Robot.load(scene.robot)))
+            stranger = scene.changed(model=own_model(other, arm_of(scene.robot)))
             before = run(scene, method=NONE).errors
             found[i, j] = [_reduction(before, run(one, method=method).errors)
                            for one in (scene, stranger) for method in (IDEAL, ADAPTED)]
@@ -95,7 +96,7 @@ def warm_up(minutes: float = 60.0, compression: float = 20.0, individuals: str =
 
 
 def _hour(scene: PathScene, minutes: float, compression: float, figure: Path | None) -> None:
-    robot = Robot.load(scene.robot)
+    robot = arm_of(scene.robot)
     world = World.from_table(robot.name, scene.arm_world).replace(
         correction_delay=False, start_temperature=22.0, time_compression=compression)
     path = joint_path(scene, robot, world.t_ipo)

@@ -7,7 +7,9 @@ whatever is found can be played.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +17,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics import base_parameters, full_regressor
 from ideal_robot.errors import InputError
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot, spread_postures
 
 
@@ -77,12 +80,25 @@ def clear_of_obstacles(robot: Robot, q: Array, workspace: Workspace) -> bool:
         q: postures ``(N, n)`` [rad].
         workspace: floor and base column.
     """
+    return obstacle(robot, q, workspace) is None
+
+
+def obstacle(robot: Robot, q: Array, workspace: Workspace) -> str | None:
+    """What the arm meets in postures ``(N, n)``, with the option that moves it; None for nothing.
+
+    Args:
+        robot: the arm.
+        q: postures ``(N, n)`` [rad].
+        workspace: floor and base column.
+    """
     data, w = robot.pinocchio.createData(), workspace
     for q_k in q:
         tip, heights = _points(robot, data, q_k, w.beyond)
-        if min([tip[2], *heights]) < w.z_min or (tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min):
-            return False
-    return True
+        if min([tip[2], *heights]) < w.z_min:
+            return f"the tool or a joint would be lower than z_min = {w.z_min:.3g} m (--z-min)"
+        if tip[2] < w.z_free and np.hypot(tip[0], tip[1]) < w.r_min:
+            return f"the tool would be nearer to the base than r_min = {w.r_min:.3g} m (--r-min)"
+    return None
 
 
 def _points(robot: Robot, data: pin.Data, q: Array, beyond: float) -> tuple[Array, list[float]]:
@@ -96,6 +112,10 @@ LONGEST = 3600.0
 """Longest period of a motion [s]."""
 LONGEST_APPROACH = 600.0
 """Longest way from rest to where a motion begins [s]."""
+_WIDE = (1.0, 0.8, 0.6, 0.45)
+"""Shares of the joints' travel that are tried …"""
+_NARROW = (0.45, 0.3, 0.2, 0.12)
+"""… and where all of them hit something."""
 _LEAST_TRAVEL = 1e-3
 """A joint with less between its limits does not move [rad or m]: limits that nobody filled in are both 0."""
 _AWAY = 50.0
@@ -163,17 +183,25 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
             return None
         return replace(motion, condition_number=_condition(robot, independent, *motion.at(search.t)))
 
+    def better(motion: FourierMotion | None, best: FourierMotion | None) -> TypeGuard[FourierMotion]:
+        return motion is not None and (best is None or motion.condition_number < best.condition_number) \
+            and search.free(motion)
+
     best: FourierMotion | None = None
-    for _ in range(trials):
-        motion = scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)))
-        if motion is not None and (best is None or motion.condition_number < best.condition_number):
-            best = motion
+    for centre in (None, None, robot.home):
+        for _ in range(trials):
+            motion = scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)), centre)
+            if better(motion, best):
+                best = motion
+        if best is not None:
+            break
+        # Joints that turn far take the arm below the floor: smaller motions, at last where it stands already.
+        search.narrow(widened=workspace is None)
     if best is None:
-        raise InputError("no motion within position and workspace limits was found; relax the workspace",
-                         field="workspace")
+        raise InputError(f"no motion within the limits was found: {search.in_the_way()}", field="workspace")
     for _ in range(refinements):
         motion = scaled(_changed(best, rng), best.centre)
-        if motion is not None and motion.condition_number < best.condition_number:
+        if better(motion, best):
             best = motion
     return best
 
@@ -215,6 +243,7 @@ class MotionSpace:
         self.reach_high = np.minimum(q_max - 0.5 * (1 - travel) * (q_max - q_min), 1.2 * np.pi)
         self.v_max = speed * np.where(np.isfinite(robot.v_max), robot.v_max, 2.0)
         self.a_max = acceleration * np.where(np.isfinite(robot.a_max), robot.a_max, 10.0)
+        self._shrinks, self._shapes, self._refused = _WIDE, Shapes(robot), Counter[str]()
         self.t = np.linspace(0.0, period, 120, endpoint=False)
         self.t_fine = np.linspace(0.0, period, 40 * harmonics, endpoint=False)
 
@@ -237,7 +266,7 @@ class MotionSpace:
         extent = np.maximum(0.5 * np.ptp(q, axis=0), 1e-9)
         ratio = np.min([self.half / extent, self.v_max / np.abs(qd).max(axis=0), self.a_max / np.abs(qdd).max(axis=0)],
                        axis=0)
-        for shrink in (1.0, 0.8, 0.6, 0.45):
+        for shrink in self._shrinks:
             gain = ratio * shrink
             room_low = self.reach_low + gain * extent
             room_high = np.maximum(self.reach_high - gain * extent, room_low)
@@ -246,17 +275,39 @@ class MotionSpace:
             # ``centre`` is where the cosines and sines turn about; the extremes lie about it unevenly.
             candidate = FourierMotion(at - gain * middle, a * gain, b * gain, self.period, np.inf)
             q, qd, qdd = candidate.at(self.t)
-            if clear_of_obstacles(self.robot, q, self.workspace) and self._strong(q, qd, qdd):
+            reason = obstacle(self.robot, q, self.workspace) or self._too_weak(q, qd, qdd)
+            if reason is None:
                 return candidate
+            self._refused[reason] += 1
         return None
 
-    def _strong(self, q: Array, qd: Array, qdd: Array) -> bool:
-        """Whether the nominal arm could do it with three quarters of its torque."""
+    def narrow(self, widened: bool) -> None:
+        """Looks for smaller motions from now on; where nobody said how far the arm may go, also where it stands."""
+        self._shrinks = _NARROW
+        if widened:
+            self.workspace = self.workspace.widened(self.robot, self.robot.home[None])
+
+    def free(self, motion: FourierMotion) -> bool:
+        """Whether the arm touches neither itself nor its base plane."""
+        touch = self._shapes.first_touch(motion.at(self.t)[0])
+        if touch is not None:
+            self._refused[f"{touch} (the arm's shapes in the URDF)"] += 1
+        return touch is None
+
+    def in_the_way(self) -> str:
+        """What most motions were refused for, and which key helps."""
+        return self._refused.most_common(1)[0][0] if self._refused else "the joints have nothing to move"
+
+    def _too_weak(self, q: Array, qd: Array, qdd: Array) -> str | None:
+        """Which joint the nominal arm could not do it with, by three quarters of its torque; None if with all."""
         limit = 0.75 * self.robot.tau_max
         data = self.robot.pinocchio.createData()
         rotor = self.robot.rotor_inertia
-        return all(np.all(np.abs(pin.rnea(self.robot.pinocchio, data, a, b, c) + rotor * c) <= limit)
-                   for a, b, c in zip(q[::3], qd[::3], qdd[::3], strict=True))
+        for a, b, c in zip(q[::3], qd[::3], qdd[::3], strict=True):
+            share = np.abs(pin.rnea(self.robot.pinocchio, data, a, b, c) + rotor * c) / limit
+            if np.any(share > 1.0):
+                return f"joint {int(np.argmax(share)) + 1} would need more torque than its effort in the URDF allows"
+        return None
 
 
 def _condition(robot: Robot, independent: list[int], q: Array, qd: Array, qdd: Array) -> float:

@@ -156,7 +156,7 @@ def _model_of(fit: JointFit, robot: Robot, base: BaseParameters, recordings: Seq
     logged = np.std(np.concatenate([r.joints("tau") for r in recordings]), axis=0)
     noise = np.where(fit.counted > 0.0, solution.noise_std, logged)
     return Model(
-        robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, solution.value[: base.count],
+        robot.name, robot.description, robot.urdf_hash, base, solution.value[: base.count],
         fit.friction, solution.covariance, fit.consistency.full, noise,
         provenance={
             "method": "joint",

@@ -214,7 +214,7 @@ def identify_two_step(recordings: Sequence[Recording], robot: Robot, *, validati
     joint_covariance = _joined(covariance, fits, laws)
     consistency = consistent_parameters(base, values, covariance, nominal)
     model = Model(
-        robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, values, PerJointFriction(laws),
+        robot.name, robot.description, robot.urdf_hash, base, values, PerJointFriction(laws),
         joint_covariance, consistency.full, np.zeros(robot.n),
         provenance={"method": "two-step", "recordings": [{"source": r.source, "hash": r.hash} for r in usable],
                     "filters": {"cutoff": _CUTOFF, "cutoff_decimation": signals[0].cutoff_decimation}})

@@ -223,7 +223,7 @@ class Model(Summarised):
         full = np.concatenate([link_parameters(robot.pinocchio), robot.rotor_inertia, np.zeros(n)])
         friction = PerJointFriction.none(n)
         count = base.count + sum(len(law.coefficients) + len(law.shape) for law in friction.laws)
-        return cls(robot.name, robot.urdf.read_text(encoding="utf-8"), robot.urdf_hash, base, base.of(full), friction,
+        return cls(robot.name, robot.description, robot.urdf_hash, base, base.of(full), friction,
                    np.zeros((count, count)), full, np.zeros(n), provenance={"method": "nominal"})
 
     def with_effects(self, effects: tuple[FittedEffect, ...]) -> Model:

@@ -22,6 +22,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import read_text
 from ideal_robot.errors import InputError
 from ideal_robot.results import Summarised, listed, plain
+from ideal_robot.robots.chain import serial_arm
 from ideal_robot.robots.urdf import model_of, read_drive_data
 
 # Which kind of joint a Pinocchio model has where.
@@ -60,6 +61,8 @@ class Robot(Summarised):
         t_ipo, t_position, t_velocity: cycle times of interpolation, position and velocity loop [s].
         home: a posture for demos ``(n,)``.
         data: everything in the data file, for what only some readers need.
+        description: the URDF's text as it is used: of its joints the arm's move, the others are held.
+        assumed: what the URDF does not say, or cannot mean, and what was taken instead, in words.
     """
 
     name: str
@@ -79,6 +82,8 @@ class Robot(Summarised):
     t_velocity: float
     home: Array
     data: dict[str, Any] = field(repr=False, compare=False)
+    description: str = field(repr=False, compare=False, default="")
+    assumed: tuple[str, ...] = field(repr=False, compare=False, default=())
 
     @property
     def n(self) -> int:
@@ -115,16 +120,17 @@ class Robot(Summarised):
                 same stem beside it, found by itself; otherwise optional, with neutral values.
 
         Raises:
-            InputError: unknown name, missing or broken file, a joint that is not one-degree-of-freedom, a list
-                whose length is not the joint count, a home beyond the joints' limits.
+            InputError: unknown name, missing or broken file, two arms in one URDF, a joint that is not
+                one-degree-of-freedom, a list whose length is not the joint count, a home beyond the joints' limits.
 
         >>> robot = Robot.load("kr6")
         >>> robot.n, robot.t_ipo
         (6, 0.012)
         """
         urdf, data_path = _locate(name_or_urdf, data)
-        model = model_of(read_text(urdf, "a URDF"), urdf)
         drive, values = read_drive_data(data_path)
+        arm = serial_arm(read_text(urdf, "a URDF"), urdf, drive.tool_frame)
+        model = model_of(arm.text, urdf)
 
         def per_joint(key: str) -> Array:
             return _frozen(drive.per_joint(key, model.nv, data_path))
@@ -132,6 +138,8 @@ class Robot(Summarised):
         home = per_joint("home")
         if "home" in drive.joints.model_fields_set:
             _check_within(home, model, data_path)
+        else:
+            home = _frozen(_inside(home, model))
         gear_ratio = per_joint("gear_ratio")
         v_max = np.where(model.velocityLimit > 0, model.velocityLimit, np.inf)
         tau_max = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
@@ -139,7 +147,7 @@ class Robot(Summarised):
             name=drive.name or urdf.stem,
             urdf=urdf,
             pinocchio=model,
-            tool_frame=_tool_frame(model, drive.tool_frame, data_path),
+            tool_frame=_tool_frame(model, drive.tool_frame, data_path, arm.tool),
             q_min=_frozen(model.lowerPositionLimit),
             q_max=_frozen(model.upperPositionLimit),
             v_max=_frozen(v_max),
@@ -154,6 +162,8 @@ class Robot(Summarised):
             t_velocity=float(drive.controller.t_velocity),
             home=home,
             data=values,
+            description=arm.text,
+            assumed=arm.changed,
         )
 
     def summary(self) -> list[tuple[str, str]]:
@@ -167,6 +177,7 @@ class Robot(Summarised):
         """Its data as plain values; unknown limits, which are infinite, as None."""
         values: dict[str, Any] = plain({
             "name": self.name, "urdf": self.urdf, "urdf_hash": self.urdf_hash, "joints": self.n,
+            "assumed": list(self.assumed),
             "tool_frame": self.tool_frame, "prismatic": self.prismatic, "q_min": self.q_min, "q_max": self.q_max,
             "v_max": self.v_max, "a_max": self.a_max, "tau_max": self.tau_max, "gear_ratio": self.gear_ratio,
             "rotor_inertia": self.rotor_inertia, "drive_gain": self.drive_gain, "home": self.home,
@@ -231,12 +242,20 @@ def _check_within(home: Array, model: pin.Model, file: Path | None) -> None:
                          "its limits [rad, m]", file=file, field="home", value=home.tolist())
 
 
-def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None) -> str:
+def _inside(home: Array, model: pin.Model) -> Array:
+    """A posture ``(n,)``; the middle of their range for joints that have it beyond their limits."""
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    return np.where((low < high) & ((home < low) | (home > high)), 0.5 * (low + high), home)
+
+
+def _tool_frame(model: pin.Model, wanted: str | None, file: Path | None, found: str | None) -> str:
     if wanted is not None:
         if not model.existFrame(wanted):
             raise InputError("no frame of that name in the URDF", file=file, field="tool_frame", value=wanted)
         return wanted
-    # Without a word from the user: the last body frame, which is the end of a serial chain.
+    # Without a word from the user: the end of the chain.
+    if found is not None and model.existFrame(found):
+        return found
     return str([frame.name for frame in model.frames if frame.type == pin.FrameType.BODY][-1])
 
 

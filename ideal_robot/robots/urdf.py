@@ -25,7 +25,7 @@ _LARGEST = 1e9
 
 
 def model_of(text: str, file: str | Path | None = None) -> pin.Model:
-    """The kinematics and nominal inertias of a URDF.
+    """The kinematics and nominal inertias of a URDF, as ``ideal_robot.robots.chain.serial_arm`` leaves it.
 
     Args:
         text: of the URDF. Nothing it names (meshes, entities) is opened.
@@ -36,14 +36,14 @@ def model_of(text: str, file: str | Path | None = None) -> pin.Model:
             kinds than revolute with limits and prismatic, joints that follow others, xacro commands, bodies and speed
             limits that no arm has.
     """
-    _check(text, file)
+    check_text(text, file)
+    check_joints(ET.fromstring(text), file)
     model = _built(text, file)
     if model.nv < 1:
         raise InputError("the URDF has no moving joint", file=file)
     URDF_JOINTS.check(model.nv, file)
     if model.nq != model.nv:
-        raise InputError("only revolute (with limits) and prismatic joints are supported; "
-                         "replace continuous joints by revolute ones with limits", file=file)
+        raise InputError("only revolute (with limits) and prismatic joints are supported", file=file)
     for j in range(1, model.njoints):
         if model.joints[j].nv != 1:
             raise InputError("only joints of one degree of freedom are supported", file=file, field=model.names[j])
@@ -76,7 +76,12 @@ def without_meshes(text: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def _check(text: str, file: str | Path | None) -> None:
+def check_text(text: str, file: str | Path | None) -> None:
+    """Refuses what is no URDF's text, or larger than one.
+
+    Raises:
+        InputError: broken XML, entities, numbers that are none, xacro commands.
+    """
     URDF_BYTES.check(len(text), file, "is this a URDF?")
     if "<!ENTITY" in text or "\0" in text:
         raise InputError("declares entities or holds null characters; they are not read", file=file)
@@ -108,9 +113,22 @@ def _check_element(element: ET.Element, file: str | Path | None) -> None:
     if element.tag.startswith(("{http://www.ros.org/wiki/xacro}", "{http://ros.org/wiki/xacro}")):
         raise InputError("holds xacro commands, which are not carried out; write the URDF by `xacro FILE`", file=file,
                          field=element.tag.rpartition("}")[2][:40])
-    if element.tag == "mimic":
-        raise InputError("a joint that follows another one (mimic) is not supported; make it fixed, or leave mimic "
-                         "away where it is driven on its own", file=file, value=str(element.get("joint"))[:40])
+
+
+def check_joints(root: ET.Element, file: str | Path | None) -> None:
+    """Refuses joints of the arm that follow others, and axes without a direction of joints that move.
+
+    Raises:
+        InputError: names the joint.
+    """
+    for joint in root.findall("joint"):
+        name, axis = str(joint.get("name"))[:40], joint.find("axis")
+        if joint.find("mimic") is not None:
+            raise InputError("a joint of the arm that follows another one (mimic) is not supported; leave mimic away "
+                             "where it is driven on its own", file=file, field=name)
+        written = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        if joint.get("type") != "fixed" and not 1e-3 <= math.hypot(*map(float, written.split())) <= 1e3:
+            raise InputError("an axis needs a direction, e.g. 0 0 1", file=file, field=name, value=written[:40])
 
 
 def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
@@ -125,8 +143,6 @@ def _check_numbers(element: ET.Element, file: str | Path | None) -> None:
             raise InputError("expected numbers", file=file, field=f"{element.tag}.{key}",
                              value=written[:40]) from error
         limit = math.inf if element.tag == "limit" else _LARGEST
-        if element.tag == "axis" and not 1e-3 <= math.hypot(*numbers) <= 1e3:
-            raise InputError("an axis needs a direction, e.g. 0 0 1", file=file, field="axis.xyz", value=written[:40])
         if any(math.isnan(number) or abs(number) > limit for number in numbers):
             raise InputError("a number that no arm has", file=file, field=f"{element.tag}.{key}", value=written[:40])
 

@@ -249,7 +249,8 @@ class SurfaceFollower:
     def _joint_angles(self, rows: slice, guess: Array) -> Array:
         cycles = self._rows(self._plan.cycle + np.arange(rows.start, rows.stop))
         positions = self._table.displaced(cycles, self._plan.position[rows])
-        return self._kinematics.refine_rows(self._table.rotations[cycles], positions, guess)
+        return self._kinematics.refine_rows(self._table.rotations[cycles], positions, guess,
+                                            wanted=self._table.q[cycles])
 
     def _rows(self, cycles: NDArray[np.int_]) -> NDArray[np.int_]:
         """Rows of the tables for absolute cycles: the first one before the travel, the last one behind it."""

@@ -270,7 +270,8 @@ class DesiredPath:
             start = start.copy()
             offset = self._q[new - 1] - self.q_reference[new - 1] if new else 0.0
             start[max(new - first, 0) :] = self.q_reference[max(new, first) : end] + offset
-        self._q[first:end] = self._kinematics.refine_rows(*self._targets(first, end), start)
+        self._q[first:end] = self._kinematics.refine_rows(*self._targets(first, end), start,
+                                                          wanted=self.q_reference[first:end])
         self._solved_to = end - 1
         self._ever_solved = max(self._ever_solved, end - 1)
 

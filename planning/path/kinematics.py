@@ -3,170 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dgesv
 
 from ideal_robot.arrays import Array
-from ideal_robot.dynamics.newton_euler import Chain, chain_of, joint_frames
-from ideal_robot.jit import jit
+from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
+from planning.path.newton import DAMPING, away_from, refined, weighted
 
-# Newton's method on many poses of a serial arm in one call, compiled.
-#
-# Pinocchio is the reference (a test compares them); this is for the control cycle, which solves a whole horizon: a call
-# per pose costs more than its arithmetic.
-
-DAMPING = 1e-6
-"""Of the least-squares inverse where there are more or fewer than six joints."""
-HALF_TURN = -0.99
-"""Cosine of a rotation beyond which its axis is not told well enough."""
-
-
-@jit(error_model="numpy")
-def log6(R: Array, p: Array, out: Array) -> bool:
-    """Twist of a motion, linear before angular, written to ``out (6,)``; whether it turns by less than half a turn.
-
-    Args:
-        R: rotation ``(3, 3)``.
-        p: translation ``(3,)`` [m].
-        out: result [m, rad], written to.
-    """
-    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
-    x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
-    sine = np.sqrt(x * x + y * y + z * z)
-    angle = np.arctan2(sine, cosine)
-    if angle < 1e-4:
-        longer, bend = 1.0 + angle * angle / 6.0, 1.0 / 12.0 + angle * angle / 720.0
-    else:
-        longer, bend = angle / sine, 1.0 / angle**2 - (1.0 + cosine) / (2.0 * angle * sine)
-    x, y, z = longer * x, longer * y, longer * z
-    a, b, c = y * p[2] - z * p[1], z * p[0] - x * p[2], x * p[1] - y * p[0]
-    out[0] = p[0] - 0.5 * a + bend * (y * c - z * b)
-    out[1] = p[1] - 0.5 * b + bend * (z * a - x * c)
-    out[2] = p[2] - 0.5 * c + bend * (x * b - y * a)
-    out[3], out[4], out[5] = x, y, z
-    return cosine > HALF_TURN
-
-
-@jit()
-def tool_jacobian(chain: Chain, joints: int, tool_R: Array, tool_p: Array, q: Array, J: Array, T_R: Array, T_p: Array
-                  ) -> None:
-    """Jacobian in the tool's frame, and its pose in the base frame; written to ``J``, ``T_R``, ``T_p``.
-
-    From the tool back to the base: with the tool's pose (R, p) in the frame of a joint about z, its column is
-    (Rᵀ (z × p), Rᵀ z), of one that slides (Rᵀ z, 0).
-
-    Args:
-        chain: kinematics.
-        joints: that carry the tool, the first ones of the chain.
-        tool_R: the tool's rotation in the last one's frame ``(3, 3)``.
-        tool_p: where it is there ``(3,)`` [m].
-        q: joint angles ``(n,)`` [rad].
-        J: ``(6, n)``, linear before angular, written to.
-        T_R: rotation ``(3, 3)``, written to.
-        T_p: place ``(3,)`` [m], written to.
-    """
-    n = len(q)
-    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
-    joint_frames(chain, q, R, p)
-    J[:] = 0.0
-    T_R[:], T_p[:] = tool_R, tool_p
-    turned = np.empty((3, 3))
-    for i in range(joints - 1, -1, -1):
-        z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
-        m0, m1, m2 = z1 * T_p[2] - z2 * T_p[1], z2 * T_p[0] - z0 * T_p[2], z0 * T_p[1] - z1 * T_p[0]
-        slides = chain.prismatic[i] > 0.5
-        for r in range(3):
-            along = T_R[0, r] * z0 + T_R[1, r] * z1 + T_R[2, r] * z2
-            if slides:
-                J[r, i] = along
-            else:
-                J[r, i] = T_R[0, r] * m0 + T_R[1, r] * m1 + T_R[2, r] * m2
-                J[3 + r, i] = along
-        E, p0, p1, p2 = R[i], T_p[0], T_p[1], T_p[2]
-        for r in range(3):
-            for c in range(3):
-                turned[r, c] = E[r, 0] * T_R[0, c] + E[r, 1] * T_R[1, c] + E[r, 2] * T_R[2, c]
-        for r in range(3):
-            T_p[r] = E[r, 0] * p0 + E[r, 1] * p1 + E[r, 2] * p2 + p[i, r]
-        T_R[:] = turned
-
-
-@jit()
-def newton_step(chain: Chain, joints: int, tool_R: Array, tool_p: Array, target_R: Array, target_p: Array, q: Array,
-                J: Array, error: Array) -> tuple[NDArray[np.floating[Any]], bool]:
-    """Change of the joint angles ``(n,)`` towards a pose, and whether its error is less than half a turn.
-
-    Args:
-        chain: as for ``tool_jacobian``, like the next three.
-        joints: see there.
-        tool_R: see there.
-        tool_p: see there.
-        target_R: rotation wanted ``(3, 3)``.
-        target_p: place wanted ``(3,)`` [m].
-        q: joint angles ``(n,)`` [rad].
-        J: room for the Jacobian ``(6, n)``.
-        error: pose error before the step ``(6,)`` [m, rad], written to.
-    """
-    T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
-    tool_jacobian(chain, joints, tool_R, tool_p, q, J, T_R, T_p)
-    for r in range(3):
-        for c in range(3):
-            away_R[r, c] = T_R[0, r] * target_R[0, c] + T_R[1, r] * target_R[1, c] + T_R[2, r] * target_R[2, c]
-        away_p[r] = (T_R[0, r] * (target_p[0] - T_p[0]) + T_R[1, r] * (target_p[1] - T_p[1])
-                     + T_R[2, r] * (target_p[2] - T_p[2]))
-    near = log6(away_R, away_p, error)
-    if len(q) == 6:
-        return np.linalg.solve(J, error), near
-    return J.T @ np.linalg.solve(J @ J.T + DAMPING * np.eye(6), error), near
-
-
-@jit()
-def refined(chain: Chain, joints: int, tool_R: Array, tool_p: Array, targets_R: Array, targets_p: Array, q: Array,
-            tolerance: float, most: int) -> int:
-    """Nearly right joint angles ``q (N, n)`` of poses are made right in place; how many of them, from the first on.
-
-    A pose is done with the step whose pose error before it, squared, was below ``tolerance``.
-
-    Args:
-        chain: as for ``tool_jacobian``, like the next three.
-        joints: see there.
-        tool_R: see there.
-        tool_p: see there.
-        targets_R: rotations wanted ``(N, 3, 3)``.
-        targets_p: places wanted ``(N, 3)`` [m].
-        q: ``(N, n)`` [rad], changed.
-        tolerance: see above [m², rad²].
-        most: steps of a pose at most.
-
-    Raises:
-        LinAlgError: a posture from which one cannot move in all directions.
-    """
-    J, error = np.empty((6, q.shape[1])), np.empty(6)
-    for i in range(q.shape[0]):
-        found = q[i].copy()
-        done = False
-        for _ in range(most):
-            change, near = newton_step(chain, joints, tool_R, tool_p, targets_R[i], targets_p[i], found, J, error)
-            if not near:
-                return i
-            found += change
-            if np.sum(error * error) < tolerance:
-                done = True
-                break
-        if not done:
-            return i
-        q[i] = found
-    return q.shape[0]
-
-
+TILTED = 0.2
+"""How far the tool axis of an arm of fewer than six joints may be from the one wanted [rad]."""
 TOLERANCE = 1e-9
 """Pose error that counts as solved [m and rad]."""
+SETTLED = 1e-6
+"""What may be left to change of more than six joints' posture [rad], and of fewer joints' place [m]."""
+DRAWN_BACK = 0.02
+"""Share of the way to the first posture that more than six joints are drawn back with each pose of a path."""
 REFINED_IN = 10
 """Newton steps in which a nearly right solution has to become right."""
 
@@ -175,7 +30,9 @@ class InverseKinematics:
     r"""Joint angles of TCP poses.
 
     One Newton step is :math:`q \leftarrow q + J(q)^{-1} \log(T(q)^{-1} T_d)` with the Jacobian in the tool frame;
-    with more or fewer than six joints the damped least-squares inverse takes the place of :math:`J^{-1}`.
+    with more than six joints the solution nearest to wanted joint angles is taken, so that it is a function of the pose
+    and the path is as smooth as what is wanted along it. With fewer the place is kept, the tool axis as far as the arm
+    can, and the rotation about that axis is free.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -193,39 +50,65 @@ class InverseKinematics:
         pin.framesForwardKinematics(self._model, self._data, q)
         return self._data.oMf[self._tool].copy()
 
-    def step(self, target: pin.SE3, q: Array) -> tuple[Array, Array]:
-        """One Newton step: the next joint angles ``(n,)`` and the pose error ``(6,)`` before it [m, rad]."""
+    def elbow(self, q: Array) -> float:
+        """How high the joint in the middle of the arm is above the base at ``q (n,)`` [m]."""
+        pin.forwardKinematics(self._model, self._data, q)
+        return float(self._data.oMi[self.robot.n // 2 + self.robot.n % 2].translation[2])
+
+    def step(self, target: pin.SE3, q: Array, wanted: Array | None = None) -> tuple[Array, Array]:
+        """One Newton step: the next joint angles ``(n,)`` and the pose error ``(6,)`` before it [m, rad].
+
+        Args:
+            target: pose of the TCP in the base frame.
+            q: where it starts ``(n,)`` [rad].
+            wanted: what more than six joints come near to ``(n,)`` [rad]; where it starts if None.
+        """
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL)
         error = pin.log6(self._poses[0].actInv(target)).vector
         if self._square:
             _, _, dq, info = dgesv(jacobian, error)
             if info == 0:
                 return q + dq, error
+        if self.robot.n < 6:
+            return q + weighted(np.ascontiguousarray(jacobian), error), error
+        if self.robot.n > 6:
+            wish = np.zeros(self.robot.n) if wanted is None else wanted - q
+            return q + away_from(np.ascontiguousarray(jacobian), error, wish), error
         damping = DAMPING * np.eye(6)
         return q + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + damping, error), error
+
+    def _solved(self, error: Array, dq: Array) -> bool:
+        """Whether a pose is reached: all of the error is gone, or what fewer than six joints can remove of it."""
+        if self.robot.n == 6:
+            return bool(np.max(np.abs(error)) < TOLERANCE)
+        if self.robot.n > 6:
+            return bool(np.max(np.abs(error)) < TOLERANCE and np.max(np.abs(dq)) < SETTLED)
+        return bool(np.max(np.abs(dq)) < TOLERANCE and np.max(np.abs(error[:3])) < SETTLED
+                    and np.linalg.norm(error[3:5]) < TILTED)
 
     def torque(self, q: Array, force: Array) -> Array:
         """Joint torques Jᵀ F ``(n,)`` [N m] of a force ``(3,)`` [N, base frame] at the TCP, for ``q (n,)`` [rad]."""
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL_WORLD_ALIGNED)
         return np.asarray(jacobian[:3].T @ force)
 
-    def solve(self, target: pin.SE3, q: Array, iterations: int = 50) -> Array:
+    def solve(self, target: pin.SE3, q: Array, iterations: int = 50, wanted: Array | None = None) -> Array:
         """Joint angles ``(n,)`` [rad] of one pose, from the guess ``q (n,)``; steps are cut to 0.3 rad.
 
         Args:
             target: pose of the TCP in the base frame.
             q: guess ``(n,)`` [rad].
             iterations: Newton steps at most.
+            wanted: as for ``step``.
 
         Raises:
             OutOfReachError: no solution within the joint limits near the guess.
         """
         error = np.full(6, np.inf)
         for _ in range(iterations):
-            q_next, error = self.step(target, q)
-            if np.max(np.abs(error)) < TOLERANCE:
-                return self._within(target.translation, q)
+            q_next, error = self.step(target, q, wanted)
             dq = q_next - q
+            if self._solved(error, dq):
+                return self._within(target.translation, q)
             q = q + dq * min(1.0, 0.3 / max(float(np.max(np.abs(dq))), 1e-12))
         raise OutOfReachError(_position(target.translation), float(np.linalg.norm(error[:3])))
 
@@ -263,13 +146,16 @@ class InverseKinematics:
     def path(self, targets: Sequence[pin.SE3], q_start: Array) -> Array:
         """Joint angles ``(N, n)`` along a path of near poses; each starts from the linear continuation of the last two.
 
+        More than six joints are drawn back to ``q_start`` as far as the poses let them.
+
         Raises:
             OutOfReachError: the path leaves the reach or the joint limits, or jumps to another posture of the arm.
         """
         q = np.empty((len(targets), self.robot.n))
         for i, target in enumerate(targets):
             guess = q_start if i == 0 else (q[i - 1] if i == 1 else 2.0 * q[i - 1] - q[i - 2])
-            q[i] = self.solve(target, guess)
+            # Drawn back step by step: at once, a far posture lets Newton's method overshoot.
+            q[i] = self.solve(target, guess, wanted=guess + DRAWN_BACK * (q_start - guess))
         return q
 
     def refine(self, targets: Sequence[pin.SE3], q: Array, tolerance: float = 1e-6) -> Array:
@@ -282,7 +168,8 @@ class InverseKinematics:
         """
         return self.refine_rows(*rows_of(targets), q, tolerance)
 
-    def refine_rows(self, rotations: Array, positions: Array, q: Array, tolerance: float = 1e-6) -> Array:
+    def refine_rows(self, rotations: Array, positions: Array, q: Array, tolerance: float = 1e-6,
+                    wanted: Array | None = None) -> Array:
         """Joint angles ``(N, n)`` of poses whose nearly right solutions ``q (N, n)`` are known, for the real-time path.
 
         The error after a step is of the order of the square of the error before, so a pose is done as soon as the
@@ -293,26 +180,30 @@ class InverseKinematics:
             positions: of the TCP ``(N, 3)`` [m].
             q: nearly right joint angles ``(N, n)`` [rad].
             tolerance: square of the pose error before the last step [m², rad²].
+            wanted: as for ``step``, of each pose ``(N, n)`` [rad]; ``q`` if None.
 
         Raises:
             OutOfReachError: not solved in ten steps, or outside the joint limits.
         """
         solved = np.array(q, dtype=float)
+        near = solved.copy() if wanted is None else np.ascontiguousarray(wanted)
         try:
-            done = refined(*self._chain, rotations, positions, solved, tolerance, REFINED_IN)
+            done = refined(*self._chain, rotations, positions, solved, near, tolerance, REFINED_IN)
         except np.linalg.LinAlgError:
             done = 0
         for i in range(done, len(solved)):
-            solved[i] = self._refined(pin.SE3(rotations[i], positions[i]), solved[i], tolerance)
+            solved[i] = self._refined(pin.SE3(rotations[i], positions[i]), solved[i], tolerance, near[i])
         if (solved > self.robot.q_max).any() or (solved < self.robot.q_min).any():
             worst = int(np.argmax(np.max(np.maximum(solved - self.robot.q_max, self.robot.q_min - solved), axis=1)))
             self._within(positions[worst], solved[worst])
         return solved
 
-    def _refined(self, target: pin.SE3, q: Array, tolerance: float) -> Array:
+    def _refined(self, target: pin.SE3, q: Array, tolerance: float, wanted: Array) -> Array:
         for _ in range(REFINED_IN):
-            q, error = self.step(target, q)
-            if error @ error < tolerance:
+            before = q
+            q, error = self.step(target, q, wanted)
+            left = error @ error if self.robot.n >= 6 else 100.0 * float((q - before) @ (q - before))
+            if left < tolerance:
                 return q
         raise OutOfReachError(_position(target.translation), float(np.linalg.norm(error[:3])))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.elasticity.stiffness_analysis import analyse_stiffness
-from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.clamped.page import stiffness_page
 from scenes.clamped.play import ClampedResult, configurations, record
 from scenes.kind import SceneKind
@@ -36,7 +36,7 @@ def run(scene: ClampedScene, *, method: Any = None, out: Path | None = None,
         InputError: no such method, or a scene that cannot be played.
     """
     chosen = method_of(method or "both", METHODS).key
-    robot = Robot.load(scene.robot)
+    robot = arm_of(scene.robot)
     world = ClampWorld.from_table(robot, scene.arm_world, scene.source)
     rng = np.random.default_rng(scene.seed)
     progress(0.05, "choosing configurations")

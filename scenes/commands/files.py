@@ -51,11 +51,15 @@ def list_(
 def new(
     name: Annotated[str, typer.Argument(help="Name of the scene; the file is NAME.toml in this folder.")],
     kind: Annotated[str, typer.Option(help="Kind of scene: line, path, force, clamped or close_clamped.")] = "line",
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Of a line: URDF of your arm; surface, line "
+                                              "and speed are chosen for its reach and its joints.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
 ) -> None:
     """Writes a scene file that can be played at once and says in comments which keys there are besides.
 
     Example: `ideal-robot new weld_seam --kind line`
+
+    Example: `ideal-robot new my_line --robot my_arm.urdf`
     """
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import write_text
@@ -76,10 +80,32 @@ def new(
     if found is None:
         raise InputError("no shipped scene is of that kind; see the documentation of the package that added it",
                          field="--kind", value=kind)
-    write_text(path, commented_scene(name, kind, (library() / f"{found}.toml").read_text(encoding="utf-8")))
+    example = (library() / f"{found}.toml").read_text(encoding="utf-8")
+    if robot is not None:
+        example = _for_arm(example, kind, robot)
+    write_text(path, commented_scene(name, kind, example))
     load_scene(f"./{path}")
     typer.echo(f"written: {path}")
     typer.echo(f"play it: ideal-robot run ./{path}")
+
+
+def _for_arm(example: str, kind: str, robot: str) -> str:
+    """A shipped scene's text with the line where an arm of the user's reaches it; says what was chosen and assumed."""
+    from ideal_robot.errors import InputError
+    from scenes.placing import place_line, scene_text
+    from scenes.scene_file import load_scene
+    from scenes.scene_files.line_scene import LineScene
+
+    scene = load_scene("line").changed(robot=robot, model="own")
+    if kind != "line" or not isinstance(scene, LineScene):
+        raise InputError("only lines are placed in an arm's reach", field="--robot", value=robot)
+    for one in scene.arm.assumed:
+        typer.echo(f"assumed: {one}")
+    place = place_line(scene)
+    x, y, z = place.origin
+    tool = f", with a tool of {place.tool_mm:g} mm" if place.tool_mm else ""
+    typer.echo(f"line of {place.length:g} m from ({x:g}, {y:g}, {z:g}) m at {place.speed:g} m/s{tool}")
+    return scene_text(example, robot, place)
 
 
 def export(
@@ -216,6 +242,7 @@ def _view_live(what: str, live: Path, robot: str | None, port: int, once: bool) 
 def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | None, dict[str, Array]]:
     """The arm of what is to be shown, what moves, and curves to draw where nothing does."""
     from ideal_robot.robots.robot import SHIPPED, Robot
+    from scenes.arms import arm_of
     from scenes.kind import kind_of
     from scenes.scene_file import load_scene
     from scenes.view.viewer import open_recording, recorded_replay
@@ -226,7 +253,7 @@ def _shown(what: str, robot: str | None, play: bool) -> tuple[Robot, Replay | No
     if what in SHIPPED or Path(what).suffix == ".urdf":
         return Robot.load(what), None, {}
     scene = load_scene(what)
-    kind, arm = kind_of(scene), Robot.load(scene.robot)
+    kind, arm = kind_of(scene), arm_of(scene.robot)
     if kind.replay is not None and play:
         with progress_bar(scene.name) as progress:
             return arm, kind.replay(kind.run(scene, progress=progress)), {}

@@ -270,7 +270,7 @@ def prepare(
     Example: `ideal-robot prepare line --individual 3`
     """
     from ideal_robot.model.model import Model
-    from ideal_robot.robots.robot import Robot
+    from scenes.arms import arm_of
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
     from scenes.report.page import write_json
@@ -282,7 +282,7 @@ def prepare(
     check_outputs(json=json, out=out)
     world = World.from_table(loaded.robot, loaded.arm_world, loaded.source)
     with progress_bar(f"{loaded.robot} {world.individual}") as progress:
-        prepared = prepared_model(Robot.load(loaded.robot), world, progress)
+        prepared = prepared_model(arm_of(loaded.robot), world, progress)
     model = Model.load(prepared.path)
     path = prepared.path if out is None else model.save(out)
     if json is not None:

@@ -15,11 +15,11 @@ from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork, friction_at_work
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import let_go, new_array
 from planning import OutOfReachError
 from planning.force.contact import dry_run
 from planning.path.kinematics import InverseKinematics
+from scenes.arms import arm_of
 from scenes.camera_world import camera_settings
 from scenes.models import model_for
 from scenes.online.force_task import START_HEIGHT, GlueCamera, Known, force_reference
@@ -88,7 +88,7 @@ def set_up(scene: ForceScene) -> Cell:
         InputError: path out of reach, unreachable speed, a value that makes no sense.
     """
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
-    robot = world.with_cycles(Robot.load(scene.robot))
+    robot = world.with_cycles(arm_of(scene.robot))
     place, noise, sensor_noise, camera_noise, calibration = _streams(scene)
     where = geometry(scene, place)
     reference, profile = force_reference(scene, robot, where.reference)

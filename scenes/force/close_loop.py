@@ -27,6 +27,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.arms import arm_of
 from scenes.closing.loop import Found, Group, Subject, close
 from scenes.closing.measured import Measured, checked_measured, visible
 from scenes.closing.result import SHARES, Closing, Played, Words
@@ -57,7 +58,7 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
     Raises:
         InputError: a scene whose sensor and contact are right.
     """
-    undeclared, job, robot = undeclared_effects(scene), Steps(progress, SHARES), Robot.load(scene.robot)
+    undeclared, job, robot = undeclared_effects(scene), Steps(progress, SHARES), arm_of(scene.robot)
     known = model_for(scene, robot)
     with tempfile.TemporaryDirectory() as folder:
         force = _Force(scene, robot, known, checked_measured(measured), Path(folder))

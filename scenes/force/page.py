@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import let_go
 from planning.force.contact import Phase
+from scenes.arms import arm_of
 from scenes.force.cell import scene_curves
 from scenes.force.compare import ForceComparison
 from scenes.force.play import ForceResult
@@ -30,7 +30,7 @@ def force_replay(result: ForceResult) -> Replay | None:
     recording = result.recording
     if len(recording.t) < 2:
         return None
-    robot = Robot.load(result.scene.robot)
+    robot = arm_of(result.scene.robot)
     rows = slice(None, None, step(len(recording.t)))
     t, q = recording.t[rows], recording.joints("qa", rows)
     pose = robot.fk()

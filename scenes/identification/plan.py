@@ -22,6 +22,7 @@ from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
+from scenes.arms import arm_of
 from scenes.result import Progress, part_of, silent
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
@@ -174,7 +175,7 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, wo
         world: what the arm is like; its default world if None.
         progress: called with the fraction done.
     """
-    robot = Robot.load(robot_name)
+    robot = arm_of(robot_name)
     if world is not None:
         robot = replace(robot, t_ipo=world.t_ipo, t_position=world.t_position, t_velocity=world.t_velocity)
     recordings = []

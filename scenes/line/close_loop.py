@@ -36,6 +36,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.arms import arm_of
 from scenes.closing.loop import Form, Found, Group, Place, Subject, close
 from scenes.closing.measured import Measured, at_speeds, checked_measured, tool_deviation, visible
 from scenes.closing.result import SHARES, Closing, Played, Words
@@ -79,7 +80,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
         InputError: a scene whose camera is right and whose arm is as its model.
     """
     undeclared = undeclared_effects(scene)
-    arm = effects_of_world(scene, Robot.load(scene.robot).n) if keys_of_arm(scene) else ()
+    arm = effects_of_world(scene, arm_of(scene.robot).n) if keys_of_arm(scene) else ()
     return closed(scene, undeclared, arm=tuple(one for one in arm if one[0] != "kinematic_error"), measured=measured,
                   out=out, progress=progress)
 

@@ -140,6 +140,10 @@ def run_page(result: LineResult) -> Report:
                   ["[L] section 5, KUKA KR 6/1", PAPER_MEAN_MM, None, None, PAPER_SPEED]],
                  "Distance from the line, in the surface. [L] reports about 0.6 mm mean control error at 0.7 m/s.")
     _path_errors(report, result)
+    if result.assumed:
+        report.heading("What was assumed of the arm")
+        report.text("Its URDF does not say these, or says what no arm of that size has:")
+        report.table(["assumed"], [[one] for one in result.assumed])
     report.heading("The cell")
     report.figure(_cell(result), "The arm at the middle of the path.")
     report.figure(_from_above(result), "The surface from above with the drawn line, the reference path and where the "

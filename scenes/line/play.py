@@ -18,7 +18,7 @@ from ideal_robot.signals.recording import Recording
 from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_world import knock_of
 from scenes.line.cell import Cell, LineWorld, Prepared, mounted, prepared, set_up
-from scenes.line.result import ControlError, LineResult, Timing
+from scenes.line.result import ControlError, LineResult, Timing, far_from_line
 from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, method_of
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
@@ -122,6 +122,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         shown = [(arm.tcp_at(t), arm.q_at(t), seen) for t, seen in log.shown] if pictures else []
         recording = line_recording(arm, scene, method.key, log, cell.known.camera)
     whole, error, followed_from = _control_error(cell, t, tcp, log.first_used)
+    far = "" if method.key == NONE else far_from_line(error.mean)
     return LineResult(
         scene=scene, method=method.key, control_error=error, control_error_from_start=whole,
         path_errors=_path_errors(cell, log, t, tcp), fields_seen=len(log.fields), fields_used=log.used,
@@ -129,7 +130,8 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
                                            float(t[-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.known.robot.urdf,
         shown=tuple(replace(seen, image=shared.camera.frame(pose, q=q)) for pose, q, seen in shown),
-        world=cell.world.table(), hand_eye=shared.hand_eye, warning=shared.warning,
+        world=cell.world.table(), hand_eye=shared.hand_eye, warning="; ".join(filter(None, [shared.warning, far])),
+        assumed=cell.known.robot.assumed,
         s_reference=np.array(log.s), believed=np.array(log.believed),
         looked_back=follower.fusion.looked_back(np.array(log.s))[0][:, 0],
         plan_error_mm=plan_error(log, follower.fusion),

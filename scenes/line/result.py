@@ -19,6 +19,34 @@ from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.hand_eye import HandEye
 
+FAR = 1e-3
+"""Mean distance from the line above which it is not followed but lost sight of [m]."""
+DOUBTFUL = 0.5e-3
+"""Mean distance from which it is worth playing the scene without correction, to see what the correction gives [m]."""
+GAIN = 0.5
+"""Share of what is left without correction that the ideal robot leaves at most where its model fits the arm."""
+
+
+def far_from_line(mean: float) -> str:
+    """What is said of a mean distance from the line [m]; empty where it is small."""
+    if not mean > FAR:
+        return ""
+    return (f"the tool stayed {1e3 * mean:.1f} mm from the line on average, which is more than {1e3 * FAR:g} mm: check "
+            "the arm's model (identify), its speed and the camera's calibration before this is used")
+
+
+def little_gained(mean: float, none: float) -> str:
+    """What is said where the correction leaves more than half of what is there without it; empty where it leaves less.
+
+    Args:
+        mean: distance from the line on average [m].
+        none: the same without correction [m].
+    """
+    if not mean > GAIN * none:
+        return ""
+    return (f"the correction leaves {1e3 * mean:.2f} mm of {1e3 * none:.2f} mm that are there without it: the model "
+            "does not fit the arm; identify it anew, or diagnose the recording")
+
 
 @dataclass(frozen=True)
 class ControlError:
@@ -113,7 +141,9 @@ class LineResult(ShownRun):
         failure: why the run ended early, or None.
         shown: fields for the report.
         world: the world's settings.
-        hand_eye: how the camera was calibrated before the run, if it was; warning: why not, if it should have been.
+        hand_eye: how the camera was calibrated before the run, if it was.
+        warning: why it was not, if it should have been, and where the line was not followed as it could be.
+        assumed: what the arm's URDF does not say, or cannot mean, and what was taken instead.
         s_reference, believed: arc length of the reference at each cycle and the desired deviation there, x_d - x_r [m].
         looked_back: the deviation of the line as all fields of the run show it, smoothed; NaN where it is not kept [m].
         plan_error_mm: mean and largest distance of the desired path from it.
@@ -138,6 +168,7 @@ class LineResult(ShownRun):
     world: dict[str, Any] = field(repr=False, default_factory=dict)
     hand_eye: HandEye | None = field(repr=False, default=None)
     warning: str = ""
+    assumed: tuple[str, ...] = ()
     s_reference: Array = field(repr=False, default_factory=lambda: np.empty(0))
     believed: Array = field(repr=False, default_factory=lambda: np.empty(0))
     sensors: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -156,6 +187,7 @@ class LineResult(ShownRun):
             "method": self.method,
             "failure": self.failure,
             "warning": self.warning or None,
+            "assumed": list(self.assumed),
             "control_error_mm": self.control_error.json_mm(),
             "path_error_mm": errors.json_mm() if errors is not None
             else {"time_matched": nothing, "aligned": nothing, "geometric": nothing},
@@ -173,7 +205,9 @@ class LineResult(ShownRun):
     def summary(self) -> list[tuple[str, str]]:
         """The few figures a person wants first."""
         error = self.control_error
+        warned = [("warning", self.warning)] if self.warning else []
         return [
+            *warned,
             ("speed", f"{self.scene.speed:g} m/s"),
             ("method", self.method),
             ("mean distance from the line", f"{1e3 * error.mean:.3f} mm"),

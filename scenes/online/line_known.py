@@ -16,6 +16,7 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
+from scenes.placing import check_way, where_it_fits
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_device import Field
@@ -82,6 +83,8 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
     reference = ReferencePath(points, up=up, turning=1.0)
     try:
         profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration))
+        if profile.joint_path is not None and surface is None:
+            check_way(scene, robot, reference, profile.joint_path)
         scene.check_duration(profile.duration)
         follower = LineFollower(
             robot, reference, profile, round(HORIZON / robot.t_ipo), t_start=START, line_span=span_of(scene, reference),
@@ -90,7 +93,12 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
                                       max_gap=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
-        raise InputError(f"the line is out of reach: {error}", field="surface.origin",
+        raise InputError(f"the line is out of reach: {error}; {where_it_fits(scene)}", field="surface.origin",
+                         value=list(scene.surface.origin)) from error
+    except InputError as error:
+        if error.field != "path":
+            raise
+        raise InputError(f"{error.message}; {where_it_fits(scene)}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
     return reference, follower
 

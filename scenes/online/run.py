@@ -16,7 +16,7 @@ import numpy as np
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.loop.from_model import loop_model
-from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.methods import following_methods, method_of
 from scenes.model_files import model_at
 from scenes.online.camera_process import CameraProcess, calibrated_camera
@@ -98,7 +98,7 @@ def _kept(result: FollowResult, folder: Path) -> FollowResult:
 
 def _job(scene: Scene, devices: Devices, method: str | None, calibration: Path | None) -> Job:
     """What is followed, set up as far as it goes without devices."""
-    robot = scene.arm if isinstance(scene, LineScene) else Robot.load(scene.robot)
+    robot = scene.arm if isinstance(scene, LineScene) else arm_of(scene.robot)
     if devices.cycle is not None:
         robot = at_cycle(robot, devices.cycle)
     model = model_at(scene.model, robot, scene.source)

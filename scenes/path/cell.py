@@ -16,6 +16,7 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.methods import SceneMethod
 from scenes.models import model_for
 from scenes.path.result import Play, measured_errors, play
@@ -132,6 +133,6 @@ def set_up(scene: PathScene, *, delay: bool, model: Model | None = None) -> Path
         InputError: path out of reach, no model, a value of the world that makes no sense.
     """
     world = World.from_table(scene.robot, {**scene.arm_world, "correction_delay": delay}, scene.source)
-    robot = world.with_cycles(Robot.load(scene.robot))
+    robot = world.with_cycles(arm_of(scene.robot))
     return PathCell(robot, world, model or model_for(scene, robot), joint_path(scene, robot, world.t_ipo),
                     scene.learn_from, scene.seed)

@@ -21,8 +21,8 @@ from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
 from ideal_robot.model.model import Model
 from ideal_robot.progress import Steps
-from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
+from scenes.arms import arm_of
 from scenes.closing.loop import ROUNDS, Comparison, Forms, Found, Place, Subject, close
 from scenes.closing.measured import Measured, checked_measured, tool, tool_deviation, visible
 from scenes.closing.result import SHARES, Closing, Played, Words
@@ -67,10 +67,10 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
             measured.
     """
     checked_measured(measured)
-    undeclared = undeclared_effects(scene, Robot.load(scene.robot).n)
+    undeclared = undeclared_effects(scene, arm_of(scene.robot).n)
     # An own model is of the arm as it was before.
     own = scene.model_copy(update={"world": declared_world(scene)}) if scene.model == OWN else scene
-    cell = set_up(scene, delay=False, model=model_for(own, Robot.load(scene.robot), progress))
+    cell = set_up(scene, delay=False, model=model_for(own, arm_of(scene.robot), progress))
     return closed(scene, cell, undeclared, measured=measured, ask=ask, out=out, progress=progress)
 
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
-from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.path.cell import DELAY, path_methods
 from scenes.path.compare import PathComparison
 from scenes.path.result import PathResult
@@ -27,7 +27,7 @@ def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay |
     path, played = result.path, result.played
     if len(path.t) < 2:
         return None
-    robot = Robot.load(result.scene.robot)
+    robot = arm_of(result.scene.robot)
     q = played.q_a[: len(path.t)]
     t = path.t[: len(q)]
     # Cycle by cycle: the desired position of a cycle is to be reached at its time stamp.

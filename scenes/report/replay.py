@@ -46,7 +46,7 @@ def polygons(robot: Robot) -> tuple[list[dict[str, Any]], list[int]]:
     model = robot.pinocchio
     shapes: list[dict[str, Any]] = []
     links = list(range(model.njoints))
-    text = without_meshes(robot.urdf.read_text(encoding="utf-8"))
+    text = without_meshes(robot.description)
     for item in pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL).geometryObjects:
         faces = _faces(item.geometry)
         if not faces:

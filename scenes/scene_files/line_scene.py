@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 import pydantic
 
 from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Feature, Line, Reference, Surface
 from scenes.scene_files.scene import ARM, Scene, Table
 
@@ -60,7 +61,7 @@ class LineScene(Scene):
     @property
     def arm(self) -> Robot:
         """The robot with the scene's tool on."""
-        return Robot.load(self.robot).with_tool(1e-3 * self.tool_mm)
+        return arm_of(self.robot).with_tool(1e-3 * self.tool_mm)
 
     workshop: ClassVar[dict[str, dict[str, Any]]] = {
         "world": ARM,

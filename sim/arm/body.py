@@ -250,7 +250,7 @@ def _load(robot: Robot, client: int) -> int:
     """The arm with its primitive shapes: Bullet would open whatever file a mesh names."""
     with temporary_folder() as folder:
         path = folder / "arm.urdf"
-        path.write_text(without_meshes(robot.urdf.read_text(encoding="utf-8")), encoding="utf-8")
+        path.write_text(without_meshes(robot.description), encoding="utf-8")
         return int(pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client))
 
 

@@ -92,7 +92,7 @@ class ArmBodies:
     def __init__(self, robot: Robot, client: int, camera: CameraModel) -> None:
         self._model, self._data = robot.pinocchio, robot.pinocchio.createData()
         self._client, self._camera = client, camera
-        text = without_meshes(robot.urdf.read_text(encoding="utf-8"))
+        text = without_meshes(robot.description)
         found = pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects
         sized = [(one, half) for one in found if (half := half_sizes(one.geometry)) is not None]
         self._shapes: list[Any] = [one for one, _ in sized]

@@ -130,7 +130,7 @@ class ArmShape:
 
     def __init__(self, robot: Robot) -> None:
         self._model, self._data = robot.pinocchio, robot.pinocchio.createData()
-        text = without_meshes(robot.urdf.read_text(encoding="utf-8"))
+        text = without_meshes(robot.description)
         found: list[tuple[int, Array, Array, float]] = []
         for item in pin.buildGeomFromUrdfString(self._model, text, pin.GeometryType.VISUAL).geometryObjects:
             half = half_sizes(item.geometry)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -14,8 +15,10 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError, PlanningError
-from planning.path.kinematics import InverseKinematics, log6, tool_jacobian
+from planning.path.kinematics import InverseKinematics
+from planning.path.newton import log6, tool_jacobian
 from planning.path.pose_history import PoseHistory
+from tests.arms import urdf, written
 from tests.planning.cell import T, joint_path, kr6, reference
 
 
@@ -164,7 +167,7 @@ def test_a_horizon_is_solved_as_pose_by_pose(seed: int) -> None:
     kinematics, guess = InverseKinematics(robot), q + rng.normal(0.0, 1e-3, q.shape)
     together = kinematics.refine(poses, guess, 1e-12)
     np.testing.assert_allclose(together, q, atol=1e-9)
-    alone = [kinematics._refined(pose, row, 1e-12) for pose, row in zip(poses, guess, strict=True)]
+    alone = [kinematics._refined(pose, row, 1e-12, row) for pose, row in zip(poses, guess, strict=True)]
     np.testing.assert_allclose(together, alone, atol=1e-12)
 
 
@@ -237,3 +240,47 @@ def test_old_samples_are_forgotten_and_time_runs_forwards() -> None:
         history.q(0.1)
     with pytest.raises(PlanningError, match="came after"):
         history.add(1.0, motion(1.0))
+
+
+# Arms with more or fewer than six joints.
+
+def straight(robot: Robot, length: float = 0.2) -> list[pin.SE3]:
+    """Poses along a straight line across the arm, from where its tool is at home."""
+    at = robot.fk()(robot.home)
+    return [pin.SE3(at.rotation, at.translation + np.array([0.0, y, 0.0])) for y in np.linspace(0.0, length, 101)]
+
+
+def bare(joints: int, home: list[float], folder: Path) -> Robot:
+    return replace(Robot.load(written(folder, urdf(joints))), home=np.array(home))
+
+
+def test_seven_joints_are_a_smooth_function_of_the_pose(tmp_path: Path) -> None:
+    """From anywhere near the posture wanted the same joint angles come out, and along a path they are smooth."""
+    robot = bare(7, [0.1, 0.5, 0.2, 1.2, 0.1, 0.8, 0.0], tmp_path)
+    kinematics, poses = InverseKinematics(robot), straight(robot)
+    q = kinematics.path(poses, robot.home)
+    assert max(gap(kinematics.fk(row), pose) for row, pose in zip(q, poses, strict=True)) < 1e-8
+    assert np.abs(np.diff(q, 3, axis=0)).max() < 0.02 * np.abs(np.diff(q, axis=0)).max()
+    rng = np.random.default_rng(0)
+    found = [kinematics.refine(poses, q + rng.normal(0.0, 0.01, q.shape)) for _ in range(2)]
+    assert np.abs(found[0] - found[1]).max() > 1e-3
+    rows = [pose.rotation for pose in poses], [pose.translation for pose in poses]
+    wanted = [kinematics.refine_rows(*map(np.array, rows), q + rng.normal(0.0, 0.01, q.shape), 1e-12, wanted=q)
+              for _ in range(2)]
+    np.testing.assert_allclose(wanted[0], q, atol=1e-5)
+    np.testing.assert_allclose(wanted[1], q, atol=1e-5)
+
+
+def test_five_joints_keep_the_place_and_as_much_of_the_tool_axis_as_they_can(tmp_path: Path) -> None:
+    robot = bare(5, [0.0, 0.4, 1.2, np.pi - 1.6, 0.0], tmp_path)
+    kinematics, poses = InverseKinematics(robot), straight(robot)
+    q = kinematics.path(poses, robot.home)
+    turned = pin.SE3(pin.exp3(np.array([0.02, 0.0, 0.0])), np.zeros(3))
+    leaning = [pose * turned for pose in poses]
+    for targets, lean in ((poses, 1e-6), (leaning, 0.021)):
+        for row, pose in zip(kinematics.refine(targets, q), targets, strict=True):
+            reached = kinematics.fk(row)
+            assert np.linalg.norm(reached.translation - pose.translation) < 1e-6
+            assert np.arccos(min(1.0, float(reached.rotation[:, 2] @ pose.rotation[:, 2]))) < lean + 1e-3
+    with pytest.raises(OutOfReachError):
+        kinematics.solve(pin.SE3(pin.exp3(np.array([0.6, 0.0, 0.0])) @ poses[0].rotation, poses[0].translation), q[0])

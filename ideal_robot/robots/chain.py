@@ -1,0 +1,215 @@
+"""From a public URDF to the serial arm in it: grippers and what follows other joints are held, turns get limits."""
+
+from __future__ import annotations
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.errors import InputError
+from ideal_robot.robots.urdf import check_text
+
+TURNS = 2.0 * math.pi
+"""Limit of a joint without one [rad]: one turn to either side, as the cables of most arms allow."""
+_FINGER = re.compile(r"finger|jaw|knuckle|claw|thumb", re.IGNORECASE)
+_GRIPPER = re.compile(rf"gripper|{_FINGER.pattern}", re.IGNORECASE)
+"""What links of grippers are called, and their joints; a last joint of the arm may carry a link called gripper."""
+_FLANGE = ("tool0", "tcp", "flange")
+"""Frames that a tool is put on, the ROS-Industrial name of the one whose z axis leads away from the arm first."""
+_SLENDER = 3
+"""A branch with fewer moving joints than this beside another one is a finger, not an arm."""
+
+
+@dataclass(frozen=True)
+class SerialArm:
+    """A URDF with one moving chain.
+
+    Attributes:
+        text: of the URDF; the very text that was read where nothing had to be changed.
+        tool: link at the chain's end.
+        changed: what was made of the joints, in words.
+    """
+
+    text: str
+    tool: str | None
+    changed: tuple[str, ...]
+
+
+def serial_arm(text: str, file: str | Path | None = None, tool: str | None = None) -> SerialArm:
+    """The chain of joints from base to tool; every other joint is held, at zero or at its nearest limit.
+
+    Args:
+        text: of the URDF.
+        file: where it comes from, for messages.
+        tool: link that the chain leads to; without a word the longest chain is taken, up to where a gripper forks.
+
+    Raises:
+        InputError: no URDF, or two arms of which nobody said which one.
+    """
+    check_text(text, file)
+    root = ET.fromstring(text)
+    joints = {str(child.get("link")): joint for joint in root.findall("joint")
+              if (child := joint.find("child")) is not None}
+    tree = _Tree(joints)
+    if not tree.sound:
+        return SerialArm(text, None, ())
+    end = tool if tool in joints else tree.end(file)
+    chain = tree.path(end)
+    while chain and tool not in joints and not drives(chain[-1]):
+        chain.pop()
+    reached = [str(joint.find("child").get("link")) for joint in chain]  # type: ignore[union-attr]
+    at = _tool_link(tree, reached) if tool not in joints else tool
+    changed = _held(joints, {id(joint) for joint in chain}) + _limited(chain)
+    return SerialArm(ET.tostring(root, encoding="unicode") if changed else text, at, tuple(changed))
+
+
+class _Tree:
+    """Links and joints of a URDF; ``joints`` by the link that each carries."""
+
+    def __init__(self, joints: dict[str, ET.Element]) -> None:
+        self.joints = joints
+        self.children: dict[str, list[str]] = {}
+        for link, joint in joints.items():
+            self.children.setdefault(_parent(joint), []).append(link)
+        roots = [link for link in self.children if link not in joints]
+        self.root = roots[0] if len(roots) == 1 else ""
+        self._depth: dict[str, int] = {}
+        # What Pinocchio refuses with words of its own, loops and several roots, is left to it.
+        self.sound = bool(self.root) and self._measure()
+
+    def _measure(self) -> bool:
+        """Moving joints on the longest way from each link outwards; whether every link is reached."""
+        order, at = [self.root], 0
+        while at < len(order):
+            order.extend(self.children.get(order[at], ()))
+            at += 1
+        for link in reversed(order):
+            self._depth[link] = max((self._own(child) + self._depth[child] for child in self.children.get(link, ())),
+                                    default=0)
+        return len(order) == len(self.joints) + 1
+
+    def _own(self, link: str) -> int:
+        return int(drives(self.joints[link]))
+
+    def end(self, file: str | Path | None) -> str:
+        """The link at which the longest moving chain ends, before the fingers of a gripper.
+
+        Raises:
+            InputError: two arms.
+        """
+        link = self.root
+        while True:
+            ways = sorted(((self._own(child) + self._depth[child], child) for child in self.children.get(link, ())),
+                          key=lambda way: -way[0])
+            moving = [way for way in ways if way[0] > 0]
+            if not moving or (len(moving) > 1 and moving[0][0] < _SLENDER):
+                return link
+            if len(moving) > 1 and moving[0][0] == moving[1][0]:
+                raise InputError(f"two chains of joints of the same length begin at {link}: name the link at the end "
+                                 "of one as tool_frame in the robot's TOML", file=file, field="tool_frame",
+                                 value=f"{moving[0][1]}, {moving[1][1]}"[:80])
+            link = moving[0][1]
+
+    def path(self, link: str) -> list[ET.Element]:
+        """Joints from the root to a link, in order."""
+        found = []
+        while link in self.joints:
+            found.append(self.joints[link])
+            link = _parent(self.joints[link])
+        return found[::-1]
+
+    def fixed_beyond(self, link: str) -> list[str]:
+        """The link and those that are rigidly fixed to it, the nearest first."""
+        found, at = [link], 0
+        while at < len(found):
+            found.extend(child for child in self.children.get(found[at], ())
+                         if self.joints[child].get("type") == "fixed")
+            at += 1
+        return found
+
+
+def drives(joint: ET.Element) -> bool:
+    """Whether a joint of a URDF moves on its own and is no gripper's."""
+    if joint.get("type") == "fixed" or joint.find("mimic") is not None:
+        return False
+    child = joint.find("child")
+    carried = "" if child is None else str(child.get("link"))
+    return not (_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(carried))
+
+
+def _parent(joint: ET.Element) -> str:
+    parent = joint.find("parent")
+    return "" if parent is None else str(parent.get("link"))
+
+
+def _tool_link(tree: _Tree, chain: list[str]) -> str | None:
+    """A frame for tools at the end of a chain of links; None where none is called so."""
+    moved = [link for link in chain if drives(tree.joints[link])]
+    if not moved:
+        return None
+    near = tree.fixed_beyond(moved[-1])
+    for wanted in _FLANGE:
+        for link in near:
+            if wanted in link.lower():
+                return link
+    return near[-1]
+
+
+def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:
+    """Makes every moving joint beside the chain a fixed one, where it stands at rest."""
+    changed = []
+    for joint in joints.values():
+        # What follows another joint in the middle of the arm cannot be held: ``check_joints`` refuses it.
+        if joint.get("type") == "fixed" or id(joint) in chain:
+            continue
+        if joint.get("type") not in ("revolute", "continuous", "prismatic"):
+            continue
+        changed.append(f"joint {joint.get('name')} is held: it is not one of the arm's")
+        _hold(joint)
+    return changed
+
+
+def _hold(joint: ET.Element) -> None:
+    """Fixes a joint at zero, or at the limit next to it."""
+    limit, axis, origin = joint.find("limit"), joint.find("axis"), joint.find("origin")
+    at = 0.0
+    if limit is not None and joint.get("type") != "continuous":
+        at = min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
+    if at != 0.0:
+        direction = np.array([float(v) for v in ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split()])
+        direction /= np.linalg.norm(direction)
+        if origin is None:
+            origin = ET.SubElement(joint, "origin")
+        xyz, rpy = (np.array([float(v) for v in origin.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))
+        rotation = pin.rpy.rpyToMatrix(rpy)
+        if joint.get("type") == "prismatic":
+            xyz = xyz + rotation @ (at * direction)
+        else:
+            rpy = pin.rpy.matrixToRpy(rotation @ pin.exp3(at * direction))
+        origin.set("xyz", " ".join(f"{v:.12g}" for v in xyz))
+        origin.set("rpy", " ".join(f"{v:.12g}" for v in rpy))
+    for name in ("mimic", "limit", "axis"):
+        for element in joint.findall(name):
+            joint.remove(element)
+    joint.set("type", "fixed")
+
+
+def _limited(chain: list[ET.Element]) -> list[str]:
+    """Gives joints of the arm that turn without end the limits of one turn to either side."""
+    changed = []
+    for joint in chain:
+        if joint.get("type") != "continuous":
+            continue
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit", {"effort": "0", "velocity": "0"})
+        limit.set("lower", f"{-TURNS:.12g}")
+        limit.set("upper", f"{TURNS:.12g}")
+        changed.append(f"joint {joint.get('name')} turns without end in the URDF: one turn to either side is used")
+    return changed

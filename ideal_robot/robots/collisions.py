@@ -1,0 +1,134 @@
+"""Whether an arm touches itself, its base plane or a surface: the URDF's simple shapes, capsules where it has none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import Robot, spread_postures
+from ideal_robot.robots.size import reach
+from ideal_robot.robots.urdf import without_meshes
+
+THICK = 0.045
+"""Radius of a link without a shape, relative to the arm's reach: UR10 0.05, LBR iiwa 0.07, KR 16 0.05."""
+OFTEN = 0.5
+"""Share of the postures all over its range in which shapes that overlap say nothing: they stand for neighbours."""
+NEIGHBOURS = 2
+"""Links so many joints apart touch each other by their gears, not by accident."""
+BOARD = 0.02
+"""Thickness of a surface [m]."""
+FLOOR = "the base plane"
+SURFACE = "the surface"
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Where an arm touches something.
+
+    Attributes:
+        row: of the postures that were looked at.
+        one, other: what touches, in words.
+    """
+
+    row: int
+    one: str
+    other: str
+
+    def __str__(self) -> str:
+        return f"{self.one} touches {self.other}"
+
+
+class Shapes:
+    """The arm's shapes in its cell.
+
+    Args:
+        robot: the arm, base plane z = 0.
+        surface: pose of a surface's middle, z out of it, that only the tool may touch; None for none.
+        size: of the surface along its x and y axis [m].
+    """
+
+    def __init__(self, robot: Robot, surface: pin.SE3 | None = None, size: tuple[float, float] = (1.0, 1.0)) -> None:
+        self._robot, self._data = robot, robot.pinocchio.createData()
+        self._radius = THICK * reach(robot)
+        self._geometry = pin.GeometryModel()
+        links = self._links()
+        for (i, one), (j, other) in combinations(links, 2):
+            if j - i > NEIGHBOURS:
+                self._geometry.addCollisionPair(pin.CollisionPair(one, other))
+        self._planes(links, surface, size)
+        self._drop_neighbours()
+        self._found = pin.GeometryData(self._geometry)
+
+    def first_touch(self, q: Array) -> Touch | None:
+        """The first of postures ``(N, n)`` [rad] in which something touches; None where nothing does."""
+        model = self._robot.pinocchio
+        for row, posture in enumerate(q):
+            if pin.computeCollisions(model, self._data, self._geometry, self._found, posture, True):
+                for k, result in enumerate(self._found.collisionResults):
+                    if result.isCollision():
+                        pair = self._geometry.collisionPairs[k]
+                        objects = self._geometry.geometryObjects
+                        return Touch(row, *(_said(objects[i].name) for i in (pair.first, pair.second)))
+        return None
+
+    def _links(self) -> list[tuple[int, int]]:
+        """Adds the links' shapes; joint that carries each, and its number."""
+        model = self._robot.pinocchio
+        found = pin.buildGeomFromUrdfString(model, without_meshes(self._robot.description),
+                                            pin.GeometryType.COLLISION).geometryObjects
+        shaped = {item.parentJoint for item in found}
+        links = [(int(item.parentJoint), self._add(f"link {item.parentJoint}", item.parentJoint, item.placement,
+                                                   item.geometry)) for item in found]
+        ends = [*(model.jointPlacements[j].translation for j in range(1, model.njoints)), self._robot.tool_place]
+        for joint, end in enumerate(ends):
+            length = float(np.linalg.norm(end))
+            if joint in shaped or length < self._radius:
+                continue
+            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end / length).matrix()
+            capsule = coal.Capsule(self._radius, max(length - self._radius, 1e-3))
+            # Shortened at the joint that carries it: there it is inside the link before.
+            place = pin.SE3(turn, np.asarray(end) * (0.5 + 0.5 * self._radius / length))
+            links.append((joint, self._add(f"link {joint}", joint, place, capsule)))
+        return links
+
+    def _planes(self, links: list[tuple[int, int]], surface: pin.SE3 | None, size: tuple[float, float]) -> None:
+        last = self._robot.pinocchio.frames[self._robot.tool_id].parentJoint
+        floor = self._add(FLOOR, 0, pin.SE3.Identity(), coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
+        for joint, number in links:
+            if joint > 1:
+                self._geometry.addCollisionPair(pin.CollisionPair(number, floor))
+        if surface is None:
+            return
+        below = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5 * BOARD]))
+        table = self._add(SURFACE, 0, surface * below, coal.Box(*size, BOARD))
+        for joint, number in links:
+            # What carries the tool is as near to the surface as the tool is short.
+            if 1 < joint < last - 1:
+                self._geometry.addCollisionPair(pin.CollisionPair(number, table))
+
+    def _add(self, name: str, joint: int, place: pin.SE3, shape: coal.CollisionGeometry) -> int:
+        number = self._geometry.ngeoms
+        item = pin.GeometryObject(f"{name} ({number})", joint, place, shape)
+        return int(self._geometry.addGeometryObject(item))
+
+    def _drop_neighbours(self) -> None:
+        """Takes away the pairs of shapes that overlap in most postures."""
+        model, data = self._robot.pinocchio, pin.GeometryData(self._geometry)
+        pairs = list(self._geometry.collisionPairs)
+        count = np.zeros(len(pairs))
+        postures = spread_postures(self._robot.q_min, self._robot.q_max)
+        for q in postures:
+            pin.computeCollisions(model, self._data, self._geometry, data, q, False)
+            count += [result.isCollision() for result in data.collisionResults]
+        for pair, often in zip(pairs, count / len(postures), strict=True):
+            if often > OFTEN:
+                self._geometry.removeCollisionPair(pair)
+
+
+def _said(name: str) -> str:
+    return name.rpartition(" (")[0].replace("link 0", "the base")

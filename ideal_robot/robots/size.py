@@ -1,0 +1,215 @@
+"""What an arm of a size weighs, can lift and how fast it turns: for URDFs that do not say it, or say what cannot be.
+
+Many public URDFs are kinematics alone: no masses or the same one everywhere, efforts and speeds of 0. An arm that is to
+be played needs some; those of its class are taken, and every one that is taken is told (``Robot.assumed``).
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.robot import SHIPPED, Robot, spread_postures
+from ideal_robot.robots.urdf import model_of
+
+FEWEST = 5
+"""Joints of an arm."""
+REACH = (0.30, 0.50, 0.90, 1.30, 1.80, 2.60, 3.30)
+"""Of the arms of a class, from the second joint to the flange stretched out [m]."""
+MASS = (0.5, 8.0, 30.0, 80.0, 250.0, 900.0, 1500.0)
+"""Of the moving links together [kg]."""
+BASE_SPEED = (4.0, 3.1, 3.1, 2.6, 2.6, 2.1, 1.8)
+"""Of the first joints [rad/s] …"""
+WRIST_SPEED = (5.0, 5.2, 5.2, 5.2, 5.2, 3.8, 3.1)
+"""… and of the last three. The rows are rounded between the data sheets of arms of about that reach: desktop servo arms
+(0.3 m), UR3e (0.5 m), UR5e, LBR iiwa 14, Panda, KR 6 R900 (0.9 m), UR10e, KR 10 R1420 (1.3 m), KR 16, IRB 2600 (1.8 m),
+KR 120 R2500, IRB 6640 (2.6 m), KR 210 R3100 (3.3 m); single arms differ from them by a factor of about three in mass
+and two in speed."""
+SLIDING_SPEED = 1.0
+"""Of joints that slide [m/s]."""
+ABSURD_MASS = 10.0
+"""Factor from the class beyond which the masses of a URDF are not those of its arm …"""
+ABSURD_SPEED = 4.0
+"""… or a speed limit not that of its joint."""
+TAPER = 0.7
+"""Mass of a link to that of the one before, of the same length: the motors of the joints before are the larger ones."""
+RADIUS = 0.07
+"""Of a link taken as a full cylinder, relative to the reach."""
+LIFTS = 1.75
+"""Effort of a joint relative to the largest gravity torque: UR5e 1.7, UR10e 1.6, Panda 1.2 …"""
+RISE = 0.2
+"""… besides what takes the joint to its speed limit in this time [s]."""
+WEAKEST = 0.15
+"""Effort of a wrist joint relative to the strongest one's at least: UR5e 0.19, Panda 0.14,
+iiwa 0.13."""
+HOLDS = 1.1
+"""Effort relative to the gravity torque below which a URDF's effort is not the arm's: it could not hold itself."""
+
+
+def of_its_size(robot: Robot) -> Robot:
+    """The arm with masses, efforts and speeds of its class where its URDF gives none, or such that cannot be.
+
+    Args:
+        robot: as its URDF describes it; a shipped one is returned as it is, and one of so few joints that it is no arm.
+    """
+    if robot.name in SHIPPED or robot.n < FEWEST:
+        return robot
+    told: list[str] = []
+    with_mass = _with_masses(robot, told)
+    v_max = _speeds(with_mass, told)
+    with_speed = replace(with_mass, v_max=_frozen(v_max))
+    tau_max = _efforts(with_speed, told)
+    return replace(with_speed, tau_max=_frozen(tau_max), assumed=(*robot.assumed, *told))
+
+
+def reach(robot: Robot) -> float:
+    """Largest distance of the tool from the second joint, or from the only one, over the arm's range [m]."""
+    model, data, pivot = robot.pinocchio, robot.pinocchio.createData(), min(2, robot.n)
+    found = REACH[0]
+    for q in spread_postures(robot.q_min, robot.q_max):
+        pin.framesForwardKinematics(model, data, q)
+        away = data.oMf[robot.tool_id].translation - data.oMi[pivot].translation
+        found = max(found, float(np.linalg.norm(away)))
+    return found
+
+
+def class_of(values: tuple[float, ...], size: float) -> float:
+    """A row of the table at a reach [m], interpolated between logarithms; at its ends held.
+
+    Args:
+        values: of the row.
+        size: the reach [m].
+    """
+    return float(np.exp(np.interp(math.log(max(size, 1e-6)), np.log(REACH), np.log(values))))
+
+
+def _frozen(values: Array) -> Array:
+    values = np.array(values)
+    values.setflags(write=False)
+    return values
+
+
+def _ways(robot: Robot) -> Array:
+    """From each joint to the next one, the last one's to the tool, in the joint's frame ``(n, 3)`` [m]."""
+    model = robot.pinocchio
+    return np.array([*(model.jointPlacements[j + 1].translation for j in range(1, robot.n)), robot.tool_place])
+
+
+# Masses
+
+def _with_masses(robot: Robot, told: list[str]) -> Robot:
+    size = reach(robot)
+    usual = class_of(MASS, size)
+    bodies = list(robot.pinocchio.inertias)[1:]
+    total = sum(body.mass for body in bodies)
+    faulty = np.array([not _possible(body, size, usual) for body in bodies])
+    if not usual / ABSURD_MASS <= total <= usual * ABSURD_MASS:
+        told.append(f"the links weigh {total:.3g} kg in the URDF: {usual:.3g} kg are taken, as arms of {size:.2g} m "
+                    "have")
+        faulty[:] = True
+    elif faulty.any():
+        names = ", ".join(robot.pinocchio.names[int(j) + 1] for j in np.flatnonzero(faulty))
+        told.append(f"no arm's masses or moments of inertia behind {names} in the URDF: those of a link of an arm of "
+                    f"{size:.2g} m are taken")
+    if not faulty.any():
+        return robot
+    weights = (np.linalg.norm(_ways(robot), axis=1) + 0.15 * size) * TAPER ** np.arange(robot.n)
+    text = _rewritten(robot, faulty, usual * weights / weights.sum(), RADIUS * size)
+    model = model_of(text, robot.urdf)
+    return replace(robot, pinocchio=model, description=text)
+
+
+def _possible(body: pin.Inertia, size: float, usual: float) -> bool:
+    """Whether a link can be one of an arm: some mass, and moments of inertia of a body that is no point and no hall."""
+    if body.mass < 1e-5 * usual:
+        return False
+    moments = np.linalg.eigvalsh(body.inertia) / (body.mass * size**2)
+    return bool(moments[0] > 1e-6 and moments[-1] < 1.0 and moments[0] + moments[1] > 0.9 * moments[2]
+                and np.linalg.norm(body.lever) < size)
+
+
+def _rewritten(robot: Robot, faulty: NDArray[np.bool_], masses: Array, radius: float) -> str:
+    """The URDF with cylinders in the place of faulty links; what is fixed to such a link weighs nothing of its own.
+
+    Args:
+        robot: the arm.
+        faulty: which links ``(n,)``.
+        masses: of the cylinders ``(n,)`` [kg].
+        radius: theirs [m].
+    """
+    root = ET.fromstring(robot.description)
+    model = robot.pinocchio
+    of_frame = {frame.name: frame.parentJoint for frame in model.frames if frame.type == pin.FrameType.BODY}
+    carried = {str(joint.find("child").get("link")): str(joint.get("name"))  # type: ignore[union-attr]
+               for joint in root.findall("joint")}
+    for link in root.findall("link"):
+        joint = of_frame.get(str(link.get("name")), 0)
+        if joint == 0 or not faulty[joint - 1]:
+            continue
+        for inertial in link.findall("inertial"):
+            link.remove(inertial)
+        if carried.get(str(link.get("name"))) == model.names[joint]:
+            link.append(_cylinder(_ways(robot)[joint - 1], float(masses[joint - 1]), radius))
+    return ET.tostring(root, encoding="unicode")
+
+
+def _cylinder(way: Array, mass: float, radius: float) -> ET.Element:
+    """The ``inertial`` of a full cylinder along a way ``(3,)`` [m] from the link's frame."""
+    length = float(np.linalg.norm(way))
+    along = way / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+    across = mass * (3.0 * radius**2 + length**2) / 12.0
+    inertia = across * np.eye(3) + (0.5 * mass * radius**2 - across) * np.outer(along, along)
+    inertial = ET.Element("inertial")
+    ET.SubElement(inertial, "origin", {"xyz": " ".join(f"{v:.9g}" for v in 0.5 * way), "rpy": "0 0 0"})
+    ET.SubElement(inertial, "mass", {"value": f"{mass:.9g}"})
+    ET.SubElement(inertial, "inertia", {f"i{'xyz'[a]}{'xyz'[b]}": f"{inertia[a, b]:.9g}"
+                                        for a in range(3) for b in range(a, 3)})
+    return inertial
+
+
+# Speeds and efforts
+
+def _speeds(robot: Robot, told: list[str]) -> Array:
+    size = reach(robot)
+    usual = np.where(np.arange(robot.n) < robot.n - 3, class_of(BASE_SPEED, size), class_of(WRIST_SPEED, size))
+    usual = np.where(robot.prismatic, SLIDING_SPEED, usual)
+    missing = ~(np.isfinite(robot.v_max) & (robot.v_max < ABSURD_SPEED * usual))
+    if missing.any():
+        told.append(f"no arm's speed limit of {_joints(missing)} in the URDF: {_listed(usual[missing])} rad/s or m/s "
+                    "are taken, as arms of that size have")
+    return np.where(missing, usual, robot.v_max)
+
+
+def _efforts(robot: Robot, told: list[str]) -> Array:
+    gravity, inertia = loads(robot)
+    usual = LIFTS * gravity + inertia * robot.v_max / RISE
+    usual = np.maximum(usual, WEAKEST * usual[~robot.prismatic].max(initial=0.0))
+    missing = ~(np.isfinite(robot.tau_max) & (robot.tau_max > HOLDS * gravity))
+    if missing.any():
+        told.append(f"no effort of {_joints(missing)} in the URDF that could hold the arm: {_listed(usual[missing])} "
+                    "N m or N are taken, for its masses and speeds")
+    return np.where(missing, usual, robot.tau_max)
+
+
+def loads(robot: Robot) -> tuple[Array, Array]:
+    """Largest gravity torque [N m] and moment of inertia [kg m²] of each joint over the arm's range, ``(n,)`` each."""
+    model, data = robot.pinocchio, robot.pinocchio.createData()
+    postures = spread_postures(robot.q_min, robot.q_max)
+    gravity = np.max([np.abs(pin.computeGeneralizedGravity(model, data, q)) for q in postures], axis=0)
+    inertia = np.max([pin.crba(model, data, q).diagonal() for q in postures], axis=0)
+    return gravity, inertia
+
+
+def _joints(which: NDArray[np.bool_]) -> str:
+    numbers = [str(j + 1) for j in np.flatnonzero(which)]
+    return f"joint {numbers[0]}" if len(numbers) == 1 else f"joints {', '.join(numbers)}"
+
+
+def _listed(values: Array) -> str:
+    return ", ".join(f"{value:.3g}" for value in values)

@@ -1,0 +1,197 @@
+"""Newton's method on many poses of a serial arm in one call, compiled.
+
+Pinocchio is the reference (a test compares them); this is for the control cycle, which solves a whole horizon: a call
+per pose costs more than its arithmetic.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.dynamics.newton_euler import Chain, joint_frames
+from ideal_robot.jit import jit
+
+DAMPING = 1e-6
+"""Of the least-squares inverse at a pose from which six joints cannot move in all directions."""
+SLIGHT = 1e-10
+"""Of that of more than six joints: of what is wished besides it lets this share of the pose's error stand."""
+TILT, TWIST = 1e-3, 1e-4
+"""Weights of the tool axis' direction and of the rotation about it [m/rad], beside 1 of the place, where there are
+fewer than six joints: the place is kept, the tool axis as far as the arm can, the rotation about it is what is left."""
+HALF_TURN = -0.99
+"""Cosine of a rotation beyond which its axis is not told well enough."""
+
+
+@jit(error_model="numpy")
+def log6(R: Array, p: Array, out: Array) -> bool:
+    """Twist of a motion, linear before angular, written to ``out (6,)``; whether it turns by less than half a turn.
+
+    Args:
+        R: rotation ``(3, 3)``.
+        p: translation ``(3,)`` [m].
+        out: result [m, rad], written to.
+    """
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    x, y, z = 0.5 * (R[2, 1] - R[1, 2]), 0.5 * (R[0, 2] - R[2, 0]), 0.5 * (R[1, 0] - R[0, 1])
+    sine = np.sqrt(x * x + y * y + z * z)
+    angle = np.arctan2(sine, cosine)
+    if angle < 1e-4:
+        longer, bend = 1.0 + angle * angle / 6.0, 1.0 / 12.0 + angle * angle / 720.0
+    else:
+        longer, bend = angle / sine, 1.0 / angle**2 - (1.0 + cosine) / (2.0 * angle * sine)
+    x, y, z = longer * x, longer * y, longer * z
+    a, b, c = y * p[2] - z * p[1], z * p[0] - x * p[2], x * p[1] - y * p[0]
+    out[0] = p[0] - 0.5 * a + bend * (y * c - z * b)
+    out[1] = p[1] - 0.5 * b + bend * (z * a - x * c)
+    out[2] = p[2] - 0.5 * c + bend * (x * b - y * a)
+    out[3], out[4], out[5] = x, y, z
+    return cosine > HALF_TURN
+
+
+@jit()
+def tool_jacobian(chain: Chain, joints: int, tool_R: Array, tool_p: Array, q: Array, J: Array, T_R: Array, T_p: Array
+                  ) -> None:
+    """Jacobian in the tool's frame, and its pose in the base frame; written to ``J``, ``T_R``, ``T_p``.
+
+    From the tool back to the base: with the tool's pose (R, p) in the frame of a joint about z, its column is
+    (Rᵀ (z × p), Rᵀ z), of one that slides (Rᵀ z, 0).
+
+    Args:
+        chain: kinematics.
+        joints: that carry the tool, the first ones of the chain.
+        tool_R: the tool's rotation in the last one's frame ``(3, 3)``.
+        tool_p: where it is there ``(3,)`` [m].
+        q: joint angles ``(n,)`` [rad].
+        J: ``(6, n)``, linear before angular, written to.
+        T_R: rotation ``(3, 3)``, written to.
+        T_p: place ``(3,)`` [m], written to.
+    """
+    n = len(q)
+    R, p = np.empty((n, 3, 3)), np.empty((n, 3))
+    joint_frames(chain, q, R, p)
+    J[:] = 0.0
+    T_R[:], T_p[:] = tool_R, tool_p
+    turned = np.empty((3, 3))
+    for i in range(joints - 1, -1, -1):
+        z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
+        m0, m1, m2 = z1 * T_p[2] - z2 * T_p[1], z2 * T_p[0] - z0 * T_p[2], z0 * T_p[1] - z1 * T_p[0]
+        slides = chain.prismatic[i] > 0.5
+        for r in range(3):
+            along = T_R[0, r] * z0 + T_R[1, r] * z1 + T_R[2, r] * z2
+            if slides:
+                J[r, i] = along
+            else:
+                J[r, i] = T_R[0, r] * m0 + T_R[1, r] * m1 + T_R[2, r] * m2
+                J[3 + r, i] = along
+        E, p0, p1, p2 = R[i], T_p[0], T_p[1], T_p[2]
+        for r in range(3):
+            for c in range(3):
+                turned[r, c] = E[r, 0] * T_R[0, c] + E[r, 1] * T_R[1, c] + E[r, 2] * T_R[2, c]
+        for r in range(3):
+            T_p[r] = E[r, 0] * p0 + E[r, 1] * p1 + E[r, 2] * p2 + p[i, r]
+        T_R[:] = turned
+
+
+@jit()
+def newton_step(chain: Chain, joints: int, tool_R: Array, tool_p: Array, target_R: Array, target_p: Array, q: Array,
+                wanted: Array, J: Array, error: Array) -> tuple[NDArray[np.floating[Any]], bool]:
+    """Change of the joint angles ``(n,)`` towards a pose, and whether its error is less than half a turn.
+
+    Args:
+        chain: as for ``tool_jacobian``, like the next three.
+        joints: see there.
+        tool_R: see there.
+        tool_p: see there.
+        target_R: rotation wanted ``(3, 3)``.
+        target_p: place wanted ``(3,)`` [m].
+        q: joint angles ``(n,)`` [rad].
+        wanted: those that more than six joints come as near to as the pose lets them ``(n,)`` [rad].
+        J: room for the Jacobian ``(6, n)``.
+        error: pose error before the step ``(6,)`` [m, rad], written to.
+    """
+    T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
+    tool_jacobian(chain, joints, tool_R, tool_p, q, J, T_R, T_p)
+    for r in range(3):
+        for c in range(3):
+            away_R[r, c] = T_R[0, r] * target_R[0, c] + T_R[1, r] * target_R[1, c] + T_R[2, r] * target_R[2, c]
+        away_p[r] = (T_R[0, r] * (target_p[0] - T_p[0]) + T_R[1, r] * (target_p[1] - T_p[1])
+                     + T_R[2, r] * (target_p[2] - T_p[2]))
+    near = log6(away_R, away_p, error)
+    if len(q) == 6:
+        return np.linalg.solve(J, error), near
+    if len(q) > 6:
+        return away_from(J, error, wanted - q), near
+    return weighted(J, error), near
+
+
+@jit()
+def away_from(J: Array, error: Array, wish: Array) -> NDArray[np.floating[Any]]:
+    """The change of more than six joint angles ``(n,)`` that removes a pose error and is nearest to a wish.
+
+    Args:
+        J: Jacobian ``(6, n)``.
+        error: of the pose ``(6,)`` [m, rad].
+        wish: change wanted besides ``(n,)`` [rad].
+    """
+    return wish + J.T @ np.linalg.solve(J @ J.T + SLIGHT * np.eye(6), error - J @ wish)
+
+
+@jit()
+def weighted(J: Array, error: Array) -> NDArray[np.floating[Any]]:
+    """The change of fewer than six joint angles ``(n,)`` that removes what they can of a pose error, place first.
+
+    Args:
+        J: Jacobian in the tool's frame ``(6, n)``.
+        error: of the pose ``(6,)`` [m, rad].
+    """
+    weights = np.array([1.0, 1.0, 1.0, TILT, TILT, TWIST])
+    scaled = weights.reshape(6, 1) * J
+    found = np.linalg.lstsq(scaled, weights * error, 1e-9)
+    return found[0]
+
+
+@jit()
+def refined(chain: Chain, joints: int, tool_R: Array, tool_p: Array, targets_R: Array, targets_p: Array, q: Array,
+            wanted: Array, tolerance: float, most: int) -> int:
+    """Nearly right joint angles ``q (N, n)`` of poses are made right in place; how many of them, from the first on.
+
+    A pose is done with the step whose pose error before it, squared, was below ``tolerance``; of fewer than six joints,
+    which cannot remove all of it, with one that changes them by a tenth of that.
+
+    Args:
+        chain: as for ``tool_jacobian``, like the next three.
+        joints: see there.
+        tool_R: see there.
+        tool_p: see there.
+        targets_R: rotations wanted ``(N, 3, 3)``.
+        targets_p: places wanted ``(N, 3)`` [m].
+        q: ``(N, n)`` [rad], changed.
+        wanted: as for ``newton_step``, of each pose ``(N, n)`` [rad].
+        tolerance: see above [m², rad²].
+        most: steps of a pose at most.
+
+    Raises:
+        LinAlgError: a posture from which one cannot move in all directions.
+    """
+    J, error = np.empty((6, q.shape[1])), np.empty(6)
+    for i in range(q.shape[0]):
+        found = q[i].copy()
+        done = False
+        for _ in range(most):
+            change, near = newton_step(chain, joints, tool_R, tool_p, targets_R[i], targets_p[i], found, wanted[i], J,
+                                       error)
+            if not near:
+                return i
+            found += change
+            left = np.sum(error * error) if q.shape[1] >= 6 else 100.0 * np.sum(change * change)
+            if left < tolerance:
+                done = True
+                break
+        if not done:
+            return i
+        q[i] = found
+    return q.shape[0]

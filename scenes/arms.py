@@ -1,0 +1,105 @@
+"""The arm of a scene: as its URDF describes it, completed by what arms of its size have, ready above its work."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+
+from ideal_robot.arrays import Array
+from ideal_robot.robots.collisions import Shapes
+from ideal_robot.robots.robot import SHIPPED, Robot, spread_postures
+from ideal_robot.robots.size import FEWEST, of_its_size, reach
+from planning import OutOfReachError
+from planning.path.kinematics import InverseKinematics
+
+AHEAD = (0.6, 0.5, 0.7)
+"""Where a tool works, in front of the base, relative to the arm's reach …"""
+BELOW = (-0.15, -0.35, 0.1)
+"""… and how high, from the second joint."""
+STARTS = 24
+"""Postures from which a ready one is looked for, for each place."""
+ROOM = 0.3
+"""Distance to the joint limits that is enough [rad]."""
+DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+"""A tool that points down."""
+
+
+def arm_of(name_or_urdf: str) -> Robot:
+    """The arm that a scene names, such that it can be played whatever its URDF leaves open.
+
+    Args:
+        name_or_urdf: as for ``Robot.load``.
+
+    Raises:
+        InputError: as ``Robot.load``.
+    """
+    if name_or_urdf in SHIPPED or not os.path.isfile(name_or_urdf):
+        return Robot.load(name_or_urdf)
+    beside = os.path.splitext(name_or_urdf)[0] + ".toml"
+    stamps = tuple(os.stat(path).st_mtime_ns if os.path.isfile(path) else 0 for path in (name_or_urdf, beside))
+    return _loaded(os.path.abspath(name_or_urdf), name_or_urdf, stamps)
+
+
+@lru_cache(maxsize=8)
+def _loaded(place: str, name: str, changed: tuple[int, ...]) -> Robot:
+    """Loads once as long as the files do not change."""
+    robot = of_its_size(Robot.load(name))
+    if robot.n < FEWEST or "home" in robot.data.get("joints", {}):
+        return robot
+    home = _ready(robot)
+    return robot if home is None else replace(robot, home=home)
+
+
+def _ready(robot: Robot) -> Array | None:
+    """The posture ``(n,)`` with the tool down over a place ahead that leaves most room to move; None without one."""
+    kinematics, shapes, size = InverseKinematics(robot), Shapes(robot), reach(robot)
+    data = robot.pinocchio.createData()
+    pin.forwardKinematics(robot.pinocchio, data, robot.home)
+    shoulder = float(data.oMi[2].translation[2])
+    starts = spread_postures(robot.q_min, robot.q_max, STARTS)
+    found: list[tuple[float, Array]] = []
+    for below in BELOW:
+        for ahead in AHEAD:
+            target = pin.SE3(DOWN, np.array([ahead * size, 0.0, shoulder + below * size]))
+            for start in starts:
+                try:
+                    q = _turned_back(robot, kinematics.solve(target, start))
+                except OutOfReachError:
+                    continue
+                if shapes.first_touch(q[None]) is None:
+                    found.append((_room(robot, kinematics, q), q))
+        if found:
+            break
+    if not found:
+        return None
+    home = np.array(max(found, key=lambda one: one[0])[1])
+    home.setflags(write=False)
+    return home
+
+
+def _turned_back(robot: Robot, q: Array) -> Array:
+    """The same posture with whole turns taken away."""
+    less = q - 2.0 * np.pi * np.round(q / (2.0 * np.pi))
+    return np.where(~robot.prismatic & (less >= robot.q_min) & (less <= robot.q_max), less, q)
+
+
+def _room(robot: Robot, kinematics: InverseKinematics, q: Array) -> float:
+    """How well an arm can move from a posture: least singular value of its Jacobian, less near a limit or wound up.
+
+    Args:
+        robot: the arm.
+        kinematics: its.
+        q: the posture ``(n,)`` [rad].
+    """
+    model = robot.pinocchio
+    jacobian = pin.computeFrameJacobian(model, model.createData(), q, robot.tool_id, pin.LOCAL_WORLD_ALIGNED)
+    scaled = np.vstack([jacobian[:3] / reach(robot), jacobian[3:]])
+    smallest = np.linalg.svd(scaled, compute_uv=False)[min(robot.n, 6) - 1]
+    margin = float(np.min(np.minimum(q - robot.q_min, robot.q_max - q)))
+    height = kinematics.elbow(q) / reach(robot)
+    wound = float(np.mean(np.abs(q))) / np.pi
+    return float(smallest * min(1.0, margin / ROOM) * (1.0 + max(height, 0.0)) * (1.0 - 0.3 * wound))
