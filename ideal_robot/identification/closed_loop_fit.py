@@ -91,13 +91,18 @@ class _JointCascade:
         scale: standard deviation of that torque [N m].
         angle: motor angles every ``t_velocity`` [rad].
         cycle, t_velocity: cycles of the recording and of the velocity loop [s].
+        every: steps of the velocity loop in a cycle of the recording.
     """
 
     def __init__(self, q_c: Array, q: Array, tau: Array, cycle: float, t_velocity: float) -> None:
+        # A logged cycle is measured, and rarely a whole number of the controller's: its steps are fitted into it.
+        self.every = max(round(cycle / t_velocity), 1)
+        if abs(self.every * t_velocity - cycle) > 1e-9 * cycle:
+            t_velocity = cycle / self.every
         self.q_c, self.q, self.cycle, self.t_velocity = q_c, q, cycle, t_velocity
         self._low_pass = butter(4, min(0.9, 2 * _CUTOFF * cycle))
         # Angles between samples: the encoder is read faster than it is logged, the motion is smooth at that scale.
-        fine = np.arange(0.0, cycle * (len(q) - 1) + 1e-9, t_velocity)
+        fine = t_velocity * np.arange(self.every * (len(q) - 1) + 1)
         self.angle = CubicSpline(np.arange(len(q)) * cycle, q)(fine)
         self.tau = self._smoothed(tau)
         self.scale = float(np.std(self.tau))
@@ -112,13 +117,12 @@ class _JointCascade:
         rate = np.concatenate([[0.0], np.diff(r)]) / self.cycle
         speed = _differentiated(self.angle, self.t_velocity, abs(velocity))
         turned = np.cumsum(speed) * self.t_velocity
-        every = round(self.cycle / self.t_velocity)
         # The integrator adds up what the position loop holds over its cycle, the present step included.
         share = self.t_velocity / self.cycle
         gap = r - self.q
         held = self.cycle * (np.concatenate([[0.0], np.cumsum(gap)[:-1]]) + share * gap)
         moved = np.concatenate([[0.0], r[:-1] - r[0]]) + share * self.cycle * rate
-        return self._smoothed(np.column_stack([gap, rate, -speed[::every], held, moved, -turned[::every]]))
+        return self._smoothed(np.column_stack([gap, rate, -speed[:: self.every], held, moved, -turned[:: self.every]]))
 
     @staticmethod
     def torque(H: Array, gains: Array) -> Array:

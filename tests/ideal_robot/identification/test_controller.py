@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ideal_robot.errors import InputError
-from ideal_robot.identification.closed_loop_fit import METHODS, fit_controller, identify_linear_loop
+from ideal_robot.identification.closed_loop_fit import METHODS, _JointCascade, fit_controller, identify_linear_loop
 from ideal_robot.identification.controller import identify_controller
 from ideal_robot.loop.from_model import cascade_gains
 from ideal_robot.robots.robot import Robot
@@ -148,3 +148,12 @@ def test_refuses_slow_sampling_and_joints_at_rest():
                        for name, values in recording.columns.items()})
     with pytest.raises(InputError, match="hardly moves"):
         fit_controller(still, ROBOT)
+
+
+@pytest.mark.parametrize("off", [2e-4, -2e-4])
+def test_a_logged_cycle_that_is_no_whole_number_of_the_controllers_is_read(off: float) -> None:
+    """By parts in ten thousand, over minutes, the steps within the cycles come to one more or less than the rows."""
+    t = np.arange(12_000)
+    q_c, cycle = 0.1 * np.sin(2e-3 * t), 0.001 * (1.0 + off)
+    joint = _JointCascade(q_c, q_c, np.cos(2e-3 * t), cycle, 0.0005)
+    assert joint.columns(np.array([0.002, 0.001])).shape == (len(joint.tau), 6)
