@@ -25,7 +25,7 @@ def check(
     Runs are paired by seed. The folder holds a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and
     Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed or a run was lost.
 
-    Example: `ideal-robot check examples/nightly.toml --update-baseline`
+    Example, with a checkout: `ideal-robot check examples/nightly.toml --update-baseline`
 
     Example: `ideal-robot check examples/nightly.toml`
     """
@@ -80,7 +80,8 @@ def compare_results(
 
     Exit code 1 where anything is worse.
 
-    Example: `ideal-robot compare-results main.json branch.json`
+    Example: `ideal-robot run edge --json main.json`, with the other version `ideal-robot run edge --json branch.json`,
+    and then `ideal-robot compare-results main.json branch.json`
     """
     from ideal_robot.errors import InputError, did_you_mean
     from scenes.outputs import check_outputs

@@ -6,6 +6,7 @@ import inspect
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -93,6 +94,7 @@ def test_a_quick_example_runs_as_printed(verb: str, program: Callable[..., Ended
 @pytest.mark.parametrize("verb", [pytest.param(one, marks=pytest.mark.real_time if example(one).beside else ())
                                   for one in ENDS])
 def test_an_example_runs_as_printed(verb: str, tmp_path: Path) -> None:
+    shutil.copytree(ROOT / "examples", tmp_path / "examples")  # A baseline is written beside its suite.
     told = {**os.environ, "PYTHONPATH": str(ROOT), "IDEAL_ROBOT_CACHE": str(tmp_path / "cache")}
 
     def begun(words: tuple[str, ...]) -> subprocess.Popen[str]:
