@@ -188,7 +188,8 @@ class RtdeRobot:
         deadline = Deadline.within(self._timeout)
         while (since := self._since(data := self._next(deadline))) <= 0:
             self.counts.outdated += 1
-            if deadline.left < self.t_ipo:
+            # Half of the patience: a computer that stalls in between is not blamed on the controller's silence.
+            if deadline.left < 0.5 * self._timeout:
                 raise RtdeError(f"the controller's time stamps do not go on ({data['timestamp'][0]:.3f} s after "
                                 f"{self._last:.3f} s); its clock was set anew: begin anew, from rest")
         if since - 1 > self.max_lost:

@@ -51,8 +51,8 @@ def list_(
 def new(
     name: Annotated[str, typer.Argument(help="Name of the scene; the file is NAME.toml in this folder.")],
     kind: Annotated[str, typer.Option(help="Kind of scene: line, path, force, clamped or close_clamped.")] = "line",
-    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Of a line: URDF of your arm; surface, line "
-                                              "and speed are chosen for its reach and its joints.")] = None,
+    robot: Annotated[str | None, typer.Option("--robot", "--urdf", help="Of a line: name of a shipped robot, or path "
+                                              "of a URDF; surface, line and speed are chosen for it.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file of that name.")] = False,
 ) -> None:
     """Writes a scene file that can be played at once and says in comments which keys there are besides.

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import stats
 
 from ideal_robot.errors import InputError
+from ideal_robot.results import Summarised
 from scenes.regression.paired import (
     BETTER,
     NOT_COMPARABLE,
@@ -78,7 +79,7 @@ class Bound:
 
 
 @dataclass(frozen=True, repr=False)
-class Comparison:
+class Comparison(Summarised):
     """Results, and what they are compared with.
 
     Attributes:
@@ -107,6 +108,12 @@ class Comparison:
         if BETTER in found:
             return BETTER
         return SAME if SAME in found or (self.before is None and self.bounds) else NOT_COMPARABLE
+
+    def summary(self) -> list[tuple[str, str]]:
+        """The verdict, and the figures of the suite."""
+        return [("comparison", self.title), ("verdict", self.verdict),
+                *((row.figure, f"{row.before:.4g} → {row.after:.4g}, {row.verdict}") for row in self.rows
+                  if row.case == SUITE)]
 
     def json(self) -> dict[str, Any]:
         """Verdicts with their figures; no times, no places."""
