@@ -40,6 +40,18 @@ LETTERS = b"VvMUOISP\0\xffXu"
 ROBOT = Robot.load("kr6")
 
 
+def _giving(wire: Wire) -> Callable[..., Wire]:
+    """Whatever socket is asked for, it is this; without the cost of a mock for every connection."""
+    def socket(*_: object) -> Wire:
+        return wire
+
+    return socket
+
+
+def _at_once(_: float) -> None:
+    """Nobody comes who would be waited for."""
+
+
 def _rtde(letter: int, payload: bytes, size: int | None = None) -> bytes:
     return struct.pack(">HB", (3 + len(payload) if size is None else size) & 0xFFFF, letter) + payload
 
@@ -71,7 +83,8 @@ def rtde_client(told: Told, rng: random.Random) -> None:
             return _rtde(ord("M"), bytes((rng.randrange(256),)) + rng.randbytes(rng.randrange(40)))
         return _rtde_header(letter, payload, rng)
 
-    with mock.patch("socket.create_connection", return_value=Wire(episode(sound, changed, rng), told)):
+    wire = Wire(episode(sound, changed, rng), told)
+    with mock.patch("socket.create_connection", new=_giving(wire)):
         robot = RtdeRobot(ROBOT, timeout=1.0)
         try:
             robot.connect(0.0)
@@ -128,7 +141,9 @@ _ODD_XML = ("<", ">", "/>", "</Rob>", "<Rob>", "<a>" * 9, "<!--", "-->", "<![CDA
 
 def rsi_server(told: Told, rng: random.Random) -> None:
     """Our server of a controller."""
-    with RsiRobot(ROBOT, host="0.0.0.0", port=0, timeout=0.001) as robot:
+    wire: Any = Wire((), told, ("127.0.0.1", 5))
+    with mock.patch("socket.socket", new=_giving(wire)), mock.patch("time.sleep", new=_at_once), RsiRobot(
+            ROBOT, host="0.0.0.0", port=0, timeout=0.001) as robot:
         degrees = robot.axes.angles(ROBOT.home)
         words = [f"{angle:.6f}" for angle in degrees]
         sound = [_rob(str(1000 + 12 * k), words) for k in range(EPISODE)]
@@ -147,11 +162,8 @@ def rsi_server(told: Told, rng: random.Random) -> None:
             packet, at = sound[k].decode(), rng.randrange(len(sound[k]))
             return (packet[:at] + rng.choice(_ODD_XML) + packet[at:]).encode()
 
-        robot._link._door.close()
-        wire: Any = Wire(episode(sound, changed, rng), told, ("127.0.0.1", 5))
-        robot._link._socket = robot._link._door = wire
-        with mock.patch("time.sleep"):
-            robot.connect(0.001)
+        wire.pieces.extend(episode(sound, changed, rng))
+        robot.connect(0.001)
         while True:
             state = robot.cycle(ROBOT.home)
             told.taken += 1
@@ -191,7 +203,7 @@ def netft(told: Told, rng: random.Random) -> None:
         return b"".join(fields(layout, values[k], rng) for _ in range(rng.choice((1, 1, 2, 40, 41))))
 
     wire = Wire(episode(sound, changed, rng), told)
-    with mock.patch("socket.socket", return_value=wire):
+    with mock.patch("socket.socket", new=_giving(wire)):
         device = NetFT("127.0.0.1")
     while wire.pieces:
         _readings(device.read(0.001), told)
@@ -219,8 +231,8 @@ def _stream(hello: bytes, kind: int, layout: str, rest: bytes, rng: random.Rando
 def stream_force(told: Told, rng: random.Random) -> None:
     """Our client of a force sensor behind our own stream."""
     wire = Wire(_stream(_package(3, 0.0, struct.pack(">d", 250.0)), 4, "Idddddd", b"", rng), told)
-    with mock.patch("socket.create_connection", return_value=wire):
-        device = StreamForce("127.0.0.1", 1, 0.01)
+    with mock.patch("socket.create_connection", new=_giving(wire)), mock.patch("time.sleep", new=_at_once):
+        device = StreamForce("127.0.0.1", 1, 0.002)
         while wire.pieces and device._connection._socket is not None:
             _readings(device.read(0.001), told)
 
@@ -228,8 +240,8 @@ def stream_force(told: Told, rng: random.Random) -> None:
 def stream_camera(told: Told, rng: random.Random) -> None:
     """Our client of a camera behind our own stream."""
     wire = Wire(_stream(_package(1, 0.0, camera_description(16, 16, 50.0)), 2, "IHH", bytes(256), rng), told)
-    with mock.patch("socket.create_connection", return_value=wire):
-        device = StreamCamera("127.0.0.1", 1, 0.01)
+    with mock.patch("socket.create_connection", new=_giving(wire)), mock.patch("time.sleep", new=_at_once):
+        device = StreamCamera("127.0.0.1", 1, 0.002)
         while wire.pieces and device._connection._socket is not None:
             frame = device.read(0.001)
             told.taken += frame is not None

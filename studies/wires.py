@@ -12,7 +12,7 @@ from typing import Any
 
 EPISODE = 30
 """Packets after which a connection is begun anew."""
-SHARE = 0.15
+SHARE = 0.3
 """Of the packets that are mutated."""
 FLOATS = (math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0, 1.0, -1.0, 1e9, -1e9)
 
