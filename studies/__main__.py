@@ -44,6 +44,7 @@ GROUPS = {
         "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps",
+        "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback",
     },
 }

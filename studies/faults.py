@@ -1,54 +1,134 @@
-"""Faults of a cell's sensors while the arm is led: what is done, how soon, how far the arm has moved meanwhile."""
+"""Faults of a cell's devices while the arm is led: what is done, how soon, how far the arm has moved meanwhile.
+
+In lockstep with the simulated cell, so that the tables are the same every time.
+"""
 
 from __future__ import annotations
 
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
 
 from planning.force.contact import most_force
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.report import head, row, scene_of
+from tests.scenes.follow.eye_on_bench import black, frozen, held, mirrored, shaken, shifted
 from tests.scenes.follow.eye_on_bench import followed as followed_by_eye
-from tests.scenes.follow.eye_on_bench import shaken, shifted
 from tests.scenes.follow.on_bench import FAULTS, STAGES, followed
+from tests.scenes.rsi.test_faults import HOME, jump, largest_acceleration, played
+from tests.sim.devices.controllers import LaggingController
 
 _CAMERA = {"pictures moved by 2 pixels": {"picture": shifted(2)}, "pictures moved by 8 pixels": {"picture": shifted(8)},
-           "pictures moved by 40 pixels": {"picture": shifted(40)}, "stamps within 20 ms": {"stamp": shaken(0.02)},
-           "stamps within 50 ms": {"stamp": shaken(0.05)}}
+           "pictures moved by 40 pixels": {"picture": shifted(40)}, "black": {"picture": black},
+           "mirrored": {"picture": mirrored}, "the same picture for ever": {"picture": frozen()},
+           "stamps within 20 ms": {"stamp": shaken(0.02)}, "stamps within 50 ms": {"stamp": shaken(0.05)},
+           "stamps that stand still": {"stamp": held}}
+_NOTICED = {"weigh the same": "weight", "wrong sign": "weight", "does not turn": "weight", "lost the noise": "noise",
+            "stuck": "stuck", "motors feel": "motors", "leaps by": "leap", "which is no push": "no push",
+            "pull with": "pull", "felt in the air": "in the air", "below the path's start": "depth",
+            "felt none": "depth", "no contact within": "depth", "contact lost": "contact lost",
+            "as the arm moves": "innovations", "above the limit": "limit", "allowed": "limit"}
+"""What a failure says → the sign by which it was noticed."""
+FROM = 70
+"""Cycle of a controller in which its fault begins."""
 
 
-def faults(scene: str = "force_wave", stages: str = ",".join(STAGES)) -> None:
-    """Each fault of a force sensor from each stage of a job on: largest force, time and way to the stop, what is said.
+def faults(scenes: str = "force_wave,contour,glue", stages: str = ",".join(STAGES)) -> None:
+    """Faults of a force sensor from each stage of a job on: sign by which it is noticed, largest force, time, way.
 
-    In lockstep with the simulated cell, so that the table is the same every time. Exit code 1 where the surface bore
-    more than 1.5 times the wanted force, or 40 N.
+    A table for each scene: a fault a row, the stage in which it begins a column; the true force on the surface since
+    then, how long after it the arm was stopped, how far the tip moved. Exit code 1 where the surface bore more than 1.5
+    times the wanted force and more than 40 N.
     """
-    loaded, worst = scene_of(ForceScene, scene), 0.0
-    head("fault", "since", "largest force [N]", "stopped after [s]", "moved [mm]", "what is said")
-    for fault in FAULTS:
-        for stage in stages.split(","):
-            with tempfile.TemporaryDirectory() as folder:
-                run = followed(loaded, Path(folder), spoil=FAULTS[fault](), stage=stage)
-            worst = max(worst, run.force)
-            row(fault, stage, f"{run.force:.1f}", f"{run.after:.2f}", f"{1e3 * run.moved:.0f}", _said(run.failure))
-    if worst > most_force(loaded.force):
+    too_much = 0
+    for name in scenes.split(","):
+        loaded = scene_of(ForceScene, name)
+        print(f"\n{name}, {loaded.force:.0f} N wanted\n")
+        head(name, *stages.split(","))
+        for fault in FAULTS:
+            cells = []
+            for stage in stages.split(","):
+                with tempfile.TemporaryDirectory() as folder:
+                    run = followed(loaded, Path(folder), spoil=FAULTS[fault](), stage=stage)
+                print(f"{name}, {fault}, {stage}: {run.force:.1f} N, {run.failure}", file=sys.stderr, flush=True)
+                too_much += run.force > most_force(loaded.force)
+                cells.append(_told(run))
+            row(fault, *cells)
+    if too_much:
         sys.exit(1)
 
 
+def _told(run: SimpleNamespace) -> str:
+    """What became of a run, in a cell of the table."""
+    if run.failure is None:
+        return f"{run.force:.0f} N, goes on"
+    noticed = next((sign for said, sign in _NOTICED.items() if said in run.failure), run.failure[:60])
+    return f"{noticed}: {run.force:.0f} N, {run.after:.1f} s, {1e3 * run.moved:.0f} mm"
+
+
 def camera_faults(scene: str = "line") -> None:
-    """Each fault of a camera: largest distance of the tool from the line, and what is said."""
+    """Faults of a camera: largest distance of the tool from the line, time and way until it rests, what is said."""
     loaded = scene_of(LineScene, scene)
-    head("fault", "calibrated", "largest distance [mm]", "what is said")
+    head("fault", "camera", "largest distance [mm]", "at rest after [s]", "moved [mm]", "what is said")
     for fault, spoilt in _CAMERA.items():
         for calibrated in (True, False):
             with tempfile.TemporaryDirectory() as folder:
                 run = followed_by_eye(loaded, Path(folder), calibrated=calibrated, **spoilt)  # type: ignore[arg-type]
-            farthest = f"{1e3 * run.beside.max(initial=0.0):.2f}"
-            row(fault, "yes" if calibrated else "by hand", farthest, _said(run.failure))
+            row(fault, "calibrated" if calibrated else "by hand", f"{1e3 * run.beside.max(initial=0.0):.2f}",
+                f"{run.after:.2f}" if run.after > 0.0 else "before the line", f"{1e3 * run.moved:.0f}",
+                _said(run.failure))
+
+
+def arm_faults() -> None:
+    """Faults of an arm behind RSI: what is said, after how long, how far it has moved, with which acceleration.
+
+    Of a controller in lockstep, 12 ms, on the path of the tests: from the first cycle on, or from the seventieth where
+    the fault is one of what is measured. Exit code 1 where an acceleration of ours is above the arm's.
+    """
+    head("fault", "corrections", "at rest after [s]", "largest way of a joint [°]", "largest acceleration / allowed",
+         "what is said")
+    turned, still = np.array([1, 1, 1, -1, 1, 1.0]), np.array([1, 1, 1, 1, 1, 0.0])
+    cases: dict[str, tuple[dict, bool, int]] = {
+        "a joint turns the other way": ({"gain": turned}, False, 0),
+        "the same": ({"gain": turned, "adds_up": True}, True, 0),
+        "a joint stands still": ({"gain": still}, False, 0),
+        "the arm stands still (another tag)": ({"tag": "AKorr"}, False, 0),
+        "absolute corrections are added up": ({"adds_up": True}, False, 0),
+        "increments are taken as absolute": ({}, True, 0),
+        "every motion is 1.6 times as large": ({"gain": np.full(6, 1.6)}, False, 0),
+        "an encoder jumps by 40°": ({"measured": jump}, False, FROM),
+        "encoders stand still": ({"measured": _Standing()}, False, FROM),
+    }
+    worst = 0.0
+    for fault, (like, relative, first) in cases.items():
+        controller = LaggingController(HOME, **like)
+        with tempfile.TemporaryDirectory() as folder:
+            run = played(Path(folder), controller, relative=relative)
+        commanded = np.array(controller.commanded)[first:]
+        share = float(largest_acceleration(controller).max())
+        worst = max(worst, share)
+        row(fault, "relative" if relative else "absolute", f"{controller.cycle * len(commanded):.2f}",
+            f"{np.ptp(commanded, axis=0).max():.1f}", f"{share:.2f}", _said(run.failure))
+    if worst > 1.0:
+        sys.exit(1)
+
+
+class _Standing:
+    """Encoders that tell the same from a cycle on."""
+
+    def __init__(self) -> None:
+        self._last = HOME
+
+    def __call__(self, cycle: int, measured: np.ndarray) -> np.ndarray:
+        self._last = measured if cycle < FROM else self._last
+        return self._last
 
 
 def _said(failure: str | None) -> str:
     """The cause without the instant."""
-    return (failure or "the job is done").partition(" s: ")[2][:110] or (failure or "the job is done")[:110]
+    told = failure or "the job is done"
+    return (told.partition(" s: ")[2] or told)[:110]

@@ -13,7 +13,9 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 from scenes.camera_world import camera_settings
+from scenes.force.cell import Cell as ForceCell
 from scenes.line.cell import Cell, set_up
 from scenes.methods import following_methods, method_of
 from scenes.models import model_at
@@ -26,11 +28,12 @@ from scenes.online.line_job import LineJob
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import LiveCamera
 from scenes.scene_files.line_scene import LineScene
+from scenes.serve.cell import _line_of
 from sensing.camera.camera_device import Gray
+from sensing.camera.camera_model import CameraModel
 from sensing.camera.cameras import Frame
 from sensing.clock_relation import ClockRelation
 from sim.arm.arm import SimulatedArm
-from sim.camera.live_camera import LiveCamera as TrueCamera
 
 BEGIN = 2.0
 """When faults of a camera begin, unless they are there from the beginning [s]."""
@@ -49,57 +52,76 @@ def shaken(width: float) -> Stamp:
     return lambda t: t + width * float(rng.uniform(-0.5, 0.5))
 
 
-class Bench:
-    """A simulated arm that is handed each command at once, and a camera on it; a ``Link`` and a ``CameraProcess``.
+def held(t: float) -> float:
+    """Stamps that stand still from ``BEGIN`` on."""
+    return min(t, BEGIN)
+
+
+def black(t: float, gray: Gray) -> Gray:
+    """Pictures that are black from ``BEGIN`` on."""
+    return gray if t < BEGIN else np.zeros_like(gray)
+
+
+def mirrored(t: float, gray: Gray) -> Gray:
+    """Pictures whose sides are exchanged from ``BEGIN`` on."""
+    return gray if t < BEGIN else np.ascontiguousarray(gray[:, ::-1])
+
+
+def frozen() -> Picture:
+    """The same picture for ever from ``BEGIN`` on."""
+    last: list[Gray] = []
+
+    def picture(t: float, gray: Gray) -> Gray:
+        last[:] = [gray] if t < BEGIN or not last else last
+        return last[0]
+
+    return picture
+
+
+class Eye:
+    """A camera on a simulated arm whose pictures are evaluated when they have come; a ``CameraProcess``.
 
     Args:
-        cell: the scene set up.
-        arm: simulated.
+        cell: the scene set up, with a line.
         stamp: what the camera says of when it exposed [s].
         picture: what becomes of a picture taken at a time [s].
     """
 
-    def __init__(self, cell: Cell, arm: SimulatedArm, stamp: Stamp | None, picture: Picture | None) -> None:
-        self.cell, self.arm, self._stamp, self._picture = cell, arm, stamp, picture
-        self.robot, self.t_ipo, self.fault = cell.known.robot, cell.known.robot.t_ipo, None
-        self.commanded = arm.truth.q_m.copy()
-        self.answer_times: list[float] = []
-        self.arrived, self.gone_on, self.counts, self.ended = 0.0, 0, SimpleNamespace(), None
-        self.settings = camera_settings(cell.known.scene.camera)
-        self.eye = TrueCamera(cell.true_camera, cell.line, self.settings, cell.camera_noise, relief=cell.relief)
-        self.worker = _Worker(cell.known.camera, cell.known.scene.camera.detector, self)  # type: ignore[arg-type]
+    def __init__(self, cell: Cell | ForceCell, stamp: Stamp | None = None, picture: Picture | None = None) -> None:
+        scene = cell.known.scene
+        self._stamp, self._picture, self.ended = stamp, picture, None
+        self.settings = camera_settings(scene.camera)
+        self._drawn = _line_of(cell, scene)[1]
+        self.worker = _Worker(cell.known.camera, scene.camera.detector, self)  # type: ignore[arg-type]
         self.clock, self.messages = ClockRelation(self.settings.latency), deque[Any]()
         self._due: deque[tuple[float, Frame]] = deque()
         self._number = 0
 
-    def send(self, q_c: Any) -> None:
-        """A command ``(n,)`` [rad]; or what the camera's process tells, kind and content."""
-        if isinstance(q_c, tuple):
-            self.messages.append(q_c[1])
-        else:
-            self.commanded = np.array(q_c)
+    @property
+    def true(self) -> CameraModel:
+        """As it is, not as it is believed to be."""
+        return self._drawn.model  # type: ignore[union-attr]
 
-    def skip(self, q_c: Array) -> None:
-        raise NotImplementedError
-
-    def receive(self) -> RobotState:
-        state = self.arm.cycle(self.commanded)
-        self.arrived = self.arm.t
+    def see(self, arm: SimulatedArm) -> None:
+        """Exposes and hands on what has come by the arm's time."""
         s = self.settings
-        while (at := self._number / s.rate) + 0.5 * s.exposure < self.arm.t:
+        while (at := self._number / s.rate) + 0.5 * s.exposure < arm.t:
             self._number += 1
-            poses = [self.arm.tcp_at(max(at + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure, 0.0))
+            poses = [arm.tcp_at(max(at + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure, 0.0))
                      for i in range(s.sub_exposures)]
-            gray = self.eye.picture(poses, at)
+            gray = self._drawn.picture(poses, at)  # type: ignore[union-attr]
             gray = gray if self._picture is None else self._picture(at, gray)
             stamp = at if self._stamp is None else self._stamp(at)
             self._due.append((at + s.latency, Frame(self._number, stamp, at + s.latency, gray)))
-        while self._due and self._due[0][0] <= self.arm.t:
+        while self._due and self._due[0][0] <= arm.t:
             arrived, frame = self._due.popleft()
             if self.clock.add(frame.stamp, arrived):
                 self.worker._frames.append(frame)
                 self.messages.append(Header(frame.number, self.clock.host(frame.stamp), arrived))
-        return state
+
+    def send(self, told: tuple[str, Any]) -> None:
+        """What the camera's process tells: kind and content."""
+        self.messages.append(told[1])
 
     def poll(self) -> list[Any]:
         """See ``CameraProcess``."""
@@ -116,23 +138,54 @@ class Bench:
         self.worker.answer("camera", camera)
 
 
+class Bench:
+    """A simulated arm that is handed each command at once, and a camera on it; a ``Link``.
+
+    Args:
+        arm: simulated.
+        robot: with the controller's cycle.
+        eye: on the arm.
+    """
+
+    def __init__(self, arm: SimulatedArm, robot: Robot, eye: Eye) -> None:
+        self.arm, self.robot, self.t_ipo, self.fault, self.eye = arm, robot, robot.t_ipo, None, eye
+        self.commanded = self.arm.truth.q_m.copy()
+        self.answer_times: list[float] = []
+        self.arrived, self.gone_on, self.counts = 0.0, 0, SimpleNamespace()
+
+    def send(self, q_c: Array) -> None:
+        """A command ``(n,)`` [rad]."""
+        self.commanded = np.array(q_c)
+
+    def skip(self, q_c: Array) -> None:
+        raise NotImplementedError
+
+    def receive(self) -> RobotState:
+        state = self.arm.cycle(self.commanded)
+        self.arrived = self.arm.t
+        self.eye.see(self.arm)
+        return state
+
+
 def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, picture: Picture | None = None,
              calibrated: bool = True, check: bool = False) -> SimpleNamespace:
     """Follows a line on the bench with a camera that is calibrated, or believed as it was mounted by hand.
 
     Returns ``failure`` (None for the whole path), the distance ``beside`` of the tool from the line on the whole way
-    ``(N,)`` [m] with its times ``t``, the ``job``.
+    ``(N,)`` [m] with its times ``t``, how long the run went on ``after`` the instant ``BEGIN`` [s] and how far the tool
+    ``moved`` meanwhile [m], the ``job``.
     """
     cell = set_up(scene)
     known = cell.known
     with SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm:
-        bench = Bench(cell, arm, stamp, picture)
+        eye = Eye(cell, stamp, picture)
+        bench = Bench(arm, known.robot, eye)
         model = model_at(scene.model, known.robot, scene.source)
         job = LineJob(scene, known.robot, model, method_of(scene.method, following_methods()), known.delay, 0.3,
                       CalibratedCamera(cell.true_camera, folder / "camera.json") if calibrated
                       else CalibratedCamera(known.camera))
         live = LiveArm(bench, Journal(folder, known.robot, {}))  # type: ignore[arg-type]
-        camera = LiveCamera(bench, live, job.detection)  # type: ignore[arg-type]
+        camera = LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
         failure, begun = None, 0.0
         try:
             live.approach(job.q_start)
@@ -150,4 +203,6 @@ def followed(scene: LineScene, folder: Path, *, stamp: Stamp | None = None, pict
         t, tcp = arm.tcp_path()
         s, lateral = cell.line.beside(tcp)
         inside = (s > 1e-6) & (s < cell.line.length - 1e-6) & (t > begun + 0.5)
-        return SimpleNamespace(failure=failure, t=t[inside], beside=np.abs(lateral[inside]), job=job, camera=camera)
+        moved = float(np.linalg.norm(np.diff(tcp[t > BEGIN], axis=0), axis=1).sum())
+        return SimpleNamespace(failure=failure, after=arm.t - BEGIN, moved=moved, t=t[inside],
+                               beside=np.abs(lateral[inside]), job=job, camera=camera)

@@ -17,17 +17,18 @@ from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from scenes.force.cell import Cell, set_up, true_tip
 from scenes.methods import following_methods, method_of
-from scenes.online.camera_process import calibrated_camera
+from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal
 from scenes.online.live_arm import LiveArm
-from scenes.online.live_sensors import LiveForce
+from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.scene_files.force_scene import ForceScene
 from sensing.clock_relation import ClockRelation
 from sensing.force.sensors import Reading, ReadingCounts
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
+from tests.scenes.follow.eye_on_bench import Eye
 
 Spoil = Callable[[float, Array], Array]
 """What a sensor tells that has been faulty for a time [s], of a wrench ``(6,)``."""
@@ -89,6 +90,7 @@ class Bench:
         spoil: what the sensor makes of a wrench ``(6,)`` since how long it is faulty [s].
         stage: in which the fault begins; None for never.
         currents: whether the controller tells them.
+        eye: the camera of a scene that has one.
     """
 
     cell: Cell
@@ -96,6 +98,7 @@ class Bench:
     spoil: Spoil | None = None
     stage: str | None = None
     currents: bool = True
+    eye: Eye | None = None
 
     def __post_init__(self) -> None:
         self.robot, self.t_ipo, self.fault = self.cell.known.robot, self.cell.known.robot.t_ipo, None
@@ -133,6 +136,8 @@ class Bench:
             self.clock.add(stamp, stamp)
             if self.force is not None:
                 self.force._readings.append((stamp, wrench))
+        if self.eye is not None:
+            self.eye.see(self.arm)
         return state if self.currents else RobotState(state.t, state.q, np.full(self.robot.n, np.nan))
 
     def at(self) -> str:
@@ -178,18 +183,19 @@ def followed(scene: ForceScene, folder: Path, **faults: Any) -> SimpleNamespace:
     """
     cell = set_up(scene)
     with SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.q_start()) as arm:
-        bench = Bench(cell, arm, **faults)
-        known = cell.known
+        known, eye = cell.known, Eye(cell) if scene.task == "glue" else None
+        bench = Bench(cell, arm, eye=eye, **faults)
         job = ForceJob(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
-                       calibrated_camera(known.camera, None))
+                       CalibratedCamera(known.camera if eye is None else eye.true, folder / "camera.json"))
         journal = Journal(folder, known.robot, {})
         live = bench.live = BenchArm(bench, journal)
         force = bench.force = LiveForce(bench, live)
+        camera = None if eye is None else LiveCamera(eye, live, job.detection)  # type: ignore[arg-type]
         failure = None
         try:
             live.approach(job.q_start)
             bench.task = job._task
-            task = job.ready(live, None, force)
+            task = job.ready(live, camera, force)
             live.begin()
             play_cycles(live, job.robot, task, job.log, CycleSettings(job.braking, 0.3, job.longest, job.expected, ""),
                         lambda *_: None)
