@@ -40,11 +40,10 @@ GROUPS = {
     "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses"},
     "closings": {"closings": "closings", "outside": "outside", "true-friction": "outside"},
     "robustness": {
-        "limits": "limits", "fuzz": "broken", "kill": "broken", "rsi-packets": "packets", "packets": "packets",
-        "mutations": "mutations",
-        "faults": "faults", "camera-faults": "faults",
-        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps",
+        "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
+        "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
+        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback",
     },
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ideal_robot.bounded_values import parsed_json
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.feedforward.registry import feedforward
 from ideal_robot.loop.from_model import loop_model
@@ -79,6 +80,8 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
         remove(folder)
         # Planned on the surface that was found; the controller has to begin RSI anew.
         job = _job(scene, devices, method, calibration)
+    if devices.check and isinstance(job, ForceJob):
+        job.before = _before(folder, scene)
     progress(0.0, "rehearsing")
     job.rehearse()
     at_start = max(at_start, give_back())
@@ -87,6 +90,14 @@ def follow(scene: Scene, devices: Devices, *, method: str | None = None, calibra
     result = _played(scene, job, devices, folder, name, progress, partial(_follow, check=devices.check))
     timing = {**result.timing, "memory_at_start_MB": at_start}
     return _kept(replace(result, left_behind=before, timing=timing), folder)
+
+
+def _before(folder: Path, scene: Scene) -> dict[str, Any]:
+    """Figures of the last run of a scene in its folder; none where there are none that can be read."""
+    with suppress(OSError, ValueError, IdealRobotError):
+        found = parsed_json((folder / "report.json").read_text(encoding="utf-8"), None, "figures")
+        return dict(found) if isinstance(found, dict) and found.get("scene") == scene.name else {}
+    return {}
 
 
 def _kept(result: FollowResult, folder: Path) -> FollowResult:

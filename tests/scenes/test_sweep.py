@@ -189,12 +189,9 @@ def _waits(job: Job) -> dict[str, Any]:
     return answer(job)
 
 
-@pytest.mark.slow
-def test_what_a_dead_scheduler_has_lost_is_played_by_the_next_sweep(tmp_path: Path,
-                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("dask.distributed")
-    monkeypatch.setattr(workers, "PATIENCE", 8.0)
-    lines, told, dask = tmp_path / "lines.jsonl", tmp_path / "scheduler.json", [sys.executable, "-m", "dask"]
+def swept_until_the_scheduler_dies(folder: Path) -> tuple[list[dict[str, Any]], Path]:
+    """Three runs on a cluster whose scheduler is killed after the first: their rows, and the file of lines."""
+    lines, told, dask = folder / "lines.jsonl", folder / "scheduler.json", [sys.executable, "-m", "dask"]
     scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
                                   "--scheduler-file", str(told)], stderr=subprocess.DEVNULL)
     worker = None
@@ -204,12 +201,20 @@ def test_what_a_dead_scheduler_has_lost_is_played_by_the_next_sweep(tmp_path: Pa
         address = json.loads(told.read_text())["address"]
         worker = subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
                                   stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(ROOT)})
-        rows = sweep(jobs(["line"], seeds=[1, 2, 3]), dask=address, function=_waits,
-                     file=SweepFile(lines, resume=True), done=lambda count: scheduler.kill())
+        return sweep(jobs(["line"], seeds=[1, 2, 3]), dask=address, function=_waits,
+                     file=SweepFile(lines, resume=True), done=lambda count: scheduler.kill()), lines
     finally:
         scheduler.kill()
         if worker is not None:
             worker.kill()
+
+
+@pytest.mark.slow
+def test_what_a_dead_scheduler_has_lost_is_played_by_the_next_sweep(tmp_path: Path,
+                                                                    monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("dask.distributed")
+    monkeypatch.setattr(workers, "PATIENCE", 8.0)
+    rows, lines = swept_until_the_scheduler_dies(tmp_path)
     assert rows[0]["failure"] is None
     assert ["not_played" in row for row in rows] == [False, True, True]
     assert len(SweepFile(lines, resume=True).answers) == 1

@@ -169,7 +169,7 @@ class Bench:
         return
 
 
-def followed(scene: ForceScene, folder: Path, **faults: Any) -> SimpleNamespace:
+def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = None, **faults: Any) -> SimpleNamespace:
     """Follows a scene on the bench.
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
@@ -179,6 +179,7 @@ def followed(scene: ForceScene, folder: Path, **faults: Any) -> SimpleNamespace:
     Args:
         scene: with a surface.
         folder: for the journal.
+        before: figures of a run before.
         faults: see ``Bench``.
     """
     cell = set_up(scene)
@@ -187,6 +188,7 @@ def followed(scene: ForceScene, folder: Path, **faults: Any) -> SimpleNamespace:
         bench = Bench(cell, arm, eye=eye, **faults)
         job = ForceJob(scene, known.robot, known.model, method_of(scene.method, following_methods()), known.delay, 0.3,
                        CalibratedCamera(known.camera if eye is None else eye.true, folder / "camera.json"))
+        job.before = before or {}
         journal = Journal(folder, known.robot, {})
         live = bench.live = BenchArm(bench, journal)
         force = bench.force = LiveForce(bench, live)
