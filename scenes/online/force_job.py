@@ -40,7 +40,7 @@ _BELOW = 1.25
 """Depth below where the surface was touched, as a share of what the wanted force takes, at which the tip is stopped."""
 _OTHER_TOOL, _OTHER_SURFACE = 0.05, 1.5
 """Difference of the tool's mass from the last run's that is no scatter [kg], and ratio of elasticities: on the simulated
-cell ten runs differ by 0.006 kg and 1 %."""
+cell three scenes differ by 0.006 kg and 1 %."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
