@@ -74,7 +74,7 @@ def beside_the_line(folder: Path) -> Iterator[Replay]:
     for fault, spoilt in (("stamps within 50 ms", {"stamp": shaken(0.05)}),
                           ("pictures moved by 8 pixels", {"picture": shifted(8)}),
                           ("pictures moved by 40 pixels", {"picture": shifted(40)})):
-        run = followed_by_eye(line, folder, **spoilt)  # type: ignore[arg-type]
+        run = followed_by_eye(line, folder, **spoilt)
         yield (fault, f"{1e3 * run.beside.max(initial=0.0):.2f} mm beside the line; {run.failure}",
                run.failure is not None and run.beside.max(initial=0.0) < 1e-3)
     columns = originals.motion(folder)

@@ -39,8 +39,10 @@ LONGEST = 60.0
 _BELOW = 1.25
 """Depth below where the surface was touched, as a share of what the wanted force takes, at which the tip is stopped."""
 _OTHER_TOOL, _OTHER_SURFACE = 0.05, 1.5
-"""Difference of the tool's mass from the last run's that is no scatter [kg], and ratio of elasticities: on the simulated
-cell three scenes differ by 0.006 kg and 1 %."""
+"""Difference of the tool's mass from the last run's that is no scatter [kg], and ratio of elasticities. On the
+simulated cell three scenes differ by 0.006 kg and 1 %."""
+_IN_AIR = 0.003
+"""Height above where the calibration touched the surface at which nothing can be felt [m]."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
@@ -55,8 +57,8 @@ class LiveForceTask(ForceTask):
 
     maps = True
     """Whether what is felt goes into a map of the surface, which tells how well it fits."""
-    floor = -np.inf
-    """Height below which the tip does not go at the start of the path [m]."""
+    floor, ceiling = -np.inf, np.inf
+    """Heights at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
 
     def plan(self, t: float, q_d: Array) -> Array:
         """See ``scenes.online.cycle.Task``."""
@@ -78,9 +80,12 @@ class LiveForceTask(ForceTask):
         if follower.force < _PULLS:
             raise EmergencyStopError("force", t, f"the force sensor feels the surface pull with {-follower.force:.1f} "
                                      "N; check its sign, its axes, and whether its bias has moved")
-        depth = START_HEIGHT - follower.descended
-        if follower.phase in (Phase.APPROACH, Phase.SETTLE) and depth < self.floor:
-            raise EmergencyStopError("contact", t, f"the tip is {-1e3 * depth:.1f} mm below the path's start, where "
+        height = START_HEIGHT - follower.descended
+        if follower.phase is Phase.SETTLE and height > self.ceiling:
+            raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt in the air, {1e3 * height:.1f} mm above "
+                                     "the path's start; look whether the force sensor's bias has leapt")
+        if follower.phase in (Phase.APPROACH, Phase.SETTLE) and height < self.floor:
+            raise EmergencyStopError("contact", t, f"the tip is {-1e3 * height:.1f} mm below the path's start, where "
                                      f"the calibration felt more than is wanted, and {follower.force:.1f} N are felt; "
                                      "look whether the force sensor is alive")
 
@@ -193,6 +198,7 @@ class ForceJob:
         task = self._task
         task.calibrated(tool, elasticity)
         task.floor = elasticity.touch - _BELOW * self.scene.force / elasticity.stiffness
+        task.ceiling = elasticity.touch + _IN_AIR
         task.connect(force, camera)
         task.arm, task.force, self._force = arm, force, force
         if camera is not None and task.vision is not None:

@@ -13,6 +13,7 @@ from tests.scenes.follow.on_bench import FAULTS, STAGES, followed
 
 QUICK = [("nothing but noise of 0.3 mN", "turning", "weigh the same"), ("wrong sign", "turning", "wrong sign"),
          ("stuck, with its usual noise", "search", "the motors feel"),
+         ("a leap of -30 N", "approach", "felt in the air"),
          ("stuck, with its usual noise", "travel", "does not change as the arm moves")]
 
 
@@ -47,7 +48,7 @@ def test_a_sound_sensor_is_believed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("before", "says"), [
-    ({"scene": "force_wave", "tool_mass_kg": 0.5}, r"tool_mass_kg is 0.[78].* kg and was 0.5 kg at the last calibration"),
+    ({"tool_mass_kg": 0.5}, r"tool_mass_kg is 0.[78].* kg and was 0.5 kg at the last calibration"),
     ({"tool_mass_kg": 0.81, "elasticity_N_m": 9000.0}, r"elasticity_N_m is 3.9.*N/m and was 9e\+03 N/m")])
 def test_what_differs_from_the_last_calibration_is_said_with_its_size(before: dict, says: str, tmp_path: Path) -> None:
     run = followed(load_scene("force_wave"), tmp_path, before=before)
