@@ -96,6 +96,10 @@ class SlidingPlan:
         return self.q[: self.n_d].copy()
 
 
+RISING = 0.1
+"""Time in which a force has to rise where the tip goes deeper [s]."""
+
+
 @dataclass(frozen=True)
 class ContourSettings:
     """What is wanted, and how the contour is assumed to bend.
@@ -180,6 +184,8 @@ class ContourFollower:
         """Way along the contour [m]."""
         self.last_touch = -np.inf
         self._normal = np.array([-1.0, 0.0])
+        self._pressed: deque[tuple[float, float]] = deque()
+        self._last: tuple[Array, float] | None = None
         self._moving_from: float | None = None
 
     @property
@@ -218,6 +224,13 @@ class ContourFollower:
         """Whether the motion along the contour has begun and not ended."""
         return self._moving_from is not None and self.travelled < self.settings.length - 1e-5
 
+    @property
+    def unfelt(self) -> float:
+        """Force by which the tip has pressed deeper in the last while and that was not felt [N]."""
+        while self._pressed and self._pressed[0][0] < self._pressed[-1][0] - RISING:
+            self._pressed.popleft()
+        return sum(force for _, force in self._pressed)
+
     def observe(self, t: float, q_a: Array) -> None:
         """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]."""
         self.history.add(t, q_a)
@@ -234,6 +247,10 @@ class ContourFollower:
             here = self._axes @ (pose.translation - self._start.translation)
             normal = self._felt_normal(force)
             self.force = float(force @ normal)
+            if self._last is not None:
+                deeper = float((self._last[0] - here) @ normal) * self.settings.elasticity
+                self._pressed.append((float(at), deeper - (self.force - self._last[1])))
+            self._last = here, self.force
             if self.force < self.settings.touch:
                 continue
             if self._contact_since is None:
@@ -251,17 +268,20 @@ class ContourFollower:
             self._points.popleft()
 
     def _felt_normal(self, force: Array) -> Array:
-        """Out of the contour: square to the tangent that was felt; until it is known, the force less its friction."""
+        """Out of the contour: square to the tangent that was felt; until it is known, the force less its friction.
+
+        A contour pushes: what pulls is felt against the last normal, and turns nothing round.
+        """
         points = np.array([point for _, point in self._points])
         if len(points) > 12 and np.linalg.norm(points[-1] - points[0]) > 0.4 * self.settings.window:
             tangent, _, _ = self._parabola(points)
             normal = np.array([-tangent[1], tangent[0]])
-            normal = normal if normal @ force > 0 else -normal
+            normal = normal if normal @ self._normal > 0 else -normal
         elif np.linalg.norm(force) > self.settings.touch:
             angle = np.arctan(self.settings.friction) if self._moving_from is not None else 0.0
             c, s = np.cos(angle), np.sin(angle)
             rotated = np.array([c * force[0] - s * force[1], s * force[0] + c * force[1]])
-            normal = rotated / np.linalg.norm(rotated)
+            normal = rotated / np.linalg.norm(rotated) if rotated @ self._normal > 0 else self._normal
         else:
             normal = self._normal
         self._normal = normal
