@@ -22,7 +22,7 @@ from planning.force.contact import most_force
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.report import head, row, scene_of
-from tests.fuzz import mutate_table, originals
+from tests.fuzz import mutate, originals
 from tests.fuzz.cases import ARM, URDF
 from tests.fuzz.play import Case, play
 from tests.ideal_robot import test_jit
@@ -82,7 +82,7 @@ def beside_the_line(folder: Path) -> Iterator[Replay]:
     half[len(half) // 2 :] = half[len(half) // 2]
     for fault, torque in (("a torque channel stuck for half of the recording", half),
                           ("a torque channel a thousand times too large", 1e3 * columns["tau_1"])):
-        raw = mutate_table.csv_bytes({**columns, "tau_1": torque})
+        raw = mutate.csv_bytes({**columns, "tau_1": torque})
         yield _verb(fault, f"identify r.csv {URDF} --friction viscous_coulomb --out o", folder, {"r.csv": raw}, ARM)
 
 
