@@ -17,7 +17,7 @@ from scenes.force.compare import ForceComparison
 from scenes.force.play import ForceResult
 from scenes.outputs import whole_folder
 from scenes.report.page import Report
-from scenes.report.replay import Replay, replay_beside, sensed_force, write_replay
+from scenes.report.replay import Replay, replay_beside, sensed_force, shown_motion, write_replay
 from scenes.result import extremes, step
 
 
@@ -31,10 +31,7 @@ def force_replay(result: ForceResult) -> Replay | None:
     if len(recording.t) < 2:
         return None
     robot = arm_of(result.scene.robot)
-    rows = slice(None, None, step(len(recording.t)))
-    t, q = recording.t[rows], recording.joints("qa", rows)
-    pose = robot.fk()
-    tool = np.array([pose(row).translation for row in q])
+    rows, t, q, tool = shown_motion(robot, recording)
     travel = [t for t, phase in zip(result.log.t, result.log.phase, strict=False) if phase == Phase.TRAVEL.value]
     force = np.interp(t, result.history["t"], result.history["normal"])
     let_go(result.history["t"], result.history["normal"])

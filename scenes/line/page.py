@@ -18,7 +18,7 @@ from scenes.line.compare import LineComparison
 from scenes.line.result import LineResult
 from scenes.online.line_task import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
-from scenes.report.replay import Replay, sensed_force, sensed_line
+from scenes.report.replay import Replay, sensed_force, sensed_line, shown_motion
 from scenes.result import step
 from sensing.camera.line_polynomial import Polyline
 from sim.arm.body import picture
@@ -37,10 +37,7 @@ def line_replay(result: LineResult) -> Replay | None:
     if len(recording.t) < 2:
         return None
     robot = result.scene.arm
-    rows = slice(None, None, step(len(recording.t)))
-    t, q = recording.t[rows], recording.joints("qa", rows)
-    pose = robot.fk()
-    tool = np.array([pose(row).translation for row in q])
+    rows, t, q, tool = shown_motion(robot, recording)
     drawn = result.geometry.drawn
     counted = result.control_error
     error = np.full(len(t), np.nan)

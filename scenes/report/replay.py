@@ -231,6 +231,13 @@ ENDING = ".replay.npz"
 _ARRAYS = ("t", "q", "tool", "wanted", "error", "surface", "ghost", "force")
 
 
+def shown_motion(robot: Robot, recording: Recording) -> tuple[slice, Array, Array, Array]:
+    """Rows of a recording that are shown; times ``(N,)`` [s], arm angles ``(N, n)`` [rad] and tool ``(N, 3)`` [m]."""
+    rows = slice(None, None, step(len(recording.t)))
+    q, pose = recording.joints("qa", rows), robot.fk()
+    return rows, recording.t[rows], q, np.array([pose(row).translation for row in q])
+
+
 def replay_beside(recording: Path) -> Path:
     """Where the replay of a recording is."""
     return recording.with_name(recording.stem + ENDING)
