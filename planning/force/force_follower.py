@@ -200,7 +200,8 @@ class SurfaceFollower:
             return np.zeros(3)
 
     def _lateral_sigma(self, s: Array) -> float:
-        return float(np.sqrt(self.fusion.deviation(s)[1][0, 0]))
+        """Standard deviation of the map across the path, in which members that differ along ``up`` alone agree [m]."""
+        return float(np.sqrt(self.fusion.likeliest.deviation(s)[1][0, 0]))
 
     def _normal(self, s: float, force: Array, along: Array, across: Array, up: Array) -> Array:
         """Surface normal: slope along the path from the map, since friction falsifies it, across from the force.

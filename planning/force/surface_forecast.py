@@ -12,6 +12,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import ArmObserver, ObserverState
+from ideal_robot.jit import jit
 from planning.line.deviation_model import DeviationModel, PathDeviation, Stand
 
 ORDER = 8
@@ -54,6 +55,7 @@ class SmoothSurface(DeviationModel):
             powers.append(power)
             power = power @ (companion + np.eye(n)) / (k + 1)
         self._powers = np.array(powers)
+        self._first_rows = np.ascontiguousarray(self._powers[:, 0])
         spread = solve_continuous_lyapunov(companion, -np.diag(np.eye(n)[-1]))
         # Stationary covariance, scaled for the slope's.
         self._stationary = spread * (SLOPE / self._rate) ** 2 / spread[1, 1]
@@ -83,7 +85,7 @@ class SmoothSurface(DeviationModel):
         if self._across is not None:
             H[:, 0, : self._first] = self._across.basis(s, stand)[:, 0]
         H[:, 1, self._first], H[:, 1, self._first + 1] = 1.0, s
-        H[:, 1, self._height] = self._ahead(s - stand.s)
+        H[:, 1, self._height] = _rows(self._rate * (s - stand.s), self._first_rows)
         return H
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
@@ -98,24 +100,49 @@ class SmoothSurface(DeviationModel):
     def carry(self, way: float) -> tuple[Array, Array]:
         """The process goes on by ``way`` [m]."""
         F, Q = np.eye(self.size), np.zeros((self.size, self.size))
-        u = self._rate * way
-        F[self._height, self._height] = step = np.tensordot(math.exp(-u) * u**np.arange(ORDER + 1), self._powers, 1)
-        if way > 0:
-            Q[self._height, self._height] = self._stationary - step @ self._stationary @ step.T
+        step, left = _carried(self._rate * way, self._powers, self._stationary)
+        F[self._height, self._height], Q[self._height, self._height] = step, left
         return F, Q
+
+    def told(self, s: Array, stand: Stand) -> bool:
+        """The process is Markov's: what is ahead of the state depends on what is behind it by the state alone."""
+        return bool(np.all(s >= stand.s))
 
     def spread(self, s: Array, stand: Stand) -> Array:
         """What comes to the height between where the state stands and ``s`` ``(m, 2)`` [m²]."""
-        if not np.any(s > stand.s):
-            return np.zeros((len(s), 2))
-        step = self._ahead(np.maximum(np.asarray(s) - stand.s, 0.0))
-        left = self._stationary[0, 0] - np.sum(step @ self._stationary * step, axis=1)
-        return np.column_stack([np.zeros(len(step)), np.maximum(left, 0.0)])
+        return np.asarray(_left(self._rate * (s - stand.s), self._first_rows, self._stationary))
 
-    def _ahead(self, way: Array) -> Array:
-        """F at ways ``(m,)`` [m] ahead by the states, the first rows of F: ``(m, p + 1)``."""
-        u = self._rate * way
-        return np.asarray((np.exp(-u)[:, None] * u[:, None] ** np.arange(ORDER + 1)) @ self._powers[:, 0])
+
+@jit()
+def _rows(u: Array, first_rows: Array) -> Array:  # pragma: no cover
+    """First rows of F at ways ``u (m,)`` [1/rate] ahead, by the states: ``(m, p + 1)``."""
+    rows = np.zeros((u.size, first_rows.shape[1]))
+    for i in range(u.size):
+        factor = np.exp(-u[i])
+        for k in range(first_rows.shape[0]):
+            rows[i] += factor * first_rows[k]
+            factor *= u[i]
+    return rows
+
+
+@jit()
+def _left(u: Array, first_rows: Array, stationary: Array) -> Array:  # pragma: no cover
+    """What comes to the height on ways ``u (m,)`` [1/rate] ahead: variance across and along ``up``, ``(m, 2)`` [m²]."""
+    rows, left = _rows(np.maximum(u, 0.0), first_rows), np.zeros((u.size, 2))
+    for i in range(u.size):
+        if u[i] > 0.0:
+            left[i, 1] = max(stationary[0, 0] - rows[i] @ stationary @ rows[i], 0.0)
+    return left
+
+
+@jit()
+def _carried(u: float, powers: Array, stationary: Array) -> tuple[Array, Array]:  # pragma: no cover
+    """F of a way ``u`` [1/rate], and the covariance of what comes to the states on it."""
+    step, factor = np.zeros_like(stationary), np.exp(-u)
+    for k in range(powers.shape[0]):
+        step += factor * powers[k]
+        factor *= u
+    return step, stationary - step @ stationary @ step.T
 
 
 def surfaces(across: Callable[[], PathDeviation] | None = None,

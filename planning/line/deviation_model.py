@@ -73,6 +73,14 @@ class DeviationModel(ABC):
         del way
         return None
 
+    def told(self, s: Array, stand: Stand) -> bool:
+        """Whether all that was measured before tells of the deviation at ``s (m,)`` [m] through the state alone.
+
+        A measurement there is worth as much late as in time. Where the state changes on its way that is not so.
+        """
+        del s, stand
+        return not self.drifts
+
     def spread(self, s: Array, stand: Stand) -> Array:
         """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²].
 

@@ -33,9 +33,14 @@ class FilterBank:
         self._log, self._s = np.zeros(len(self.members)), 0.0
 
     @property
+    def likeliest(self) -> DeviationFilter:
+        """The member with the largest probability."""
+        return self.members[int(np.argmax(self._log))]
+
+    @property
     def model(self) -> DeviationModel:
         """Of the likeliest member."""
-        return self.members[int(np.argmax(self._log))].model
+        return self.likeliest.model
 
     @property
     def weights(self) -> Array:

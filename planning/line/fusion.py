@@ -125,7 +125,7 @@ class DeviationFilter:
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
         self._shaken: list[_Track] = []
         self._stand = Stand(model.begin)
-        self._memory: list[_Memory] = []
+        self._memory: deque[_Memory] = deque()
         self._passed: deque[_Passed] = deque(maxlen=LOOKED_BACK)
         self.t = -np.inf
         """Instant up to which the state has drifted [s]."""
@@ -168,13 +168,16 @@ class DeviationFilter:
             # Nothing depends on time: late and unordered measurements are as good as any.
             self.t = max(self.t, measurement.t)
             return self._fuse(measurement)
-        late = [past for past in self._memory if past.t > measurement.t]
-        if self._memory and measurement.t < self._memory[0].t and len(late) == len(self._memory):
+        if measurement.t < self.t and self.model.told(measurement.s, self._stand):
+            measurement = replace(measurement, t=self.t)
+        late = [past for past in self._memory if past.t > measurement.t] if measurement.t < self.t else []
+        if late and measurement.t < self._memory[0].t and len(late) == len(self._memory):
             nothing = np.zeros(len(measurement.value))
             return Fused(nothing.astype(bool), nothing, 0.0, 0, "too late")
         if late:
             # Back to before the first one that is younger, then all again in the right order.
-            self._memory = self._memory[: len(self._memory) - len(late)]
+            for _ in late:
+                self._memory.pop()
             self._track.kf.x, self._track.kf.P, self._stand = late[0].x, late[0].P, late[0].stand
             self.t = self._memory[-1].t if self._memory else measurement.t
         fused = self._in_time(measurement)
@@ -248,7 +251,8 @@ class DeviationFilter:
 
     def _in_time(self, measurement: Measurement) -> Fused:
         self._remember(measurement.t, measurement)
-        self._memory = [past for past in self._memory if past.t >= measurement.t - self._memory_length]
+        while self._memory[0].t < measurement.t - self._memory_length:
+            self._memory.popleft()
         model, F, Q = self.model, np.eye(self._size), np.zeros((self._size, self._size))
         if np.isfinite(self.t):
             Q[: model.size, : model.size] = model.drift(max(measurement.t - self.t, 0.0))

@@ -41,7 +41,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
-from sensing.force.wrench import ForceSensor, WrenchFilter
+from sensing.force.wrench import ForceSensor, WrenchFilter, WrenchSample
 
 # What is known of a force scene before anything moves, by whoever follows the surface: nothing of the world.
 
@@ -255,6 +255,8 @@ class ForceLog(CycleLog):
 
 WINDOW = 0.0
 """Length of the moving average over wrenches [s]; the map averages better, and without delay."""
+GATHERED = 0.01
+"""Time for which samples are gathered before they are fused [s]: three samples at 250 Hz take no longer than one."""
 
 
 class ForceTask:
@@ -301,6 +303,8 @@ class ForceTask:
         self.log = ForceLog()
         self._torque = np.zeros((self.n_d, cell.robot.n))
         self._sensor: ForceSensor
+        self._felt: list[tuple[Array, Array]] = []
+        self._fused_at = -np.inf
         self._camera: Camera | None = None
 
     def connect(self, sensor: ForceSensor, camera: Camera | None) -> None:
@@ -384,27 +388,36 @@ class ForceTask:
 
     def _sense(self, t: float) -> None:
         arrived = self._sensor.arrived(t)
-        if not arrived:
+        if arrived:
+            self._felt.append(self._contact(t, arrived))
+        if not self._felt or (self._direct is None and t - self._fused_at < GATHERED):
             return
-        samples = [self._filter.add(sample) for sample in arrived]
+        self._fused_at = t
+        t_felt, contact = (np.concatenate(part) for part in zip(*self._felt, strict=True))
+        self._felt = []
         history = self.follower.history
+        if self._arm is not None:
+            force = np.array([history.pose(max(at, history.first)).rotation @ f
+                              for at, f in zip(t_felt, contact, strict=True)])
+            for at, q_a in self._arm.feel(t_felt, force):
+                history.revise(at, self._geometry.as_drawn(q_a))
+        fused = self.follower.update_force(t_felt, contact)
+        nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
+        self.log.samples.append((float(t_felt[-1]), self.follower.force, nis))
+        if self._direct is not None:
+            self._direct.update(self.follower.force)
+
+    def _contact(self, t: float, arrived: Sequence[WrenchSample]) -> tuple[Array, Array]:
+        """Instants ``(m,)`` [s] and contact forces ``(m, 3)`` [N, tool frame] of samples; ends on a force too large."""
+        samples, history = [self._filter.add(sample) for sample in arrived], self.follower.history
         contact = np.array([self.tool.contact(s.wrench, history.pose(max(s.t, history.first)).rotation)[:3]
                             for s in samples])
         t_felt = np.array([s.t for s in samples])
         if self.follower.phase is Phase.APPROACH:
             self._tare.add(t_felt, contact)
         contact = contact - self._tare.force
-        if self._arm is not None:
-            force = np.array([history.pose(max(s.t, history.first)).rotation @ f
-                              for s, f in zip(samples, contact, strict=True)])
-            for at, q_a in self._arm.feel(t_felt, force):
-                history.revise(at, self._geometry.as_drawn(q_a))
-        fused = self.follower.update_force(t_felt, contact)
-        nis = float("nan") if fused is None or not fused.dof else fused.nis / fused.dof
-        self.log.samples.append((samples[-1].t, self.follower.force, nis))
-        if self._direct is not None:
-            self._direct.update(self.follower.force)
         self._stop.force(t, float(np.median(np.linalg.norm(contact, axis=1))))
+        return t_felt, contact
 
     def _check(self, t: float) -> None:
         follower = self.follower

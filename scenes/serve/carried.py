@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-import queue
-import threading
-from collections.abc import Callable
-from functools import partial
+import multiprocessing
+import signal
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 
 import numpy as np
 import pinocchio as pin
 
 from ideal_robot.arrays import Array
-from sensing.camera.camera_device import Gray
+from scenes.online.processes import called, undisturbed
 from sim.camera.camera import CameraSettings
 from sim.camera.live_camera import LiveCamera
 from sim.contact.contact import ForceSensor
-from sim.devices.stream_server import DeviceClock, NetFTServer, Outbox, StreamServer, field_payload
+from sim.devices.stream_server import (
+    DeviceClock,
+    NetFTServer,
+    Outbox,
+    StreamServer,
+    Unkindness,
+    camera_description,
+    field_payload,
+    now,
+)
 
 PoseAt = Callable[[float], pin.SE3]
 ShapeAt = Callable[[float], tuple[Array, Array]]
@@ -23,32 +34,119 @@ ForceAt = Callable[[float], Array]
 _FIELD, _WRENCH = 2, 4
 _BEHIND = 4
 """Pictures that may wait to be drawn; older ones are left out."""
+_STARTS = 20.0
+"""Time within which the camera's process listens [s]."""
+_PRIORITY = 20
+"""Real-time priority of drawing, below that of the cell, which must not wait for a picture."""
+
+
+@dataclass(frozen=True)
+class CameraDevice:
+    """What the process of a camera is told once.
+
+    Attributes:
+        camera: draws what the true camera sees.
+        rate: pictures a second [Hz].
+        address: of this computer on which it listens; port 0 for any free one.
+        clock: of the camera.
+        unkind: what clocks and network do.
+        rng: draws what they do.
+    """
+
+    camera: LiveCamera
+    rate: float
+    address: tuple[str, int]
+    clock: DeviceClock
+    unkind: Unkindness
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """A picture to be drawn: its number, stamp and arrival [s], and what ``LiveCamera.picture`` is given."""
+
+    number: int
+    stamp: float
+    arrival: float
+    poses: Sequence[pin.SE3]
+    at: float
+    shape: tuple[Array, Array]
+
+
+def draw_and_send(device: CameraDevice, pipe: Connection) -> None:
+    """The camera's process: listens, draws what somebody looks at, and sends it when it is due.
+
+    Args:
+        device: the camera.
+        pipe: exposures come in, None for the end; out go the address, or why there is none, then one word a picture.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    model, clock = device.camera.model, device.clock
+    try:
+        server = StreamServer(*device.address, lambda: clock.shows(now()), 1,
+                              camera_description(model.width, model.height, device.rate))
+    except (OSError, OverflowError) as error:
+        pipe.send(str(error))
+        return
+    outbox = Outbox(device.unkind, device.rng)
+    pipe.send(server.address)
+    with suppress(EOFError, OSError), undisturbed(priority=_PRIORITY):
+        while (exposure := pipe.recv()) is not None:
+            if server.watched:
+                send_picture(exposure, device.camera, server, outbox)
+            pipe.send(server.watched)
+    outbox.close()
+    server.close()
+
+
+def send_picture(exposure: Exposure, camera: LiveCamera, server: StreamServer, outbox: Outbox) -> None:
+    """Draws a picture and hands it over to be sent when it is due.
+
+    Args:
+        exposure: what it shows.
+        camera: draws it.
+        server: to whoever looks.
+        outbox: sends when it is due.
+    """
+    gray = camera.picture(exposure.poses, exposure.at, exposure.shape)
+    payload = field_payload(exposure.number, gray.shape[1], gray.shape[0], gray.tobytes())
+    outbox.put(exposure.arrival, lambda: server.send(_FIELD, exposure.stamp, payload))
 
 
 class ServedCamera:
-    """Exposes while the arm moves, draws in a thread of its own, and sends whole pictures.
+    """Exposes while the arm moves; a process of its own draws and sends whole pictures.
 
     Args:
-        camera: draws what the true camera sees.
-        settings: rate, exposure, latency and what is wrong with the stamps.
+        device: the camera.
+        settings: exposure, latency and what is wrong with the stamps.
         pose_at: true pose of the tool at a time of the session [s].
         shape_at: what of the arm may stand in the lamp's way then.
-        clock: of the camera.
-        server: to whoever looks.
-        outbox: sends when it is due.
         rng: of jitter, stamps and losses.
+
+    Raises:
+        OSError: the address cannot be listened on.
+
+    Attributes:
+        address: where it listens.
+        left_out: pictures that were not drawn because others waited.
     """
 
-    def __init__(self, camera: LiveCamera, settings: CameraSettings, pose_at: PoseAt, shape_at: ShapeAt,
-                 clock: DeviceClock, server: StreamServer, outbox: Outbox, rng: np.random.Generator) -> None:
-        self._camera, self._settings, self._pose_at, self._clock = camera, settings, pose_at, clock
-        self._shape_at = shape_at
-        self._server, self._outbox, self._rng = server, outbox, rng
-        self._number, self.left_out = 0, 0
-        self._next = 0.0
-        self._due: queue.Queue[tuple[int, float, float, Callable[[], Gray]] | None] = queue.Queue()
-        self._thread = threading.Thread(target=self._draw, daemon=True)
-        self._thread.start()
+    def __init__(self, device: CameraDevice, settings: CameraSettings, pose_at: PoseAt, shape_at: ShapeAt,
+                 rng: np.random.Generator) -> None:
+        self._settings, self._clock, self._pose_at, self._shape_at = settings, device.clock, pose_at, shape_at
+        self._rng = rng
+        self._number, self._waiting, self._next, self.left_out = 0, 0, 0.0, 0
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=called, args=("scenes.serve.carried:draw_and_send", device, theirs),
+                                        daemon=True)
+        self._process.start()
+        theirs.close()
+        said = self._pipe.recv() if self._pipe.poll(_STARTS) else f"the camera does not begin within {_STARTS:g} s"
+        if isinstance(said, str):
+            self.close()
+            raise OSError(said)
+        self.address: tuple[str, int] = said
 
     def carry(self, t0: float, t1: float, host: float) -> None:
         """See ``sim.devices.served_arm.Carried``.
@@ -68,30 +166,32 @@ class ServedCamera:
             at, self._next = self._next, self._next + period
             t = t0 + at - host
             self._number += 1
-            if not self._server.watched or self._rng.random() < s.loss:
+            if self._rng.random() < s.loss:
                 continue
             poses = [self._pose_at(t + ((i + 0.5) / s.sub_exposures - 0.5) * s.exposure)
                      for i in range(s.sub_exposures)]
             stamp = self._clock.shows(at) + s.stamp_offset + s.stamp_noise * self._rng.standard_normal()
             arrival = at + max(s.latency + s.jitter * self._rng.standard_normal(), 0.0)
-            if self._due.qsize() >= _BEHIND:
+            self._ask(Exposure(self._number, float(stamp), float(arrival), poses, at, self._shape_at(t)))
+
+    def _ask(self, exposure: Exposure) -> None:
+        """Never waits; a camera whose process has ended sends nothing any more."""
+        with suppress(OSError, EOFError):
+            while self._pipe.poll():
+                self._pipe.recv()
+                self._waiting -= 1
+            if self._waiting >= _BEHIND:
                 self.left_out += 1
-                continue
-            self._due.put((self._number, float(stamp), float(arrival),
-                           partial(self._camera.picture, poses, at, self._shape_at(t))))
+                return
+            self._pipe.send(exposure)
+            self._waiting += 1
 
     def close(self) -> None:
         """No more pictures."""
-        self._due.put(None)
-        self._thread.join(2.0)
-
-    def _draw(self) -> None:
-        while (asked := self._due.get()) is not None:
-            number, stamp, arrival, drawn = asked
-            gray = drawn()
-            payload = field_payload(number, gray.shape[1], gray.shape[0], gray.tobytes())
-            self._outbox.put(arrival, lambda stamp=stamp, payload=payload: self._server.send(  # type: ignore[misc]
-                _FIELD, stamp, payload))
+        with suppress(OSError):
+            self._pipe.send(None)
+        self._process.join(2.0)
+        self._process.kill()
 
 
 class ServedForce:

@@ -29,7 +29,7 @@ from scenes.scene_files.drawn_line import believed_camera, true_camera
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import Scene
-from scenes.serve.carried import ServedCamera, ServedForce
+from scenes.serve.carried import CameraDevice, ServedCamera, ServedForce
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
 from sim.camera.lamp import ArmShape
@@ -41,10 +41,7 @@ from sim.devices.stream_server import (
     DeviceClock,
     NetFTServer,
     Outbox,
-    StreamServer,
     Unkindness,
-    camera_description,
-    now,
 )
 
 SETTLING = 0.3
@@ -190,14 +187,12 @@ def served_cell(scene: Scene, places: Places, unkind: Unkindness) -> Iterator[tu
         carried: list[Carried] = []
         try:
             if drawn is not None:
-                clock = DeviceClock(100.0 + unkind.offset, unkind.drift)
-                server = StreamServer(places.host, places.camera, lambda: clock.shows(now()), 1,
-                                      camera_description(drawn.model.width, drawn.model.height, scene.camera.rate))
-                stack.callback(server.close)
-                camera = ServedCamera(drawn, camera_settings(scene.camera), served.pose_at, served.shape_at, clock,
-                                      server, outbox, streams[1])
+                device = CameraDevice(drawn, scene.camera.rate, (places.host, places.camera),
+                                      DeviceClock(100.0 + unkind.offset, unkind.drift), unkind, streams[3])
+                camera = ServedCamera(device, camera_settings(scene.camera), served.pose_at, served.shape_at,
+                                      streams[1])
                 stack.callback(camera.close)
-                served.camera = server.address
+                served.camera = camera.address
                 carried.append(camera)
             if isinstance(cell, ForceCell) and isinstance(scene, ForceScene):
                 netft = NetFTServer(places.host, places.force)

@@ -295,6 +295,22 @@ def test_forces_that_come_late_and_in_any_order_say_the_same(order: list[int]) -
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
 
 
+def test_what_lies_ahead_may_be_seen_late() -> None:
+    """Markov: places ahead depend on those behind by the state alone, so nothing is lost by not going back."""
+    def map_with(t: float) -> DeviationFilter:
+        surface = DeviationFilter(SmoothSurface(0.065), biases={"force": ()})
+        for k in range(40):
+            surface.update(felt_at(k, bump(STEP * k)))
+        ahead = np.array([STEP * 39 + 0.02])
+        surface.update(Measurement(t, ahead, bump(ahead[0]) * np.ones(1), np.array([[NOISE**2]]),
+                                   np.array([[0.0, 1.0]]), "camera", at=STEP * 30))
+        return surface
+
+    there = STEP * 39 + np.linspace(0.0, 0.04, 5)
+    for late, in_time in zip(map_with(0.012 * 30).deviation(there), map_with(0.012 * 39).deviation(there), strict=True):
+        np.testing.assert_array_equal(late, in_time)
+
+
 def test_a_bank_finds_the_length_scale_and_says_how_sure_the_height_ahead_is() -> None:
     rng = np.random.default_rng(5)
     model, picked, off, stated = SmoothSurface(0.045), [], [], []
