@@ -55,10 +55,12 @@ class ForceFollower(Follower, Protocol):
 
     Attributes:
         force: the normal force felt last [N].
+        sideways: the force along the surface felt last [N].
         last_touch: when there was contact last [s].
     """
 
     force: float
+    sideways: float
     last_touch: float
 
     @property

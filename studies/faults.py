@@ -30,7 +30,8 @@ _CAMERA = {"pictures moved by 2 pixels": {"picture": shifted(2)}, "pictures move
 _NOTICED = {"weigh the same": "weight", "wrong sign": "weight", "does not turn": "weight", "lost the noise": "noise",
             "stuck": "stuck", "motors feel": "motors", "leaps by": "leap", "which is no push": "no push",
             "pull with": "pull", "felt in the air": "in the air", "below the path's start": "depth",
-            "felt none": "depth", "no contact within": "depth", "contact lost": "contact lost",
+            "felt none": "depth", "lies deeper": "forecast", "axes are not": "axes", "drifts by": "drift",
+           "not done after": "time", "no contact within": "depth", "contact lost": "contact lost",
             "as the arm moves": "innovations", "above the limit": "limit", "allowed": "limit"}
 """What a failure says → the sign by which it was noticed."""
 FROM = 70

@@ -19,6 +19,7 @@ from ideal_robot.rsi.message import RsiFormat
 from ideal_robot.rtde import RtdeRobot
 from ideal_robot.signals.recording import Recording
 from planning.force.contact import most_force
+from scenes import workers
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.report import head, row, scene_of
@@ -62,7 +63,8 @@ def standing_clock(folder: Path) -> Iterator[Replay]:
 
 def dead_scheduler(folder: Path) -> Iterator[Replay]:
     """A cluster that loses its scheduler."""
-    rows, lines = swept_until_the_scheduler_dies(folder)
+    with mock.patch.object(workers, "PATIENCE", 8.0):
+        rows, lines = swept_until_the_scheduler_dies(folder)
     kept = len(lines.read_text().splitlines())
     lost = sum("not_played" in one for one in rows)
     yield "killed after the first of three runs", f"{kept} answer kept, {lost} not played", (kept, lost) == (1, 2)

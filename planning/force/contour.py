@@ -96,8 +96,8 @@ class SlidingPlan:
         return self.q[: self.n_d].copy()
 
 
-RISING = 0.1
-"""Time in which a force has to rise where the tip goes deeper [s]."""
+LATELY = 0.08
+"""Time over which the contour that was felt is forecast, to see whether what is felt fits it [s]."""
 
 
 @dataclass(frozen=True)
@@ -184,8 +184,10 @@ class ContourFollower:
         """Way along the contour [m]."""
         self.last_touch = -np.inf
         self._normal = np.array([-1.0, 0.0])
-        self._pressed: deque[tuple[float, float]] = deque()
-        self._last: tuple[Array, float] | None = None
+        self.sideways = 0.0
+        """Force along the contour of the last samples [N]."""
+        self.recedes = 0.0
+        """By how much the contour lies deeper than it was forecast a while ago, as a force on the tip [N]."""
         self._moving_from: float | None = None
 
     @property
@@ -224,13 +226,6 @@ class ContourFollower:
         """Whether the motion along the contour has begun and not ended."""
         return self._moving_from is not None and self.travelled < self.settings.length - 1e-5
 
-    @property
-    def unfelt(self) -> float:
-        """Force by which the tip has pressed deeper in the last while and that was not felt [N]."""
-        while self._pressed and self._pressed[0][0] < self._pressed[-1][0] - RISING:
-            self._pressed.popleft()
-        return sum(force for _, force in self._pressed)
-
     def observe(self, t: float, q_a: Array) -> None:
         """Takes the arm angles ``(n,)`` [rad] at ``t`` [s]."""
         self.history.add(t, q_a)
@@ -241,16 +236,14 @@ class ContourFollower:
 
     def update_force(self, t: Array, contact: Array) -> None:
         """Takes contact forces ``(m, 3)`` in the tool frame [N], measured at ``t (m,)`` [s]."""
+        sideways = 0.0
         for at, force_tool in zip(t, contact, strict=True):
             pose = self.history.pose(max(float(at), self.history.first))
             force = self._axes @ (pose.rotation @ force_tool)
             here = self._axes @ (pose.translation - self._start.translation)
             normal = self._felt_normal(force)
             self.force = float(force @ normal)
-            if self._last is not None:
-                deeper = float((self._last[0] - here) @ normal) * self.settings.elasticity
-                self._pressed.append((float(at), deeper - (self.force - self._last[1])))
-            self._last = here, self.force
+            sideways += abs(float(force @ [-normal[1], normal[0]]))
             if self.force < self.settings.touch:
                 continue
             if self._contact_since is None:
@@ -266,6 +259,23 @@ class ContourFollower:
             and (np.linalg.norm(self._points[0][1] - newest) > self.settings.window or len(self._points) > 400)
         ):
             self._points.popleft()
+        self.recedes = self._deeper_than_forecast(len(t))
+        self.sideways = sideways / len(t)
+
+    def _deeper_than_forecast(self, count: int) -> float:
+        """How much deeper than the parabola of older points the newest ``count`` ones lie, times E [N].
+
+        With a sensor that does not answer the tip's own way counts as the contour: where too little is felt, it
+        recedes.
+        """
+        points = np.array([point for _, point in self._points])
+        older = sum(at < self._points[-1][0] - LATELY for at, _ in self._points) if len(points) else 0
+        if older <= 12 or np.linalg.norm(points[older - 1] - points[0]) < 0.3 * self.settings.window:
+            return 0.0
+        tangent, bend, foot = self._parabola(points[:older])
+        left = np.array([-tangent[1], tangent[0]])
+        off = (points[-count:] - foot) @ left - 0.5 * bend * ((points[-count:] - foot) @ tangent) ** 2
+        return float(-np.mean(off) * np.sign(left @ self._normal)) * self.settings.elasticity
 
     def _felt_normal(self, force: Array) -> Array:
         """Out of the contour: square to the tangent that was felt; until it is known, the force less its friction.

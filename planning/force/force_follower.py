@@ -102,8 +102,8 @@ class SurfaceFollower:
         self._t_lift = np.inf
         self.last_touch = -np.inf
         """Last instant at which there was contact [s]."""
-        self.force = 0.0
-        """Normal force of the last sample [N]."""
+        self.force = self.sideways = 0.0
+        """Normal force of the last samples, and that along the surface [N]."""
         self.slope = np.zeros(2)
         """Slopes of the surface along and across the path, as the map and the force vector show them."""
 
@@ -161,6 +161,7 @@ class SurfaceFollower:
         up, across, along = frames.up[middle], frames.normal[middle], frames.tangent[middle]
         normal = self._normal(float(s[middle]), forces.mean(axis=0), along, across, up)
         self.force = float(np.mean(forces @ normal))
+        self.sideways = float(np.linalg.norm(forces.mean(axis=0) - self.force * normal))
         if self.force > self.settings.touch:
             self.last_touch = max(self.last_touch, float(np.max(t)))
             if self._contact_since is None:

@@ -11,10 +11,12 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.model.model import Model
+from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
 from planning.force.contact import EmergencyStopError, Phase, most_force
-from planning.force.contour import RISING, ContourFollower
+from planning.force.contour import LATELY, ContourFollower
+from planning.force.felt_by_motors import BeyondSensor
 from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
@@ -44,9 +46,13 @@ _OTHER_TOOL, _OTHER_SURFACE = 0.05, 1.5
 simulated cell three scenes differ by 0.006 kg and 1 %."""
 _IN_AIR = 0.003
 """Height above where the calibration touched the surface at which nothing can be felt [m]."""
-_UNFELT = 0.5
-"""Share of the wanted force that may go unfelt along a contour: 0.4 with a sound sensor, up to 1 with one that is none
-(``python -m studies faults``)."""
+_RECEDES = 0.3
+"""Share of the wanted force by which a contour may lie deeper than forecast: 0.1 with a sound sensor, over 0.3 within
+0.1 s with one that is stuck (``python -m studies faults``)."""
+_TOUCHES, _SLIDES = 3.0, 0.5
+"""Force that need not be a push [N], and the largest coefficient of friction that a tip has."""
+_BY_MOTORS = 0.65
+"""Share of the force that the surface bears beyond the wanted one of which the motors' word is enough."""
 _PULLS = -3.0
 """Force that no surface exerts [N]."""
 _GUESS = ContactElasticity(4000.0, 1000.0, 0.0, 0.0)
@@ -61,6 +67,8 @@ class LiveForceTask(ForceTask):
 
     maps = True
     """Whether what is felt goes into a map of the surface, which tells how well it fits."""
+    motors: BeyondSensor
+    """What they feel beyond what the sensor feels."""
     floor, ceiling = -np.inf, np.inf
     """Heights at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
 
@@ -75,19 +83,33 @@ class LiveForceTask(ForceTask):
                 self.force.signs.fits(self.log.samples[-1][2])
             if (trouble := self.force.trouble(t)) is not None:
                 raise EmergencyStopError("force", t, trouble)
-            self._check_contact(t)
+            self._check_felt(t)
+            self._check_height(t)
         return q_d
 
-    def _check_contact(self, t: float) -> None:
-        """Raises ``EmergencyStopError`` where what is felt is no push, or the tip deeper than it can be."""
-        follower = self.follower
+    def _check_felt(self, t: float) -> None:
+        """Raises ``EmergencyStopError`` where what is felt is no push, fits no contour, or not what the motors feel."""
+        follower, scene = self.follower, self.cell.scene
         if follower.force < _PULLS:
             raise EmergencyStopError("force", t, f"the force sensor feels the surface pull with {-follower.force:.1f} "
                                      "N; check its sign, its axes, and whether its bias has moved")
+        if follower.phase in (Phase.SETTLE, Phase.TRAVEL) and (
+                follower.sideways > max(_TOUCHES, _SLIDES * follower.force)):
+            raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt out of the surface and "
+                                     f"{follower.sideways:.1f} N along it, which is no push; look whether the force "
+                                     "sensor is alive, and check its axes")
         if isinstance(follower, ContourFollower) and follower.phase is Phase.TRAVEL and (
-                follower.unfelt > _UNFELT * self.cell.scene.force):
-            raise EmergencyStopError("force", t, f"the tip has pressed {follower.unfelt:.1f} N deeper than is felt in "
-                                     f"{RISING:.1f} s; look whether the force sensor is alive")
+                follower.recedes > _RECEDES * scene.force):
+            raise EmergencyStopError("force", t, f"the contour lies deeper by {follower.recedes:.1f} N than it was "
+                                     f"felt to go on {LATELY:.2f} s ago; look whether the force sensor is alive")
+        if self.motors.excess > _BY_MOTORS * (most_force(scene.force) - scene.force):
+            raise EmergencyStopError("force", t, f"the motors feel {self.motors.excess:.0f} N more than the "
+                                     f"{follower.force:.0f} N of the force sensor; look whether it is alive, and "
+                                     "whether its bias has moved")
+
+    def _check_height(self, t: float) -> None:
+        """Raises ``EmergencyStopError`` where the tip is higher or deeper than it can be with what is felt."""
+        follower = self.follower
         height = START_HEIGHT - follower.descended
         if follower.phase is Phase.SETTLE and height > self.ceiling:
             raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt in the air, {1e3 * height:.1f} mm above "
@@ -101,7 +123,14 @@ class LiveForceTask(ForceTask):
         """See ``scenes.online.cycle.Task``."""
         if self.arm is not None:
             self.arm.q_d = q_d[0]
+        self.motors.commanded(q_d[0])
         return super().command(t, q_d)
+
+    def collect(self, t0: float, t1: float, measured: RobotState) -> None:
+        """See ``scenes.online.cycle.Task``."""
+        super().collect(t0, t1, measured)
+        if self.follower.phase is Phase.TRAVEL:
+            self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force)
 
 
 class ForceJob:
@@ -276,6 +305,7 @@ class ForceJob:
     def _new_task(self) -> LiveForceTask:
         task = LiveForceTask(self._known, self.method, None, _NO_LOAD, _GUESS, np.random.default_rng(0))
         task.maps = self.scene.task != "contour"
+        task.motors = BeyondSensor(self._known.model, self.robot.t_ipo)
         if task.vision is not None:
             task.vision.detector = FoundBefore()
         return task

@@ -153,8 +153,10 @@ class Bench:
         if phase != "travel":
             return phase
         self._travelling += self.t_ipo
-        return "travel" if self._travelling > 1.0 else ""
+        return "travel" if self._travelling > self.begins else ""
 
+    begins = 1.0
+    """Time of the travel after which a fault in it begins [s]."""
     turns = 1
     """How often time has begun when the tool is turned."""
     task: Any = None
