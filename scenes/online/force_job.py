@@ -127,7 +127,13 @@ class LiveForceTask(ForceTask):
         return super().command(t, q_d)
 
     def collect(self, t0: float, t1: float, measured: RobotState) -> None:
-        """See ``scenes.online.cycle.Task``."""
+        """See ``scenes.online.cycle.Task``.
+
+        Args:
+            t0: begin of the cycle [s].
+            t1: its end [s].
+            measured: what the controller reported at its end.
+        """
         super().collect(t0, t1, measured)
         if self.follower.phase is Phase.TRAVEL:
             self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force)

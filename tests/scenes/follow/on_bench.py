@@ -62,6 +62,7 @@ FAULTS: dict[str, Callable[[], Spoil]] = {
     "a leap of -30 N": lambda: lambda since, wrench: wrench - 30.0 * Z,
     "drift of +2 N/s": lambda: lambda since, wrench: wrench + 2.0 * since * Z,
     "drift of -2 N/s": lambda: lambda since, wrench: wrench - 2.0 * since * Z,
+    "drift of +2 N/s in x": lambda: lambda since, wrench: wrench + 2.0 * since * np.eye(6)[0],
     "wrong sign": lambda: lambda since, wrench: -wrench,
     "wrong order of axes": lambda: lambda since, wrench: wrench[[2, 0, 1, 5, 3, 4]],
 }

@@ -39,6 +39,20 @@ def test_no_fault_at_any_stage_presses_too_hard(name: str, fault: str, stage: st
     assert run.failure is not None or fault.startswith(("a leap", "drift"))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "speed", "fault"), [
+    ("force_wave", 0.05, "drift of +2 N/s"), ("glue", 0.08, "drift of +2 N/s"),
+    ("contour", 0.04, "drift of +2 N/s in x")])
+def test_a_drift_is_noticed_on_a_job_that_is_long_enough_for_it(name: str, speed: float, fault: str, tmp_path: Path
+                                                                ) -> None:
+    """2 N/s press with 40 N after ten seconds, and the map of the surface sinks along with the bias."""
+    scene = load_scene(name).changed(speed=speed)
+    run = followed(scene, tmp_path, spoil=FAULTS[fault](), stage="travel")
+    assert run.failure is not None
+    assert run.after < 10.0
+    assert run.force <= most_force(scene.force)
+
+
 @pytest.mark.parametrize(("fault", "begins", "says"), [
     ("nothing but noise of 0.3 N", 1.0, "lies deeper"), ("stuck, with its usual noise", 1.0, "lies deeper"),
     ("stuck, with its usual noise", 2.5, "no push")])
