@@ -44,7 +44,7 @@ GROUPS = {
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps",
-        "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback",
+        "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }
 """Studies by group: name → module here, whose function of that name plays it."""

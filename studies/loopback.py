@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
+import sys
 import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from scenes import run_scene
+from scenes.online.processes import memory_together
 from scenes.scene_file import library, load_scene
+from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from studies.report import head, row, scene_of
-from tests.scenes.follow.pair import Cell, served
+from tests.scenes.follow.pair import Cell, children, served
+from tests.sources import ROOT
 
 UNKIND = ("--loss", "0.02", "--late", "0.003", "--late-by", "30", "--drift", "50")
 SEEN = ("line", "glue")
@@ -169,3 +179,105 @@ def _cells(case: Case, runs: list[dict[str, Any]], own: float) -> list[str]:
             f"{max(all_of('share'), default=np.nan):.2f}", f"{1e2 * max(all_of('processor'), default=np.nan):.0f}",
             " + ".join("–" if np.isnan(one) else f"{one:.0f}" for one in memory)
             + f" = {max(all_of('together'), default=np.nan):.0f}"]
+
+
+# An hour in one go, with a camera that is switched off and on again.
+
+AWAY = 2.0
+"""Time for which the camera is gone [s]."""
+TOLD = 60
+"""Times that the memory is looked at."""
+
+
+def follow_hour(minutes: float = 60.0, cycle: float = 0.012, scene: str = "glue",
+                relay: Annotated[str, typer.Option(hidden=True)] = "") -> None:
+    """A scene so slowly that it lasts an hour, in real time; the camera is gone for two seconds at half of it.
+
+    Processes of their own: the arm's controller with the force sensor (250 Hz), the camera (50 Hz), the wire to it, the
+    follower, the evaluation of pictures. Memory is that of the follower's two, what they share counted once. Exit code
+    1 where the path was not completed.
+    """
+    if relay:
+        _relayed(*map(int, relay.split(":")))
+        return
+    with tempfile.TemporaryDirectory(prefix="follow-hour-") as name:
+        folder, text = Path(name), (library() / f"{scene}.toml").read_text(encoding="utf-8")
+        file = folder / f"{scene}.toml"
+        file.write_text(f"max_duration = 7200.0\n{text}", encoding="utf-8")
+        length = float(scene_of(ForceScene, scene).line.length or 1.0)
+        print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores", flush=True)
+        with served(str(file), folder, "--cycle", str(cycle)) as cell, _through(cell) as wire:
+            follower = cell.follow(str(file), "--cycle", str(cycle), "--speed", str(length / (60.0 * minutes)))
+            memory, begun, gone = list[float](), time.monotonic(), False
+            while follower.poll() is None:
+                with suppress(subprocess.TimeoutExpired):
+                    follower.wait(60.0 * minutes / TOLD)
+                memory.append(memory_together([follower.pid, *children(follower.pid)]))
+                if not gone and time.monotonic() - begun > 30.0 * minutes:
+                    gone = True
+                    wire()
+            code, said = follower.returncode, follower.communicate()[1][-400:]
+            truth, figures = cell.truth(1, 60.0), cell.figures()
+    link, timing = figures["devices"]["arm"]["link"], figures["timing"]
+    print(f"{figures['cycles']} cycles of {1e3 * cycle:g} ms in {timing['seconds']:.0f} s; ended with {code} {said}")
+    print(f"late {link['late']}, lost {link['lost']}, held up in the controller {truth['held_up']}; answer after [ms] "
+          f"{timing['answer_ms']}, computing [ms] {timing['computing_ms']}")
+    print(f"fields {figures['fields']}, camera gone {int(gone)} times for {AWAY:g} s; true error {truth['force_N']}, "
+          f"{truth['control_error_mm']}")
+    held = [one for one in memory[2:-2] if np.isfinite(one)] or [float("nan")]
+    print(f"memory [MB]: {held[0]:.0f} at first, {max(held):.0f} at most, {held[-1]:.0f} at last; load "
+          f"{os.getloadavg()[0]:.1f}")
+    raise typer.Exit(code != 0)
+
+
+@contextmanager
+def _through(cell: Cell) -> Iterator[Any]:
+    """Puts a process between camera and follower; yields what kills it and starts another one ``AWAY`` later."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        ports = f"{free.getsockname()[1]}:{cell.ports['camera']}"
+    cell.ports["camera"] = int(ports.partition(":")[0])
+
+    def begun() -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-m", "studies", "follow-hour", "--relay", ports],
+                                env={**os.environ, "PYTHONPATH": str(ROOT)})
+
+    parts = [begun()]
+
+    def again() -> None:
+        parts[-1].kill()
+        parts[-1].wait()
+        time.sleep(AWAY)
+        parts.append(begun())
+
+    try:
+        yield again
+    finally:
+        parts[-1].kill()
+        parts[-1].wait()
+
+
+def _relayed(own: int, other: int) -> None:
+    """Hands on whatever comes, both ways."""
+    def hand_on(source: socket.socket, sink: socket.socket) -> None:
+        with suppress(OSError):
+            while piece := source.recv(65536):
+                sink.sendall(piece)
+        for end in (source, sink):
+            with suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+
+    with socket.create_server(("127.0.0.1", own)) as listener:
+        while True:
+            here = listener.accept()[0]
+            there = _connected(other)
+            for ends in ((here, there), (there, here)):
+                ends[0].setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                threading.Thread(target=hand_on, args=ends, daemon=True).start()
+
+
+def _connected(port: int) -> socket.socket:
+    while True:
+        with suppress(ConnectionRefusedError):
+            return socket.create_connection(("127.0.0.1", port))
+        time.sleep(0.2)
