@@ -24,8 +24,6 @@ LEAD = 6.0
 """Difference of the logarithms of likelihood at which one hypothesis is dropped for the other."""
 WEIGHED = 15
 """Measurements after which two hypotheses that are still equally likely are one."""
-
-
 LOOKED_BACK = 200
 """Travel steps that are kept for the smoother: 5 m of a line."""
 

@@ -22,7 +22,8 @@ from planning.path.kinematics import InverseKinematics
 from scenes.arms import arm_of
 from scenes.camera_world import camera_settings
 from scenes.models import model_for
-from scenes.online.force_task import START_HEIGHT, GlueCamera, Known, force_reference
+from scenes.online.force_known import START_HEIGHT, Known, force_reference
+from scenes.online.force_task import GlueCamera
 from scenes.result import step
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.force_scene import ForceScene, SensorTable, TipTable, UnknownSurface

@@ -18,7 +18,7 @@ from planning import OutOfReachError
 from planning.force.contact import LEAP, ContactSettings, most_force
 from planning.force.felt_by_motors import FeltByMotors
 from planning.path.kinematics import InverseKinematics
-from scenes.online.force_task import START_HEIGHT, Known
+from scenes.online.force_known import START_HEIGHT, Known
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import LiveForce
 from scenes.scene_files.scene import SceneError

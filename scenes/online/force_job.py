@@ -22,7 +22,8 @@ from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turning
-from scenes.online.force_task import START_HEIGHT, ForceLog, ForceTask, GlueCamera, Known, force_reference
+from scenes.online.force_known import START_HEIGHT, Known, force_reference
+from scenes.online.force_task import ForceLog, ForceTask, GlueCamera
 from scenes.online.line_job import Piece, calibrated_by_moving
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse

@@ -3,144 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.force import ForceErrors
 from ideal_robot.elasticity.observer import ArmObserver
-from ideal_robot.errors import InputError
 from ideal_robot.feedforward.corrected_arm import CorrectedArm
 from ideal_robot.feedforward.friction_at_work import FrictionAtWork
 from ideal_robot.feedforward.method import Setting
-from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
-from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
-from planning import OutOfReachError
 from planning.follower import ForceFollower
-from planning.force.contact import FORCE_ERRORS, ContactSettings, Phase, StopConditions, Tare
-from planning.force.contour import ContourFollower, ContourSettings
-from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower, surface_filter
+from planning.force.contact import Phase, StopConditions, Tare
+from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import FeltArm, surfaces
 from planning.line.deviation_model import PathDeviation
 from planning.line.filter_bank import FilterBank
 from planning.line.fusion import DeviationFilter
 from planning.path.kinematics import InverseKinematics
-from planning.path.reference import ReferencePath
-from planning.path.speed_profile import Limits, SpeedProfile
 from scenes.methods import DIRECT, SceneMethod
 from scenes.online.cycle import CycleLog
+from scenes.online.force_known import Known
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_device import Camera, Field, Window
-from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
 from sensing.force.wrench import ForceSensor, WrenchFilter, WrenchSample
-
-# What is known of a force scene before anything moves, by whoever follows the surface: nothing of the world.
-
-HORIZON = 0.24
-"""How far ahead the ideal robot is given desired positions [s]."""
-POSITION_NOISE = 5e-6
-"""Standard deviation of the estimated tip position from cycle to cycle [m]; with more, stiff contacts lag."""
-DOWN = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]])
-"""Orientation of a tool that points down."""
-JERK = 40.0
-"""Of a travel [m/s³]."""
-START_HEIGHT = 0.01
-"""Of the tip above the reference when the approach begins [m]."""
-
-
-@dataclass(kw_only=True)
-class Known:
-    """What a follower of the surface is given.
-
-    Attributes:
-        scene: the file; of its tables those of the world are not looked at.
-        robot: as its data sheet has it, with the controller's cycles.
-        delay: cycles between the hand-over of a command and the begin of its interpolation.
-        model: of the arm.
-        reference: the reference path.
-        profile: travel along it.
-        camera: of a ``glue`` scene, as it is believed to be.
-    """
-
-    scene: ForceScene
-    robot: Robot
-    delay: int
-    model: Model
-    reference: ReferencePath
-    profile: SpeedProfile
-    camera: CameraModel
-
-    @property
-    def n_d(self) -> int:
-        """Desired positions over the horizon, one a cycle."""
-        return round(HORIZON / self.robot.t_ipo)
-
-    def follower(self, elasticity: float,
-                 fusion: Callable[[Errors], FilterBank] | None = None) -> SurfaceFollower:
-        """A fresh follower that assumes this elasticity [N/m]; with ``fusion``, a camera shows the line, too."""
-        settings = ContactSettings(force=self.scene.force, elasticity=elasticity, position_noise=POSITION_NOISE)
-        estimated = self.scene.assumed.elasticity_estimated
-        profile, acceleration = self.profile, self.scene.reference.acceleration
-        jerk = settings.jerk(acceleration, JERK)
-        if fusion is None and jerk < JERK:
-            with suppress(InputError):  # a path too short to reach its speed so gently begins as it can
-                gentle = Limits(self.scene.speed, acceleration, jerk=jerk)
-                profile = SpeedProfile.plan(self.robot, self.reference, gentle)
-        return SurfaceFollower(self.robot, self.reference, profile, self.n_d, settings,
-                               fusion=fusion or surface_filter,
-                               lateral=fusion is not None, start_height=START_HEIGHT,
-                               force_errors=FORCE_ERRORS if estimated else (1e-6, FORCE_ERRORS[1]))
-
-    def contour_follower(self, elasticity: float) -> ContourFollower:
-        """A fresh follower of a contour: of the reference it knows the starting point alone."""
-        scene, frames = self.scene, self.reference.frames(np.zeros(1))
-        out, up = frames.up[0], np.array([0.0, 0.0, 1.0])
-        start = pin.SE3(self.reference.rotation(0.0), frames.position[0] + START_HEIGHT * out)
-        side = 1 if float(np.cross(up, -out) @ frames.tangent[0]) > 0 else -1
-        q_start = InverseKinematics(self.robot).search(start, self.robot.home)
-        settings = ContourSettings(force=scene.force, elasticity=elasticity, speed=scene.speed,
-                                   length=float(scene.line.length or 0.5))
-        return ContourFollower(self.robot, start, -out, up, side, q_start, self.n_d, settings)
-
-    def q_start(self) -> Array:
-        """Joint angles at which the arm has to rest at first ``(n,)`` [rad]."""
-        return self.contour_follower(1e4).q_start if self.scene.task == "contour" else self.follower(1e4).q_start
-
-
-def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[ReferencePath, SpeedProfile]:
-    """Reference path of a scene, and the travel along it.
-
-    Args:
-        scene: speed and task.
-        robot: the arm with the controller's cycle.
-        points: of the reference ``(N, 3)`` [m].
-
-    Raises:
-        InputError: path out of reach, unreachable speed, a motion longer than the scene allows.
-    """
-    out = scene.surface.pose().rotation[:, 2]
-    if scene.task == "contour":
-        # Pressed sideways, the tool keeps its orientation: straight down.
-        reference = ReferencePath(points, up=out, rotation=DOWN)
-    else:
-        reference = ReferencePath(points, up=out, turning=1.0)
-    try:
-        profile = SpeedProfile.plan(robot, reference, Limits(scene.speed, scene.reference.acceleration, jerk=JERK))
-    except OutOfReachError as error:
-        raise InputError(f"the path is out of reach: {error}", field="surface.origin",
-                         value=list(scene.surface.origin)) from error
-    scene.check_duration(profile.duration)
-    return reference, profile
-
 
 # The camera of a ``glue`` scene: fields of the drawn line on the curved surface, and what can go wrong with them.
 

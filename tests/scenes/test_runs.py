@@ -27,8 +27,8 @@ from scenes import load_scene, models, run_scene
 from scenes.closing.measured import Measured, visible
 from scenes.metrics import path_errors, reduction_percent
 from scenes.models import model_for, shipped_model
+from scenes.online.force_known import Known as KnownSurface
 from scenes.online.force_task import ForceTask
-from scenes.online.force_task import Known as KnownSurface
 from scenes.online.line_known import Known as KnownLine
 from scenes.online.line_task import LineTask
 from scenes.scene_files.scene import chosen
