@@ -43,7 +43,7 @@ GROUPS = {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
-        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps",
+        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "check-suite": "suites",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }

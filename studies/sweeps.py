@@ -53,7 +53,7 @@ def sweep_kills(count: int = 10_000, kills: int = 100, every: float = 3.0, worke
     The answers are compared with those of the same runs in this process, bit by bit. Exit code 1 where they differ.
     """
     rng, killed, begun = np.random.default_rng(seed), 0, time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="sweep-kills-") as name, _cluster(Path(name), workers) as (address, parts):
+    with tempfile.TemporaryDirectory(prefix="sweep-kills-") as name, cluster(Path(name), workers) as (address, parts):
         folder = Path(name) / "runs"
         words = [sys.executable, "-c", CLIENT, str(count), address, str(folder)]
         client = subprocess.Popen(words)
@@ -89,7 +89,7 @@ def sweep_efficiency(count: int = 500, workers: str = "1,2") -> None:
     """Quick runs of 20 ms on Dask with one and two workers: time over the ideal one, and overhead of a task."""
     head("workers", "runs of 20 ms", "lasted", "efficiency", "overhead of a run")
     for number in map(int, workers.split(",")):
-        with tempfile.TemporaryDirectory(prefix="sweep-") as name, _cluster(Path(name), number) as (address, _):
+        with tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), number) as (address, _):
             sweep(jobs(["line"], seeds=range(20 * number)), dask=address, function=quick)
             begun = time.monotonic()
             sweep(jobs(["line"], seeds=range(count)), dask=address, function=quick)
@@ -99,7 +99,7 @@ def sweep_efficiency(count: int = 500, workers: str = "1,2") -> None:
 
 
 @contextmanager
-def _cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """A scheduler and workers as processes; yields the address and the processes, the scheduler first."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
