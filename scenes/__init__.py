@@ -36,6 +36,7 @@ def __getattr__(name: str) -> Any:
     """Imports a name of the door when it is asked for, so that importing the package stays cheap."""
     if name not in _WHERE:
         raise AttributeError(f"module 'scenes' has no attribute {name!r}; it offers {', '.join(__all__)}")
+    importlib.import_module("scenes.shadowed").check_rooms()
     return getattr(importlib.import_module(_WHERE[name]), name)
 
 

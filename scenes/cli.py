@@ -23,6 +23,7 @@ from typer.core import TyperCommand  # noqa: E402
 from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 from ideal_robot.whole_file import FULL, OutputError  # noqa: E402
 from scenes.commands.common import shown  # noqa: E402
+from scenes.shadowed import find_ours_first  # noqa: E402
 
 THEMES = {
     "First steps": {
@@ -116,6 +117,7 @@ def main() -> None:
 
     With ``IDEAL_ROBOT_DEBUG=1`` in the environment errors of the program itself show their traceback.
     """
+    find_ours_first()
     if not _debugging():
         warnings.simplefilter("ignore")
     # As after Ctrl-C, partial files and worker processes are cleared away on the way out.

@@ -46,7 +46,7 @@ def pytest_configure(config: pytest.Config) -> None:
 @pytest.fixture
 def ideal_scene(request: pytest.FixtureRequest) -> Scene:
     """The scene of the marker, its changes applied; a path is taken as seen from the test's folder."""
-    from scenes.scene_file import load_scene
+    from scenes.shadowed import check_rooms
 
     marker = request.node.get_closest_marker(MARKER)
     if marker is None or not marker.args:
@@ -54,6 +54,9 @@ def ideal_scene(request: pytest.FixtureRequest) -> Scene:
     name = str(marker.args[0])
     beside = request.path.parent / name
     try:
+        check_rooms()
+        from scenes.scene_file import load_scene
+
         scene = load_scene(beside if name.endswith(".toml") and beside.is_file() else name)
         return scene.changed(**marker.kwargs) if marker.kwargs else scene
     except InputError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
@@ -20,12 +19,12 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
 from scenes.kind import KINDS, kind_of
 from scenes.methods import method_of
-from scenes.provenance import identity
+from scenes.provenance import digest_of, identity, program
 from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene
 from scenes.scene_files.scene import Scene, chosen
-from scenes.workers import LostError, work_off, work_off_on
+from scenes.workers import TIME_LIMIT, LostError, work_off, work_off_on
 
 # Answers of a sweep as they come, one JSON line each, so that a sweep that was ended can go on.
 
@@ -199,7 +198,7 @@ def play(job: Job) -> dict[str, Any]:
 
 def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
           done: Callable[[int], None] = lambda count: None, file: Kept | None = None,
-          function: Callable[[Job], dict[str, Any]] = play) -> list[dict[str, Any]]:
+          function: Callable[[Job], dict[str, Any]] = play, limit: float = TIME_LIMIT) -> list[dict[str, Any]]:
     """Plays all jobs and returns their answers in the order of ``work``.
 
     A job is answered when ``function`` has returned, be it with a failure of the run itself. Of a job whose process,
@@ -213,19 +212,24 @@ def sweep(work: Sequence[Job], *, processes: int = 2, dask: str | None = None,
         done: called with the number of jobs finished.
         file: where answers are written as they come; jobs that it holds are not played again.
         function: plays a job.
+        limit: how long a run may take [s]; one that hangs is ended, begun once more, and not played.
 
     Raises:
         InputError: a scene cannot be used, none of them knows a method, or no scheduler answers at ``dask``.
     """
     scenes = {job.scene: _scene(job.scene) for job in work if isinstance(job.scene, str)}
     _check_methods(work, scenes)
-    described = [_described(job, scenes) for job in work]
+    loaded = [job.scene if isinstance(job.scene, Scene) else scenes[job.scene] for job in work]
+    digests = {id(scene): digest_of([program()["digest"], identity(scene), scene.model_dump(mode="json")])
+               for scene in {id(scene): scene for scene in loaded}.values()}
+    described = [_described(job, digests[id(scene)]) for job, scene in zip(work, loaded, strict=True)]
     known = {} if file is None else file.answers
     answers: list[dict[str, Any] | None] = [known.get(key_of(one)) for one in described]
     left = [index for index, answer in enumerate(answers) if answer is None]
     tasks = [work[index] for index in left]
     count = len(work) - len(left)
-    coming = work_off_on(dask, tasks, function) if dask else work_off(tasks, function, max(1, processes))
+    coming = (work_off_on(dask, tasks, function, limit) if dask
+              else work_off(tasks, function, max(1, processes), limit))
     try:
         for place, answer in coming:
             index = left[place]
@@ -284,9 +288,7 @@ def _check_methods(work: Sequence[Job], scenes: dict[str, Scene]) -> None:
             method_of(job.method, known)
 
 
-def _described(job: Job, scenes: dict[str, Scene]) -> dict[str, Any]:
-    """The job and a digest of its scene: a scene that has changed is played again."""
-    scene = job.scene if isinstance(job.scene, Scene) else scenes[job.scene]
-    digest = hashlib.sha256(scene.model_dump_json().encode()).hexdigest()[:16]
+def _described(job: Job, digest: str) -> dict[str, Any]:
+    """The job and a digest of program, model and scene: what has changed is played again."""
     method = job.method if isinstance(job.method, str | None) else repr(job.method)
     return {**_named(job), "method": method, "digest": digest}

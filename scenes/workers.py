@@ -1,7 +1,8 @@
 """A list that is worked off by processes of this machine, or on a running Dask cluster.
 
 A lost process is replaced, none outlives its parent, an interrupt ends all at once. A cluster may lose workers, its
-scheduler, or all of them.
+scheduler, or all of them. A task that hangs, takes all memory or ends its process costs only itself: it is begun twice,
+then given up.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import itertools
 import logging
 import multiprocessing
 import os
+import resource
 import signal
 import threading
 import time
@@ -25,7 +27,7 @@ from ideal_robot.errors import InputError
 if TYPE_CHECKING:
     from dask.distributed import Client
 
-ATTEMPTS = 3
+ATTEMPTS = 2
 """How often a task is begun whose process is lost each time."""
 TASKS = 200
 """So many tasks a process does: a third of a megabyte of each run stays with the libraries until it ends."""
@@ -33,19 +35,23 @@ _NO_MEMORY = 137
 """Exit code of a process without memory, as if the system had ended it."""
 _LOOK = 0.5
 """How often a process looks whether its parent is still there [s]."""
+TIME_LIMIT = 3600.0
+"""How long a task may take unless another limit is given [s]; the longest scene of an hour takes a third of it."""
 
 
 class LostError(Exception):
-    """The process that worked on a task ended each time, e.g. for want of memory."""
+    """The process that worked on a task ended each time, e.g. for want of memory, or was ended for taking too long."""
 
 
-def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: int) -> Iterator[tuple[int, Any]]:
+def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: int,
+             limit: float = TIME_LIMIT) -> Iterator[tuple[int, Any]]:
     """Yields index and result of each task as they are done.
 
     Args:
         tasks: what ``function`` is called with.
         function: of a module, so that every system can hand it to a process; must not raise but for want of memory.
         processes: how many at once.
+        limit: how long a task may take [s]; its process is ended then.
 
     Returns:
         Iterator of index and result; the result is a ``LostError`` where the process was lost every time.
@@ -61,18 +67,19 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
                 if worker.index is None and left:
                     worker.index = left.popleft()
                     attempts[worker.index] += 1
-                    worker.begin(tasks[worker.index])
+                    worker.begin(tasks[worker.index], limit)
             for worker in [one for one in workers if one.index is None]:
                 workers.remove(worker)
                 worker.end()
             if not workers:
                 continue
-            ready = set(wait([one.ours for one in workers if one.index is not None]))
-            for worker in [one for one in workers if one.ours in ready]:
+            soonest = min(worker.deadline.left for worker in workers)
+            ready = set(wait([one.ours for one in workers if one.index is not None], timeout=soonest))
+            for worker in [one for one in workers if one.ours in ready or one.deadline.passed]:
                 index = worker.index
                 assert index is not None
                 try:
-                    yield index, worker.ours.recv()
+                    yield index, worker.answer()
                     worker.index = None
                     worker.done += 1
                     if worker.done >= TASKS:
@@ -84,7 +91,8 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
                     if attempts[index] < ATTEMPTS:
                         left.appendleft(index)
                     else:
-                        yield index, LostError(f"its process was lost {ATTEMPTS} times (exit code {code})")
+                        why = f"did not end within {limit:g} s" if worker.deadline.passed else f"exit code {code}"
+                        yield index, LostError(f"its process was lost {ATTEMPTS} times ({why})")
     finally:
         for worker in workers:
             worker.end()
@@ -97,14 +105,22 @@ class _Worker:
         self.ours, theirs = multiprocessing.Pipe()
         self.index: int | None = None
         self.done = 0
+        self.deadline = Deadline.within(0.0)
         self._process = multiprocessing.Process(target=_serve, args=(theirs, function, os.getpid()), daemon=True)
         self._process.start()
         theirs.close()
 
-    def begin(self, task: Any) -> None:
-        """Hands a task over."""
+    def begin(self, task: Any, limit: float) -> None:
+        """Hands a task over, which may take so long [s]."""
+        self.deadline = Deadline.within(limit)
         with suppress(OSError):  # already gone: found when its answer is waited for
             self.ours.send(task)
+
+    def answer(self) -> Any:
+        """The result that has come; EOFError where none has, because the process is lost or takes too long."""
+        if not self.ours.poll():
+            raise EOFError
+        return self.ours.recv()
 
     def end(self) -> int | None:
         """Ends the process at once and returns its exit code."""
@@ -118,6 +134,9 @@ def _serve(line: Connection, function: Callable[[Any], Any], parent: int) -> Non
     # Ctrl-C goes to all processes of a terminal; the parent answers it for all.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # Before the system is out of memory and ends whatever it chooses.
+    half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
+    resource.setrlimit(resource.RLIMIT_DATA, (half, resource.getrlimit(resource.RLIMIT_DATA)[1]))
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
     while True:
         try:
@@ -155,7 +174,8 @@ _RESULTS_LOOK = 0.02
 """How often it is looked for results, and for a scheduler that has gone [s]."""
 
 
-def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], Any]) -> Iterator[tuple[int, Any]]:
+def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], Any],
+                limit: float = TIME_LIMIT) -> Iterator[tuple[int, Any]]:
     """Yields index and result of each task as they are done, each once.
 
     Short tasks are handed over in batches. Where a batch's worker is lost each time, its tasks are begun alone after
@@ -166,6 +186,7 @@ def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], An
         address: of a running Dask scheduler.
         tasks: what ``function`` is called with.
         function: of a module that the workers can import.
+        limit: how long a task may take [s]; its worker ends then, and a nanny begins it anew.
 
     Returns:
         Iterator of index and result; the result is a ``LostError`` where the cluster could not bring one.
@@ -178,7 +199,7 @@ def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], An
     except ImportError as error:
         raise InputError("needs the package dask[distributed] (pip install 'ideal-robot[cluster]')",
                          field="--dask") from error
-    work, begun = _Handed(tasks, function), False
+    work, begun = _Handed(tasks, function, limit), False
     patience = Deadline.within(PATIENCE)
     with _quiet():
         while work.left and not (begun and patience.passed):
@@ -210,18 +231,42 @@ class _GoneError(Exception):
     """The scheduler has gone."""
 
 
-def _batch(function: Callable[[Any], Any], tasks: list[Any]) -> tuple[float, list[Any]]:
+def _batch(function: Callable[[Any], Any], tasks: list[Any], limit: float) -> tuple[float, list[Any]]:
     """On a worker: the time that a task takes [s], and the results."""
-    start = time.perf_counter()
-    results = [function(task) for task in tasks]
+    start, results = time.perf_counter(), []
+    for task in tasks:
+        with _ended_after(limit):
+            results.append(function(task))
     return (time.perf_counter() - start) / len(tasks), results
+
+
+_DEADLINES: dict[int, Deadline] = {}
+"""Of the tasks under way in this process, by thread."""
+
+
+@contextmanager
+def _ended_after(limit: float) -> Iterator[None]:
+    """Ends this process where the block takes longer [s], even if it hangs in compiled code: by the system's alarm."""
+    thread = threading.get_ident()
+    _DEADLINES[thread] = Deadline.within(limit)
+    try:
+        _set_alarm()
+        yield
+    finally:
+        del _DEADLINES[thread]
+        _set_alarm()
+
+
+def _set_alarm() -> None:
+    soonest = min((deadline.left for deadline in list(_DEADLINES.values())), default=None)
+    signal.setitimer(signal.ITIMER_REAL, 0.0 if soonest is None else max(soonest, 1e-3))
 
 
 class _Handed:
     """Tasks that are handed to a cluster, and what has become of them."""
 
-    def __init__(self, tasks: Sequence[Any], function: Callable[[Any], Any]) -> None:
-        self.tasks, self.function = tasks, function
+    def __init__(self, tasks: Sequence[Any], function: Callable[[Any], Any], limit: float) -> None:
+        self.tasks, self.function, self.limit = tasks, function, limit
         self.left = set(range(len(tasks)))
         self.pending: dict[Any, list[int]] = {}
         self._queue: deque[list[int]] = deque()
@@ -244,7 +289,7 @@ class _Handed:
         patience, asked = Deadline.within(PATIENCE), Deadline.within(_ANSWERS)
         while self.left:
             while len(self.pending) < _AHEAD * max(workers, 1) and (batch := self._taken()):
-                future = client.submit(_batch, self.function, [self.tasks[i] for i in batch], pure=False)
+                future = client.submit(_batch, self.function, [self.tasks[i] for i in batch], self.limit, pure=False)
                 self.pending[future] = batch
                 coming.add(future)
             for future in coming.next_batch(block=False) if coming.has_ready() else ():
@@ -284,7 +329,8 @@ class _Handed:
             return None
         except (KilledWorker, MemoryError) as error:
             del self.pending[future]
-            return self._lost(batch, f"its worker was lost each time ({type(error).__name__})")
+            return self._lost(batch, f"its worker was lost each time ({type(error).__name__}), or it did "
+                                     f"not end within {self.limit:g} s")
         except Exception as error:  # whatever else a cluster makes of a task
             del self.pending[future]
             return self._lost(batch, f"the cluster lost it ({type(error).__name__})")

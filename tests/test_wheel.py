@@ -128,6 +128,18 @@ def test_runs_from_the_wheel(example: Path, installed: Path, tmp_path: Path) -> 
     assert SHOWS[example.stem] in run([sys.executable, str(example)], tmp_path, installed)
 
 
+def test_folders_of_the_users_that_have_our_names(installed: Path, tmp_path: Path) -> None:
+    """The program finds its own; a script that starts beside them is told in a line what hides what."""
+    for name in ("sim", "planning"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    assert "iso9283_2" in run([sys.executable, "-m", "scenes.cli", "run", "iso9283_2"], tmp_path, installed)
+    done = subprocess.run([sys.executable, "-c", "from scenes import run_scene"], cwd=tmp_path, capture_output=True,
+                          text=True, check=False, env={**os.environ, "PYTHONPATH": str(installed)})
+    assert str(tmp_path / "planning") in done.stderr.splitlines()[-1]
+    assert "hides the package planning of ideal-robot" in done.stderr.splitlines()[-1]
+
+
 # The image is built and started by commands that README and Makefile have too; Docker itself is not needed here.
 
 LINES = [line for line in (ROOT / "Dockerfile").read_text(encoding="utf-8").splitlines() if line.strip()]

@@ -200,6 +200,8 @@ SceneName = Annotated[str, typer.Argument(help="Name of a shipped scene, or path
 SearchSeed = Annotated[int, typer.Option(help="Seed of the search.", min=0)]
 Seed = Annotated[int | None, typer.Option(help="Seed instead of the scene's.", min=0)]
 Speed = Annotated[float | None, typer.Option(help="Path speed [m/s] instead of the scene's.")]
+TimeLimit = Annotated[float, typer.Option(help="How long a run may take [s]; one that takes longer is ended, begun "
+                                               "once more, and then not played.", min=0.001)]
 WorldName = Annotated[str | None, typer.Option(help="Where it plays instead of the scene's world: workshop or bench.")]
 
 

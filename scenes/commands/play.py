@@ -14,6 +14,7 @@ from scenes.commands.common import (
     SceneName,
     Seed,
     Speed,
+    TimeLimit,
     WorldName,
     closed,
     length,
@@ -22,6 +23,7 @@ from scenes.commands.common import (
     show_table,
     whole_numbers,
 )
+from scenes.workers import TIME_LIMIT
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -144,8 +146,9 @@ def sweep(
                                                     "lines).")] = None,
     runs: Annotated[Path | None, typer.Option(help="Folder of a Parquet data set of the answers, partitioned by scene, "
                                                    "which grows as they come and can be queried meanwhile.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what --lines or --runs hold: such runs are not "
-                                                          "played again.")] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what --lines or --runs hold: such runs of this "
+                                                          "version are not played again.")] = False,
+    time_limit: TimeLimit = TIME_LIMIT,
     json: Annotated[Path | None, typer.Option(help="Write all answers as JSON to this file.")] = None,
     csv: Annotated[Path | None, typer.Option(help="Write the table as CSV to this file.")] = None,
 ) -> None:
@@ -174,7 +177,7 @@ def sweep(
     file: Kept | None = None if lines is None else SweepFile(lines, resume=resume)
     file = file if runs is None else RunSet(runs, resume=resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = sweep(work, processes=processes, dask=dask, file=file,
+        answers = sweep(work, processes=processes, dask=dask, file=file, limit=time_limit,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
     table = _show_swept(answers, with_arm=bool(individuals))
     # Shown first: what no disk takes is read at least.

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from scenes.commands.common import TimeLimit
+from scenes.workers import TIME_LIMIT
+
 if TYPE_CHECKING:
     from scenes.regression.comparison import Comparison
 
@@ -15,15 +18,22 @@ def check(
     suite: Annotated[Path, typer.Argument(help="Suite file (.toml): what is played, and its bounds.")],
     update_baseline: Annotated[bool, typer.Option("--update-baseline", help="Write the results as the new "
                                                                              "baseline.")] = False,
-    baseline: Annotated[Path | None, typer.Option(help="Baseline file instead of the suite's.")] = None,
+    baseline: Annotated[Path | None, typer.Option(help="Baseline file; default: the suite's, or NAME.baseline.json "
+                                                       "here.")] = None,
     processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
     dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
+    runs: Annotated[Path | None, typer.Option(help="Folder of a Parquet data set of the runs, which grows as they "
+                                                   "come and can be queried meanwhile.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what --runs holds: such runs of this version are "
+                                                          "not played again.")] = False,
+    time_limit: TimeLimit = TIME_LIMIT,
     out: Annotated[Path | None, typer.Option(help="Folder of the reports; default out/check_SUITE.")] = None,
 ) -> None:
     """Plays a suite and says whether it is better, the same or worse than its baseline, and within its bounds.
 
     Runs are paired by seed. The folder holds a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and
-    Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed or a run was lost.
+    Parquet; times stand apart in times.json. Exit code 1 where anything is worse, a bound is missed or a run was lost;
+    with --update-baseline what is worse than before is taken as it is.
 
     Example, with a checkout: `ideal-robot check examples/nightly.toml --update-baseline`
 
@@ -32,22 +42,29 @@ def check(
     from ideal_robot.errors import InputError
     from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
-    from scenes.regression.comparison import bounds_of, comparison_of
+    from scenes.regression.comparison import bounds_of, check_arms, comparison_of
     from scenes.regression.results import Results, read_results, times_of
     from scenes.regression.suite import Suite
     from scenes.report.page import write_json
+    from scenes.run_set import RunSet
+    from scenes.scene_files.scene import Scene
     from scenes.sweep import sweep
 
     asked = Suite(suite)
     place = baseline or asked.baseline
     folder = out or Path("out") / f"check_{suite.stem}"
-    check_outputs({"--out": folder}, **({"baseline": place} if update_baseline else {}))
-    if not place.is_file() and not update_baseline and not any(bounds for _, bounds in asked.work):
-        raise InputError("no such baseline, and no bounds to hold; --update-baseline makes one", file=place)
+    check_outputs({"--out": folder, "--runs": runs}, **({"baseline": place} if update_baseline else {}))
+    if not place.is_file() and not update_baseline and (baseline or not any(bounds for _, bounds in asked.work)):
+        raise InputError("no such baseline; --update-baseline makes it", file=place)
+    if resume and runs is None:
+        raise InputError("needs --runs FOLDER, what to go on with", field="--resume")
     earlier = read_results(place) if place.is_file() else None
     work = [job for job, _ in asked.work]
+    if earlier is not None and not update_baseline:
+        check_arms(earlier, {job.scene.robot for job in work if isinstance(job.scene, Scene)})
+    file = None if runs is None else RunSet(runs, resume=resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = sweep(work, processes=processes, dask=dask,
+        answers = sweep(work, processes=processes, dask=dask, file=file, limit=time_limit,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
     results = Results.of(answers, str(suite))
     bounds = bounds_of(results, [bounds for _, bounds in asked.work])
@@ -60,11 +77,11 @@ def check(
         found = comparison_of(results, None, bounds, **rules)
     _report(found, folder)
     write_json(folder / "times.json", {"runs": times_of(answers)})
-    if update_baseline:
+    if update_baseline and not found.not_played:
         typer.echo(f"baseline: {results.write(place)}")
     elif earlier is None:
-        typer.echo("no baseline yet: --update-baseline writes one")
-    if found.verdict == "worse":
+        typer.echo(f"no baseline at {place}; --update-baseline makes it", err=bool(found.not_played))
+    if found.not_played or not found.bounds_kept or (found.verdict == "worse" and not update_baseline):
         raise typer.Exit(1)
 
 
@@ -113,5 +130,5 @@ def _report(found: Comparison, folder: Path) -> None:
     report = write_comparison(found, folder)
     if found.not_played:
         typer.echo(f"{found.not_played} runs were not played", err=True)
-    typer.echo(f"verdict: {found.verdict}")
+    typer.echo(f"verdict: {found.headline}")
     typer.echo(f"report: {report}")

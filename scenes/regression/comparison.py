@@ -103,15 +103,29 @@ class Comparison(Summarised):
     def verdict(self) -> str:
         """Of the suite: the worst that any figure, bound or run says."""
         found = {row.verdict for row in self.rows}
-        if WORSE in found or self.not_played or not all(bound.kept for bound in self.bounds):
+        if WORSE in found or self.not_played or not self.bounds_kept:
             return WORSE
         if BETTER in found:
             return BETTER
         return SAME if SAME in found or (self.before is None and self.bounds) else NOT_COMPARABLE
 
+    @property
+    def bounds_kept(self) -> bool:
+        """Whether all bounds are kept, if there are any."""
+        return all(bound.kept for bound in self.bounds)
+
+    @property
+    def headline(self) -> str:
+        """The verdict in words; what was looked at where there was no baseline."""
+        if self.before is not None or self.not_played:
+            return self.verdict
+        if not self.bounds:
+            return "first results, nothing to compare with"
+        return "bounds kept, no baseline" if self.bounds_kept else "bounds missed, no baseline"
+
     def summary(self) -> list[tuple[str, str]]:
         """The verdict, and the figures of the suite."""
-        return [("comparison", self.title), ("verdict", self.verdict),
+        return [("comparison", self.title), ("verdict", self.headline),
                 *((row.figure, f"{row.before:.4g} → {row.after:.4g}, {row.verdict}") for row in self.rows
                   if row.case == SUITE)]
 
@@ -180,15 +194,23 @@ def _of_case(label: str, group: pd.DataFrame, names: Sequence[str]) -> list[Row]
     return rows
 
 
+def check_arms(before: Results, robots: set[str]) -> None:
+    """Makes sure that earlier results are of an arm among these.
+
+    Raises:
+        InputError: they are of other arms alone.
+    """
+    of = set(before.runs["robot"].dropna())
+    if of and robots and not of & robots:
+        raise InputError(f"is of another arm ({', '.join(sorted(of))}); these runs are of {', '.join(sorted(robots))}: "
+                         "give the baseline of that arm, or make one (--update-baseline)", file=before.source)
+
+
 def _pairs(before: Results, after: Results) -> pd.DataFrame:
     """One row a run of either side, merged over case and seed; methods are paired by name, or one with one."""
     import pandas as pd
 
-    robots = [set(one.runs["robot"].dropna()) for one in (before, after)]
-    if all(robots) and not robots[0] & robots[1]:
-        raise InputError(f"is of another arm ({', '.join(sorted(robots[0]))}); these runs are of "
-                         f"{', '.join(sorted(robots[1]))}: give the baseline of that arm, or make one "
-                         "(--update-baseline)", file=before.source)
+    check_arms(before, set(after.runs["robot"].dropna()))
     keys = [name for name in (*CASE, "seed") if all(one.runs[name].notna().any() for one in (before, after))]
     sides = [one.runs.assign(**{name: one.runs[name].map(_word) for name in keys}) for one in (before, after)]
     sides[0] = _same_method(sides[0], sides[1], keys)

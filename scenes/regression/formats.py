@@ -50,7 +50,7 @@ def write_comparison(comparison: Comparison, out: Path) -> Path:
 
 def markdown(comparison: Comparison) -> str:
     """The comparison as a comment of a pull request: the verdict, then what changed, then the bounds."""
-    parts = [f"### Path error: {comparison.verdict}", "", _escaped(comparison.title), ""]
+    parts = [f"### Path error: {comparison.headline}", "", _escaped(comparison.title), ""]
     if comparison.before is not None:
         parts += [f"{_version(comparison.before.program)} → {_version(comparison.after.program)}; "
                   f"{sum(row.verdict == SAME for row in comparison.rows)} of {len(comparison.rows)} figures "
@@ -124,8 +124,8 @@ def sentence(row: Row) -> str:
 
 def page(comparison: Comparison) -> Report:
     """The page: verdict, picture, what changed, bounds, and all figures."""
-    report = Report(f"Path error: {comparison.verdict}", comparison.title)
-    report.figures([("verdict", comparison.verdict), ("runs", str(len(comparison.after.runs))),
+    report = Report(f"Path error: {comparison.headline}", comparison.title)
+    report.figures([("verdict", comparison.headline), ("runs", str(len(comparison.after.runs))),
                     ("figures compared", str(len(comparison.rows))),
                     ("bounds kept", f"{sum(one.kept for one in comparison.bounds)} of {len(comparison.bounds)}")])
     if comparison.pairs is not None and (drawn := picture(comparison)) is not None:

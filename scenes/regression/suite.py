@@ -56,7 +56,8 @@ class SuiteFile(Table):
     title: str
     """What the suite is for, on one line."""
     baseline: str | None = None
-    """File of the baseline, as seen from the suite's folder; ``NAME.baseline.json`` beside the suite if not given."""
+    """File of the baseline, as seen from the suite's folder; ``NAME.baseline.json`` where the check is begun if not
+    given."""
     figures: tuple[str, ...] = MAIN
     """What is compared; less is better."""
     false_alarms: float = pydantic.Field(default=0.01, gt=0.0, lt=0.5)
@@ -80,7 +81,7 @@ class Suite:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.file = _suite_file(path)
-        self.baseline = path.parent / (self.file.baseline or f"{path.stem}.baseline.json")
+        self.baseline = path.parent / self.file.baseline if self.file.baseline else Path(f"{path.stem}.baseline.json")
         self.rules = Rules(self.file.false_alarms, self.file.relevant)
         self.work: list[tuple[Job, dict[str, float]]] = []
         """Jobs, and the bounds that hold for the mean of each one's case [the figures' units]."""

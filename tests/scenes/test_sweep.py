@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import faulthandler
 import json
 import os
 import signal
@@ -12,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -69,6 +72,27 @@ def test_a_task_that_ends_every_process_is_an_answer_among_the_others() -> None:
     (row,) = sweep(WORK[:1], processes=1, function=_always_killed)  # type: ignore[arg-type]
     assert row["scene"] == "line"
     assert "lost" in row["failure"]
+
+
+def _poisoned_in_its_way(way: str) -> str:
+    if way == "hangs":
+        time.sleep(600.0)
+    if way == "crashes":
+        faulthandler.disable()
+        ctypes.string_at(0)
+    if way == "takes all memory":
+        taken = []
+        while True:
+            taken.append(np.empty(2**27))
+    return way
+
+
+def test_a_task_that_hangs_crashes_or_takes_all_memory_costs_only_itself() -> None:
+    tasks = ["a", "hangs", "crashes", "takes all memory", "b"]
+    done = dict(work_off(tasks, _poisoned_in_its_way, 2, limit=3.0))
+    assert (done[0], done[4]) == ("a", "b")
+    assert [str(done[i]).partition("2 times ")[2] for i in (1, 2, 3)] == [
+        "(did not end within 3 s)", "(exit code -11)", "(exit code 137)"]
 
 
 def test_a_scene_that_cannot_be_played_is_a_row_with_its_reason() -> None:
@@ -300,19 +324,22 @@ def test_a_scheduler_that_comes_back_gets_what_is_left_and_a_poisoned_task_costs
     try:
         while not told.exists():
             time.sleep(0.1)
-        rows = sweep(jobs(["line"], seeds=range(40)), dask=f"tcp://127.0.0.1:{port}", function=poisoned, done=restarted)
+        rows = sweep(jobs(["line"], seeds=range(40)), dask=f"tcp://127.0.0.1:{port}", function=poisoned, done=restarted,
+                     limit=5.0)
     finally:
         for process in started:
             process.terminate()
             process.wait(20)
-    assert [row["seed"] for row in rows if "not_played" in row] == [30]
+    assert [row["seed"] for row in rows if "not_played" in row] == [30, 35]
     assert [row["control_error_mm"]["mean"] for row in rows if "not_played" not in row] == [
-        seed / 3 for seed in range(40) if seed != 30]
+        seed / 3 for seed in range(40) if seed not in (30, 35)]
 
 
 def poisoned(job: Job) -> dict[str, Any]:
     if job.seed == 30:
         os._exit(1)
+    if job.seed == 35:
+        time.sleep(600.0)
     time.sleep(0.05)
     return measured(job)
 

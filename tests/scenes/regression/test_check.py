@@ -36,15 +36,21 @@ def suite(tmp_path: Path) -> Path:
 def test_baseline_then_same_then_worse_then_a_missed_bound(program: Any, suite: Path, tmp_path: Path) -> None:
     made = program("check", "suite.toml", "--update-baseline", "--processes", "1")
     assert made.code == 0, made.err
+    assert "verdict: bounds kept, no baseline" in made.out
     baseline = (tmp_path / "suite.baseline.json").read_bytes()
     told = json.loads(baseline)
     assert {"version", "commit", "digest"} == set(told["program"])
     assert {"task_hash", "world_hash", "model_hash"} <= set(told["runs"][0])
     assert not {"real_time_factor", "urdf", "report", "recording"} & set(told["runs"][0])
     # The same program with another number of processes: byte by byte.
-    again = program("check", "suite.toml", "--processes", "2")
+    again = program("check", "suite.toml", "--processes", "2", "--runs", "runs")
     assert again.code == 0, again.err
     assert "verdict: same" in again.out
+    parts = {path: path.read_bytes() for path in (tmp_path / "runs").rglob("*.parquet")}
+    assert sum(len(pd.read_parquet(path)) for path in parts) == 3
+    resumed = program("check", "suite.toml", "--runs", "runs", "--resume", "--time-limit", "0.001")
+    assert resumed.code == 0, resumed.err  # nothing was played that could have taken too long
+    assert {path: path.read_bytes() for path in (tmp_path / "runs").rglob("*.parquet")} == parts
     assert (tmp_path / "out/check_suite/results.json").read_bytes() == baseline
     # A worse model: nothing corrects the path.
     suite.write_text(suite.read_text() + 'methods = ["sensor_path"]\n')
@@ -139,6 +145,9 @@ def test_a_baseline_of_another_arm_and_none_at_all_are_one_line(program: Any, su
     assert "--update-baseline" in done.lines[-1]
     suite.write_text(SUITE.partition("bounds")[0])
     (tmp_path / "suite.baseline.json").unlink()
+    done = program("check", "suite.toml", "--resume", "--baseline", "suite.toml")
+    assert done.code == 2
+    assert "--runs FOLDER" in done.lines[-1]
     done = program("check", "suite.toml")
     assert done.code == 2
-    assert "--update-baseline makes one" in done.lines[-1]
+    assert "--update-baseline makes it" in done.lines[-1]
