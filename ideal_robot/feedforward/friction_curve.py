@@ -73,22 +73,19 @@ class CurveState(NamedTuple):
             ``p = TERMS + 1 + n``.
         covariance: of them ``(n, p, p)``.
         inertia: that the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
-        plans: cycles whose measurement has not come yet, oldest first, behind the last one whose has.
-        error: following error of the last cycle ``(n,)`` [rad]; None before the first.
+        plans: cycles that are not counted yet, oldest first, behind the last one that is.
+        measured: motor angles of the first of these cycles, each ``(n,)`` [rad].
+        error: following error of the last cycle that is counted ``(n,)`` [rad]; None before the first.
         integral: torque of the controller's integral part beyond the planned one ``(n,)`` [N m].
-        together: over the last cycles in which a joint told something, sums of what the parameters count and of the
-            torque, and how many cycles they were ``(n, p + 2)``.
-        cycles: summed in ``together``, with those in which a joint told nothing.
     """
 
     x: Array
     covariance: Array
     inertia: Array
     plans: tuple[Planned, ...]
+    measured: tuple[Array, ...]
     error: Array | None
     integral: Array
-    together: Array
-    cycles: int = 0
 
 
 class _Known(NamedTuple):
@@ -144,8 +141,8 @@ class FrictionCurve:
         return self._begun(state.x, state.covariance, np.arange(TERMS + 1, self._size))
 
     def _begun(self, x: Array, covariance: Array, places: Array) -> CurveState:
-        n, (x, covariance) = self.loop.n, remembered(x, covariance, places)
-        return CurveState(x, covariance, self._inertia(x), (), None, np.zeros(n), np.zeros((n, self._size + 2)))
+        x, covariance = remembered(x, covariance, places)
+        return CurveState(x, covariance, self._inertia(x), (), (), None, np.zeros(self.loop.n))
 
     def _inertia(self, x: Array) -> Array:
         return np.asarray(x[:, TERMS + 1 :] * self._known.unit)
@@ -158,33 +155,40 @@ class FrictionCurve:
 
     def planned(self, state: CurveState, ideal: IdealState) -> CurveState:
         """Takes note of what the ideal robot planned in a cycle with what this state knows."""
+        plans, measured, error = state.plans, state.measured, state.error
+        if len(plans) > self.loop.delay + 1 + len(measured):  # the cycle before was not measured
+            measured, error = (), None
         plan = Planned(ideal.q_m, ideal.v_m, ideal.turned, state.x)
-        return CurveState(state.x, state.covariance, state.inertia, (*state.plans, plan)[-self.loop.delay - 2 :],
-                          state.error, state.integral, state.together, state.cycles)
+        return CurveState(state.x, state.covariance, state.inertia,
+                          (*plans, plan)[-self.loop.delay - 2 - len(measured) :], measured, error, state.integral)
 
     def update(self, state: CurveState, q: Array) -> CurveState:
         """Takes the motor angles ``(n,)`` [rad] that the controller reported at the end of a cycle."""
-        q, plans = np.asarray(q, dtype=float), state.plans
-        if len(plans) <= self.loop.delay + 1:
+        if len(state.plans) <= self.loop.delay + 1 + len(state.measured):
             return state
-        before, plan = plans[:2]
-        error = q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
-        x, covariance, inertia, together, cycles = (state.x, state.covariance, state.inertia, state.together,
-                                                    state.cycles)
-        if not np.abs(error).max() < STRAY:
+        measured = (*state.measured, np.array(q, dtype=float))
+        # The first following error tells no torque yet.
+        if len(measured) < self._together + (state.error is None):
+            return CurveState(*state[:4], measured, *state[5:])
+        return self._counted(state, measured)
+
+    def _counted(self, state: CurveState, measured: tuple[Array, ...]) -> CurveState:
+        """The state with the cycles whose motor angles are there."""
+        now, plans = state.plans[: len(measured) + 1], state.plans[len(measured) :]
+        errors = [q - plan.q if q.shape == plan.q.shape else np.full(self.loop.n, np.inf)
+                  for q, plan in zip(measured, now[1:], strict=True)]
+        if not np.abs(errors).max() < STRAY:
             # The first that strays ends what was known of this motion.
             known = state if state.error is None else self.init(state)
-            return CurveState(known.x, known.covariance, known.inertia, plans, None, known.integral, known.together)
+            return CurveState(known.x, known.covariance, known.inertia, plans, (), None, known.integral)
         if state.error is None:
-            return CurveState(x, covariance, inertia, plans, error, state.integral, together, cycles)
-        integral, together = state.integral.copy(), together.copy()
-        _cycle(self._known, before.v, (plan.v, plan.turned, plan.x), (state.error, error), integral, together)
-        cycles += 1
-        if cycles == self._together:
-            x, covariance = x.copy(), covariance.copy()
-            _learned(self._known, together, x, covariance)
-            inertia, together, cycles = self._inertia(x), np.zeros_like(together), 0
-        return CurveState(x, covariance, inertia, plans, error, integral, together, cycles)
+            now = now[1:]
+        else:
+            errors.insert(0, state.error)
+        x, covariance, integral = state.x.copy(), state.covariance.copy(), state.integral.copy()
+        _learned(self._known, np.array([plan.v for plan in now]), np.array([plan.turned for plan in now]),
+                 (np.array([plan.x for plan in now]), np.array(errors)), (x, covariance, integral))
+        return CurveState(x, covariance, self._inertia(x), plans, (), errors[-1], integral)
 
 
 @jit()
@@ -198,7 +202,8 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
         plan: planned velocities, direction of sliding, what the plan knew; as in ``Planned``.
         errors: following errors of the cycle before and of this one ``(n,)`` [rad].
         integral: torque of the integral part ``(n,)`` [N m].
-        together: see ``CurveState``.
+        together: over the cycles in which a joint told something, sums of what the parameters count and of the torque,
+            and how many cycles they were ``(n, p + 2)``.
     """
     v, turned, used = plan
     n, p, T = len(integral), used.shape[1], known.t_ipo
@@ -224,17 +229,24 @@ def _cycle(known: _Known, v_before: Array, plan: tuple[Array, Array, Array], err
 
 
 @jit()
-def _learned(known: _Known, together: Array, x: Array, covariance: Array) -> None:
+def _learned(known: _Known, v: Array, turned: Array, told: tuple[Array, Array], state: tuple[Array, Array, Array]
+             ) -> None:
     """Counts the mean of some cycles.
 
     Args:
         known: of the loop.
-        together: see ``CurveState``.
-        x: see there; written to.
-        covariance: see there; written to.
+        v: planned velocities of the cycles, behind those of the one before ``(m + 1, n)`` [rad/s].
+        turned: direction of sliding, of the same cycles.
+        told: what the plans knew ``(m + 1, n, p)``, and following errors ``(m + 1, n)`` [rad], of the same cycles.
+        state: ``x``, ``covariance``, ``integral``, see ``CurveState``; written to.
     """
-    for i in range(len(together)):
-        count, p = together[i, -1], x.shape[1]
+    (used, errors), (x, covariance, integral) = told, state
+    n, p = x.shape
+    together = np.zeros((n, p + 2))
+    for k in range(1, len(v)):
+        _cycle(known, v[k - 1], (v[k], turned[k], used[k]), (errors[k - 1], errors[k]), integral, together)
+    for i in range(n):
+        count = together[i, -1]
         aged(x[i], covariance[i], known.left)
         if count > 0.0:
             counted(x[i], covariance[i], together[i, :p] / count, together[i, p] / count, known.variance / count)

@@ -8,7 +8,7 @@ import pytest
 from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import inverse_dynamics
 from ideal_robot.feedforward.friction_adaptation import AdaptedIdeal
-from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve, Planned
+from ideal_robot.feedforward.friction_curve import CurveState, FrictionCurve
 from ideal_robot.feedforward.friction_estimator import FAR, TERMS, friction_terms
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.loop.loop_model import LoopModel
@@ -34,8 +34,9 @@ def learned(loop: LoopModel, true: LoopModel, q_d: Array, repeat: int = 4, scale
     ahead = np.concatenate([q_d, np.tile(q_d[-1], (ideal.n_d, 1))])
     for k in range(len(q_d)):
         _, state = ideal.step(state, ahead[k : k + ideal.n_d])
-        plan = Planned(state.q_m, state.v_m, state.turned, np.zeros_like(known.x))
-        known = known._replace(plans=(*known.plans, plan)[-loop.delay - 2 :])
+        known = curves.planned(known, state)
+        # The plan knows nothing of what is found.
+        known = known._replace(plans=(*known.plans[:-1], known.plans[-1]._replace(x=np.zeros_like(known.x))))
         known = curves.update(known, scale * done.q_m[k + 1])
     return known
 
