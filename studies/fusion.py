@@ -22,6 +22,7 @@ from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
 from scenes import load_scene
 from scenes.line.kind import run as run_line
+from scenes.methods import IDEAL
 from scenes.play import run_scene as run
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import Scene
@@ -159,9 +160,9 @@ def fusion() -> None:
          "largest difference of the maps [µm]", "error, library", "error before")
     for name, scene in shipped().items():
         with recorded() as every:
-            now = run(scene)
+            now = run(scene, method=IDEAL)
         with patch.object(fusing, "KalmanFilter", TextbookFilter):
-            before = run(scene)
+            before = run(scene, method=IDEAL)
         taken = max(every, key=lambda one: len(one.calls))
         library, textbook = replayed(taken, KalmanFilter), replayed(taken, TextbookFilter)
         reasons = [reason for _, reason in library.decisions]
@@ -266,7 +267,7 @@ def fusion_banks() -> None:
          "map apart from ours, median, largest [µm]", "an update [µs]")
     for name in ("`line`", "`cluttered`", "`line`, camera knocked by 0.5°"):
         with recorded() as every:
-            run(shipped()[name])
+            run(shipped()[name], method=IDEAL)
         taken = max(every, key=lambda one: len(one.calls))
         replayed(taken, KalmanFilter)  # compiles
         ours = replayed(taken, KalmanFilter)

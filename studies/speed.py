@@ -143,10 +143,10 @@ def _line(repeats: int, world: str, wanted: str = "") -> None:
         line_cell.calibrate_by_moving = inner
     factors, runs = [], []
     with line_cell.prepared(scene) as shared:
-        run(scene, method="ideal", shared=shared)
+        run(scene, shared=shared)
         for _ in range(repeats):
             begun = time.process_time()
-            result = run(scene, method="ideal", shared=shared)
+            result = run(scene, shared=shared)
             runs.append(time.process_time() - begun)
             factors.append(float(result.recording.t[-1]) / runs[-1])
     _show(f"`line` in the {world}, real time over processor time", factors, "×", wanted)

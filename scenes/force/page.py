@@ -44,7 +44,7 @@ def force_replay(result: ForceResult) -> Replay | None:
                   curves=scene_curves(result.scene), enlarged=1.0, force=sensed_force(robot, recording, rows))
 
 
-COLOURS = {"ideal": "#e06000", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
+COLOURS = {"ideal": "#e06000", "adapted": "#7d3c98", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}
 
 
 def write_run(result: ForceResult, out: Path) -> ForceResult:

@@ -15,7 +15,7 @@ from planning.line.deviation_sensor import DeviationSensor
 from scenes.line.cell import Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.result import LineResult, little_gained
-from scenes.methods import DIRECT, IDEAL, NONE, GainSearch, GainTrial, SceneMethod
+from scenes.methods import ADAPTED, DIRECT, IDEAL, NONE, GainSearch, GainTrial, SceneMethod
 from scenes.result import Progress, ShownTable, part_of, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
@@ -160,9 +160,9 @@ def compare_lines(scene: LineScene, methods: Sequence[SceneMethod], *, sensors: 
             runs[method.key] = play(scene, method, shared=shared, gains=gains, sensors=sensors,
                                     progress=part_of(progress, start + (1 - start) * i / len(methods),
                                                      (1 - start) / len(methods)))
-    if NONE in runs and (ideal := runs.get(IDEAL)) is not None:
-        said = little_gained(ideal.control_error.mean, runs[NONE].control_error.mean)
-        runs[IDEAL] = replace(ideal, warning="; ".join(filter(None, [ideal.warning, said])))
+    for key in runs.keys() & {IDEAL, ADAPTED} if NONE in runs else ():
+        said = little_gained(runs[key].control_error.mean, runs[NONE].control_error.mean)
+        runs[key] = replace(runs[key], warning="; ".join(filter(None, [runs[key].warning, said])))
     return LineComparison(scene, runs, gains, tried, gain, overshoots)
 
 

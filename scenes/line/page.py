@@ -103,8 +103,8 @@ def _png(shown: FieldShown) -> bytes:
 INK, SOFT, ACCENT, BLUE, GREEN = "#1c2430", "#8893a1", "#e06a00", "#0a6ebd", "#2b8a3e"
 COLOURS = {"none": SOFT, "direct_feedback": BLUE, "sensor_path": GREEN, "ideal": ACCENT, "adapted": "#7d3c98",
            "ideal_points": "#000000"}
-NAMED = {"ideal": "the ideal robot", "sensor_path": "the sensed path alone", "none": "no correction",
-         "direct_feedback": "direct sensor feedback at its best gain"}
+NAMED = {"ideal": "the ideal robot", "adapted": "the ideal robot adapted", "sensor_path": "the sensed path alone",
+         "none": "no correction", "direct_feedback": "direct sensor feedback at its best gain"}
 PAPER_MEAN_MM, PAPER_SPEED = 0.6, 0.7
 """[L] 5: mean control error at top speed."""
 
@@ -199,7 +199,8 @@ def comparison_page(comparison: LineComparison) -> Report:
                       for method, run in reversed(runs.items()))
     report = Report(f"{comparison.scene.title} at {comparison.scene.speed:g} m/s: methods compared",
                     f"Mean distance from the line: {shown}.")
-    if "none" in runs and "ideal" in runs and (moving := line_replay(runs["ideal"])) is not None:
+    shown_best = runs.get("adapted", runs.get("ideal"))
+    if "none" in runs and shown_best is not None and (moving := line_replay(shown_best)) is not None:
         report.heading("The ideal robot, and without correction")
         report.replay(with_ghost(moving, runs["none"].recording),
                       "Green to red: distance of the tool from the drawn line. The pale arm has no correction.")

@@ -97,7 +97,7 @@ class ForceScene(Scene):
     kind: Literal["force"]
     task: Literal["surface", "contour", "glue"] = "surface"
     speed: float = pydantic.Field(default=0.2, gt=0, le=2)
-    method: str = "ideal"
+    method: str = "adapted"
     force: float = pydantic.Field(default=20.0, gt=0)
     """Wanted normal force [N]."""
     surface: UnknownSurface

@@ -75,7 +75,7 @@ class LineScene(Scene):
     speed: float = pydantic.Field(default=0.7, gt=0, le=10)
     tool_mm: float = pydantic.Field(default=0.0, ge=0, le=1000)
     """How far the TCP is beyond the flange (the URDF's tool frame), along the approach axis."""
-    method: str = "ideal"
+    method: str = "adapted"
     surface: Surface
     line: Line
     feature: tuple[Feature, ...] = ()

@@ -51,7 +51,7 @@ def test_run_writes_what_json_names(program, tmp_path: Path) -> None:
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert figures["scene"] == "short"
     assert figures["seed"] == 4
-    assert figures["method"] == "ideal"
+    assert figures["method"] == "adapted"
     assert set(figures["control_error_mm"]) == {"mean", "p95", "max"}
     for alignment in ("time_matched", "aligned", "geometric"):
         assert set(figures["path_error_mm"][alignment]) == {"E_car", "E_max"}
