@@ -43,7 +43,8 @@ GROUPS = {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
-        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "check-suite": "suites",
+        "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
+        "check-suite": "suites",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }

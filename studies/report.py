@@ -46,9 +46,9 @@ def used(job: Callable[[], object], clock: Callable[[], float] = time.process_ti
     return clock() - begun
 
 
-def resident() -> float:
-    """Resident memory of this process now [MiB]."""
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+def resident(process: int | str = "self") -> float:
+    """Resident memory of this process, or of another one by its number, now [MiB]."""
+    return int(Path(f"/proc/{process}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def write_tables(mark: str, text: str) -> None:

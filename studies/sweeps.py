@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import json
 import os
 import signal
@@ -12,16 +13,19 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import typer
 
+from ideal_robot.arrays import Array
+from scenes import workers as crew
 from scenes.regression.results import read_results
 from scenes.run_set import RunSet
-from scenes.sweep import Job, jobs, sweep
-from studies.report import head, row
+from scenes.sweep import Job, jobs, play, sweep
+from studies.report import head, resident, row, used
 
 CLIENT = """
 import sys
@@ -85,17 +89,66 @@ def sweep_kills(count: int = 10_000, kills: int = 100, every: float = 3.0, worke
     raise typer.Exit(bool(missing or different or len(kept) != count))
 
 
-def sweep_efficiency(count: int = 500, workers: str = "1,2") -> None:
-    """Quick runs of 20 ms on Dask with one and two workers: time over the ideal one, and overhead of a task."""
-    head("workers", "runs of 20 ms", "lasted", "efficiency", "overhead of a run")
+def sweep_efficiency(count: int = 500, workers: str = "1,2,4") -> None:
+    """Quick runs of 20 ms on Dask: time over the ideal one, overhead of a run, memory of client and workers.
+
+    Memory is looked at after a tenth of the runs and at the end.
+    """
+    head("workers", "runs of 20 ms", "lasted", "efficiency", "overhead of a run", "client, a tenth → all",
+         "largest worker, a tenth → all")
     for number in map(int, workers.split(",")):
-        with tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), number) as (address, _):
+        with tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), number) as (address, parts):
             sweep(jobs(["line"], seeds=range(20 * number)), dask=address, function=quick)
+            seen: list[tuple[float, float]] = []
+
+            def look(done: int, seen: list[tuple[float, float]] = seen,
+                     pids: tuple[int, ...] = tuple(part.pid for part in parts[1:])) -> None:
+                if done in (count // 10, count):
+                    seen.append((resident(), max(map(resident, pids))))
+
             begun = time.monotonic()
-            sweep(jobs(["line"], seeds=range(count)), dask=address, function=quick)
+            sweep(jobs(["line"], seeds=range(count)), dask=address, function=quick, done=look)
             lasted = time.monotonic() - begun
         row(number, count, f"{lasted:.1f} s", f"{0.02 * count / number / lasted:.2f}",
-            f"{1e3 * (lasted * number / count - 0.02):.1f} ms")
+            f"{1e3 * (lasted * number / count - 0.02):.1f} ms", *(f"{first:.0f} → {last:.0f} MiB" for first, last
+                                                                 in zip(*seen, strict=True)))
+
+
+def _nothing(job: Job) -> dict[str, Any]:
+    return {"scene": "line", "method": None, "seed": job.seed, "failure": None}
+
+
+def sweep_plan(runs: int = 100_000, cores: str = "1,10,100,300,1000", repeats: int = 3, seed: int = 0) -> None:
+    """A plan for many cores: recorded times of runs, replayed with the time that the client spends on a batch.
+
+    Recorded here: --repeats runs of a path, a line and a force scene; what a batch costs the client: 500 batches of one
+    run that does nothing, on two workers. Replayed: --runs runs drawn of these times, in batches of a second;
+    the client hands over one batch after another, a worker that has none waits.
+    """
+    recorded = [used(partial(play, Job(name, None, None, number)), time.perf_counter)
+                for name in ("iso9283_1", "straight", "force_wave") for number in range(1, repeats + 1)]
+    normal, crew.BATCH = crew.BATCH, 0.0
+    with tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), 2) as (address, _):
+        spent = used(lambda: sweep(jobs(["line"], seeds=range(500)), dask=address, function=_nothing),
+                     time.monotonic) / 500
+    crew.BATCH = normal
+    seconds = np.random.default_rng(seed).choice(recorded, runs)
+    per_batch = max(1, round(normal / float(np.mean(recorded))))
+    batches = np.add.reduceat(seconds, np.arange(0, runs, per_batch))
+    head("cores", "runs", "mean of a run", "client, a batch", "would last", "efficiency")
+    for number in map(int, cores.split(",")):
+        lasted = _replayed(batches, number, spent)
+        row(number, runs, f"{np.mean(recorded):.2f} s", f"{1e3 * spent:.1f} ms", f"{lasted / 3600:.2f} h",
+            f"{float(seconds.sum()) / number / lasted:.2f}")
+
+
+def _replayed(batches: Array, cores: int, spent: float) -> float:
+    """How long batches last on so many cores [s], where the client spends a time on each, one after the other."""
+    free, client = [0.0] * cores, 0.0
+    for seconds in batches.tolist():
+        client = max(client, heapq.heappop(free)) + spent
+        heapq.heappush(free, client + seconds)
+    return max(free)
 
 
 @contextmanager
