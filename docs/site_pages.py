@@ -7,10 +7,12 @@ names the rooms whose API is made, parted by commas; without it all are.
 from __future__ import annotations
 
 import os
+import re
 import sys
 from pathlib import Path
 from typing import Any
 
+import griffe
 from mkdocs.structure.files import File, Files
 
 import ideal_robot
@@ -31,6 +33,19 @@ DOORS = (
 """Prefix, import, summary, and names at the door with the place behind each."""
 FIRST = ("Robot", "Recording", "identify", "diagnose", "precorrect", "load_scene", "run_scene")
 """What most scripts begin with."""
+
+_TOGETHER = re.compile(r"^ +\w+(?:, \w+)+: ", flags=re.MULTILINE)
+"""Names that share a description in a docstring."""
+
+
+class NamedTogether(griffe.Extension):
+    """Keeps ``q_min, q_max: limits`` in one cell of a table; what follows a space would be taken for a type."""
+
+    def on_object(self, *, obj: griffe.Object, **kept: Any) -> None:
+        """Parts the names by spaces that are not taken for one."""
+        if obj.docstring is not None:
+            obj.docstring.value = _TOGETHER.sub(lambda found: found[0].replace(", ", ",\N{NO-BREAK SPACE}"),
+                                                obj.docstring.value)
 
 
 def on_files(files: Files, config: Any) -> Files:
