@@ -106,7 +106,7 @@ def test_an_example_runs_as_printed(verb: str, tmp_path: Path) -> None:
         aside = [begun(words) for words in found.commands[:-1]] if found.beside else []
         for words in found.commands[-1:] if found.beside else found.commands:
             process = begun(words)
-            said, _ = process.communicate(timeout=600)
+            said, _ = process.communicate(timeout=1800)
             assert process.returncode == 0, f"{' '.join(words)}\n{said[-3000:]}"
         for process in aside:
             process.send_signal(signal.SIGINT)
