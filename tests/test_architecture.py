@@ -14,7 +14,7 @@ from docs.draw_architecture import PICTURE, layers, picture, reduced, structure
 from tests.sources import ROOT, trees
 
 OURS = {"ideal_robot", "sensing", "planning", "sim", "scenes", "studies", "examples", "tests", "docs"}
-IMPORTED_AS = {"dask[distributed]": "dask", "opencv-python-headless": "cv2", "pin": "pinocchio",
+IMPORTED_AS = {"dask[distributed]": "dask", "griffelib": "griffe", "opencv-python-headless": "cv2", "pin": "pinocchio",
                "import-linter": "importlinter", "pillow": "PIL", "rerun-sdk": "rerun"}
 """Where a package's name is not its module's."""
 PACKAGES = ("ideal_robot", "sensing", "planning", "sim", "scenes", "studies")
