@@ -27,7 +27,7 @@ ANSWERS = {
     "friction": ("friction_at('kr15', 3, 0.25, ARMS['kr15'][1].replace(start_temperature=22.0))"
                  " / friction_at('kr15', 3, 0.25)", "1.0"),
     "identification": ("float(unseen_errors.iloc[1])", "float(unseen_errors.iloc[0])"),
-    "latency": ("8.4", "12"),
+    "latency": ("2.8", "4"),
     "learning": ("next((n for n in (1, 2, 3, 4) if circle.runs[f'learned_{n}'].errors.time_matched.E_car"
                  " < circle.runs['precorrected_1'].errors.time_matched.E_car), 0)", "5"),
     "line_following": ("0.7 * 1000 * scene.camera.latency", "0.7"),
