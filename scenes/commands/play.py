@@ -55,6 +55,7 @@ def run(
     from scenes.line.compare import fastest
     from scenes.line.result import LineResult
     from scenes.outputs import check_outputs, folders_held
+    from scenes.regression.results import signed
     from scenes.report.page import write_json
     from scenes.report.video import check_video, write_video
     from scenes.result import part_of
@@ -88,7 +89,8 @@ def run(
             if replay is not None:
                 write_video(replay, film, progress=part_of(progress, 0.5, 0.5))
             if figures is not None:
-                write_json(figures, {**result.json(), **({} if found is None else {"fastest": found.json()})})
+                write_json(figures, signed({**result.json(),
+                                            **({} if found is None else {"fastest": found.json()})}))
     if found is not None and isinstance(result, LineResult):
         typer.echo(f"fastest speed within {1e3 * found.tolerance:g} mm: {found.speed:.2f} m/s; 95 % predicted "
                    f"{1e3 * found.predicted:.3f} mm, reached {1e3 * result.control_error.p95:.3f} mm")
@@ -113,6 +115,7 @@ def compare(
     """
     from scenes.kind import kind_of
     from scenes.outputs import check_outputs, folders_held
+    from scenes.regression.results import signed
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
@@ -124,7 +127,7 @@ def compare(
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
         result = kind_of(loaded).compare(loaded, out=folder, progress=progress)
         if json is not None:
-            write_json(json, result.json())
+            write_json(json, signed(result.json()))
     columns, rows = result.table()
     show_table(f"{loaded.title}", columns, rows)
     if result.report is not None:
@@ -162,6 +165,7 @@ def sweep(
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files
     from scenes.outputs import check_outputs
+    from scenes.regression.results import signed
     from scenes.report.page import write_json
     from scenes.run_set import RunSet
     from scenes.sweep import Kept, SweepFile, jobs, sweep
@@ -183,7 +187,7 @@ def sweep(
     # Shown first: what no disk takes is read at least.
     with whole_files(json, csv) as (json_file, csv_file):
         if json_file is not None:
-            write_json(json_file, {"runs": answers})
+            write_json(json_file, signed({"runs": answers}))
         if csv_file is not None:
             table.map(lambda value: inert(value) if isinstance(value, str) else value).to_csv(csv_file, index=False)
     missing = sum("not_played" in answer for answer in answers)
@@ -195,7 +199,7 @@ def sweep(
 
 
 def _show_swept(answers: list[dict[str, Any]], *, with_arm: bool) -> pd.DataFrame:
-    """Prints every run and the largest figures of each kind of run; returns the table of the runs."""
+    """Prints every run and the largest figures of each kind of run; returns the table of the runs, named as JSON."""
     import pandas as pd
 
     from scenes.sweep import FIGURES
@@ -211,7 +215,7 @@ def _show_swept(answers: list[dict[str, Any]], *, with_arm: bool) -> pd.DataFram
     show_table("sweep", shown, frame[shown].astype(object).where(frame[shown].notna(), None).to_numpy().tolist())
     rows = [[*row, int(count)] for row, count in zip(worst.astype(object).to_numpy().tolist(), counts, strict=True)]
     show_table("largest of each kind of run", [*kinds, *figures, "runs"], rows)
-    return frame[shown]
+    return frame[shown].rename(columns={title: key for key, title in names.items()})
 
 
 def close_loop(

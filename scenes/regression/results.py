@@ -22,6 +22,8 @@ SCHEMA = 1
 TIMES = ("real_time_factor", "cycle_time_ms", "seconds")
 PLACES = ("recording", "report", "urdf")
 """Keys of an answer that say how long it took and where files lie; they stand apart from results."""
+SIGNED = ("schema", "program")
+"""Keys of a file that say what wrote it."""
 CASE = ("scene", "robot", "individual", "world", "speed_m_s", "method")
 """What runs of one case have in common; its runs differ in their seeds."""
 HASHES = ("task_hash", "world_hash", "model_hash")
@@ -90,13 +92,18 @@ class Results:
         return write_json(path, {"schema": SCHEMA, "program": self.program, "machine": self.machine, "runs": rows})
 
 
+def signed(content: dict[str, Any]) -> dict[str, Any]:
+    """The content of a ``--json`` of runs, with its layout and the program that computed it."""
+    return {"schema": SCHEMA, "program": program(), **content}
+
+
 def table(answers: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
     """A table of answers of a sweep, without times and places; lists and texts that no column is for are left out."""
     import pandas as pd
 
     rows = []
     for answer in answers:
-        kept = {key: value for key, value in plain(answer).items() if key not in (*TIMES, *PLACES)}
+        kept = {key: value for key, value in plain(answer).items() if key not in (*TIMES, *PLACES, *SIGNED)}
         kept.setdefault("individual", 1)
         rows.append({key: value for key, value in _flat(kept).items() if not isinstance(value, list)})
     frame = pd.DataFrame(rows)

@@ -86,6 +86,9 @@ def _results_are_read_in_every_form(program: Any, folder: Path) -> None:
     swept = program("sweep", "short.toml", "--seeds", "1-3", "--world", "bench", "--processes", "1", "--json", "s.json",
                     "--csv", "s.csv", "--lines", "s.jsonl")
     assert swept.code == 0, swept.err
+    told = json.loads((folder / "s.json").read_text())
+    assert (told["schema"], told["program"]) == (1, json.loads((folder / "suite.baseline.json").read_text())["program"])
+    assert "control_error_mm.mean" in pd.read_csv(folder / "s.csv")
     for name in ("s.json", "s.csv", "s.jsonl", "suite.baseline.json"):
         found = read_results(folder / name)
         assert len(found.runs) == 3
