@@ -63,7 +63,7 @@ def standing_clock(folder: Path) -> Iterator[Replay]:
 
 def dead_scheduler(folder: Path) -> Iterator[Replay]:
     """A cluster that loses its scheduler."""
-    with mock.patch.object(workers, "PATIENCE", 8.0):
+    with mock.patch.object(workers, "PATIENCE", 20.0):
         rows, lines = swept_until_the_scheduler_dies(folder)
     kept = len(lines.read_text().splitlines())
     lost = sum("not_played" in one for one in rows)
