@@ -77,7 +77,7 @@ class FeltByMotors:
 
 # Along a path: what the motors feel beyond what the force sensor tells.
 
-REVERSAL = 0.03
+REVERSAL = 0.01
 """Speed of a joint below which its friction is as good as unknown, as it may turn [rad/s]."""
 COARSE = 1.1
 """Noise of what the motors feel within a second, in standard deviations of the model's residual [√s]: vibrations and
