@@ -1,14 +1,9 @@
-"""Where results come from: program, machine, and digests of what was played."""
+"""What was played, as digests: task, world and model of a run."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import platform
-import subprocess
-from contextlib import suppress
-from functools import cache
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,43 +13,10 @@ from scenes.models import cache_name
 from scenes.scene_files.scene import OWN, SHIPPED, Scene
 from sim.arm.world import World
 
-ROOMS = ("ideal_robot", "planning", "scenes", "sensing", "sim")
-"""Folders of what is installed; a run depends on nothing else of ours."""
 _WORDS = {"name", "title", "description", "paper"}
 """Keys of a scene that say what it is called."""
 _HOW = {"seed", "method", "model", "n_d", "gains"}
 """Keys of a scene that say how a task is done; runs that differ in nothing else can be compared."""
-
-
-@cache
-def program() -> dict[str, str | None]:
-    """Version of the program, commit of the checkout (None where it is installed), digest of all its sources."""
-    return {"version": metadata.version("ideal-robot"), "commit": _commit(), "digest": _source_digest()}
-
-
-def _commit() -> str | None:
-    root = Path(__file__).parents[1]
-    if (root / ".git").exists():
-        with suppress(OSError, subprocess.SubprocessError):
-            return subprocess.run(["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
-                                  capture_output=True, text=True, check=True, timeout=10.0).stdout.strip()
-    return None
-
-
-def _source_digest() -> str:
-    found = hashlib.sha256()
-    root = Path(__file__).parents[1]
-    for path in sorted(path for room in ROOMS for path in (root / room).rglob("*")):
-        if path.suffix in (".py", ".toml", ".urdf", ".json") and path.is_file():
-            found.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
-    return found.hexdigest()[:16]
-
-
-def machine() -> dict[str, str]:
-    """What computed: kind of processor, system, Python, and the libraries that decide the last digits."""
-    libraries = {name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pin", "pybullet")}
-    return {"processor": platform.machine(), "system": platform.system(), "python": platform.python_version(),
-            **libraries}
 
 
 def digest_of(content: Any) -> str:

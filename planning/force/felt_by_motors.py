@@ -84,7 +84,7 @@ COARSE = 1.1
 friction that turns count, too."""
 GROWS = 17.0
 """By how much more a sensor may be wrong a second later, one standard deviation [N/√s]. With both, sound sensors come
-to 11 N on the simulated KR 6 (three scenes, five seeds, models of its own and shipped, 4 and 12 ms)."""
+to 11 N on the simulated KR 6 (runs of three scenes with seeds 1 to 5, which also decided the three numbers)."""
 
 
 class BeyondSensor:

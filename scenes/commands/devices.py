@@ -69,6 +69,7 @@ def follow(
     from scenes.online.devices import Devices
     from scenes.online.run import follow, load_cell
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.scene_files.scene import chosen
 
@@ -82,7 +83,7 @@ def follow(
     with progress_bar(loaded.name, rate=2.0) as progress:
         result = follow(loaded, devices, method=method, calibration=calibration, out=folder, progress=progress)
     if json is not None:
-        write_json(json, result.json())
+        write_json(json, signed(result.json()))
     closed(result)
 
 
@@ -164,6 +165,7 @@ def detect(
     from ideal_robot.whole_file import whole_files
     from scenes.detection import detection_page, figures, pictures, table
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
     from sensing.camera.camera_device import Gray
     from sensing.camera.detector import DETECTORS
@@ -181,8 +183,8 @@ def detect(
         with whole_files(report, json) as (page_file, json_file):
             detection_page(source, detector, results).write(page_file)
             if json_file is not None:
-                write_json(json_file, {"source": source, "detector": detector,
-                                       "pictures": [figures(name, found) for name, _, found in results]})
+                write_json(json_file, signed({"source": source, "detector": detector,
+                                              "pictures": [figures(name, found) for name, _, found in results]}))
     show_table("detect", *table(results))
     typer.echo(f"report: {report}")
     if not any(found.found for _, _, found in results):
@@ -237,6 +239,7 @@ def rsi(
     from ideal_robot.whole_file import whole_files
     from scenes.online.processes import stopping_on_signals
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.rsi.setup import rsi_server
 
@@ -268,7 +271,7 @@ def rsi(
     with whole_files(record, json) as (record_file, json_file):
         run.recording.write(record_file)
         if json_file is not None:
-            write_json(json_file, {**run.json(), "recording": record})
+            write_json(json_file, signed({**run.json(), "recording": record}))
     typer.echo(f"recording: {record}")
     if run.failure is not None:
         typer.echo(f"ideal-robot: {run.failure}", err=True)
@@ -276,13 +279,14 @@ def rsi(
 
 
 def _self_test(robot: str | None, model: Path | None, method: str, core: int | None, json: Path | None) -> None:
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.rsi.self_test import held_cycles
 
     with progress_bar("self-test") as progress:
         held = held_cycles(robot=robot, model=model, method=method, core=core, progress=progress)
     if json is not None:
-        write_json(json, held.json())
+        write_json(json, signed(held.json()))
     show_table("", *held.table())
     for line in held.reasons():
         typer.echo(line)

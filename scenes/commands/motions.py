@@ -55,6 +55,7 @@ def plan_identification(
     from ideal_robot.robots.robot import Robot
     from scenes.identification.plan import plan, play_plan
     from scenes.outputs import check_outputs, folders_held, whole_folder
+    from scenes.program import signed
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)
@@ -73,7 +74,7 @@ def plan_identification(
                     files.append(out / recording.write(new / "recording.parquet").name)
                     content["recording"] = str(files[-1])
             if json is not None:
-                write_json(json, content)
+                write_json(json, signed(content))
     show_table(f"identification motion of {arm.name}", ["figure", "value"],
                [[key, value] for key, value in content.items() if isinstance(value, (int, float, str))])
     for path in files:
@@ -114,6 +115,7 @@ def plan_diagnosis(
     from ideal_robot.signals.recording import WRITTEN, Recording
     from ideal_robot.whole_file import whole_files
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.result import part_of
 
@@ -133,7 +135,7 @@ def plan_diagnosis(
             if motion_file is not None:
                 plan.path().write(motion_file)
             if json_file is not None:
-                write_json(json_file, {**plan.to_dict(), "motion": str(out) if plan.useful else None})
+                write_json(json_file, signed({**plan.to_dict(), "motion": str(out) if plan.useful else None}))
     _show_planned(plan, out)
 
 

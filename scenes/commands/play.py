@@ -55,7 +55,7 @@ def run(
     from scenes.line.compare import fastest
     from scenes.line.result import LineResult
     from scenes.outputs import check_outputs, folders_held
-    from scenes.regression.results import signed
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.report.video import check_video, write_video
     from scenes.result import part_of
@@ -115,7 +115,7 @@ def compare(
     """
     from scenes.kind import kind_of
     from scenes.outputs import check_outputs, folders_held
-    from scenes.regression.results import signed
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
@@ -165,7 +165,7 @@ def sweep(
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files
     from scenes.outputs import check_outputs
-    from scenes.regression.results import signed
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.run_set import RunSet
     from scenes.sweep import Kept, SweepFile, jobs, sweep
@@ -237,6 +237,7 @@ def close_loop(
     from scenes.diagnosis.page import summary
     from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
@@ -247,7 +248,7 @@ def close_loop(
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
         result = close_scene(loaded, measured=measured, out=folder, progress=progress)
         if json is not None:
-            write_json(json, result.json())
+            write_json(json, signed(result.json()))
     for title, (columns, rows) in (("what was tried", result.ladder()), ("before and after", result.rows())):
         show_table(title, list(columns), rows)
     if (asked := result.json().get("plan")) is not None:
@@ -280,6 +281,7 @@ def prepare(
     from scenes.arms import arm_of
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
@@ -293,8 +295,8 @@ def prepare(
     model = Model.load(prepared.path)
     path = prepared.path if out is None else model.save(out)
     if json is not None:
-        write_json(json, {"robot": loaded.robot, "individual": world.individual, "model": path,
-                          "identified_now": prepared.fresh, "noise_std_N_m": model.noise_std})
+        write_json(json, signed({"robot": loaded.robot, "individual": world.individual, "model": path,
+                          "identified_now": prepared.fresh, "noise_std_N_m": model.noise_std}))
     show_table("", ["figure", "value"], [
         ["arm", f"{loaded.robot}, individual {world.individual}"],
         ["identified", "now" if prepared.fresh else "before"],

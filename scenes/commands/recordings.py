@@ -78,6 +78,7 @@ def identify(
     from ideal_robot.whole_file import whole_files
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
@@ -94,7 +95,7 @@ def identify(
         with whole_files(page, json, model, export_urdf) as (page_file, json_file, model_file, urdf_file):
             identification_page(analysis).write(page_file)
             if json_file is not None:
-                write_json(json_file, content)
+                write_json(json_file, signed(content))
             if model_file is not None:
                 analysis.model.save(model_file)
             if urdf_file is not None:
@@ -148,6 +149,7 @@ def diagnose(
     from ideal_robot.whole_file import whole_files
     from scenes.diagnosis.page import diagnosis_page, summary
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json, model_out=model_out)
@@ -163,7 +165,7 @@ def diagnose(
         with whole_files(page, json, better) as (page_file, json_file, model_file):
             diagnosis_page(found, f"Diagnosis of {recording.name}").write(page_file)
             if json_file is not None:
-                write_json(json_file, found.to_dict())
+                write_json(json_file, signed(found.to_dict()))
             if model_file is not None and found.model is not None:
                 found.model.save(model_file)
     _show_diagnosed(found)
@@ -221,6 +223,7 @@ def stiffness(
     from ideal_robot.whole_file import whole_files
     from scenes.clamped.page import stiffness_page
     from scenes.outputs import check_outputs
+    from scenes.program import signed
     from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)
@@ -234,7 +237,7 @@ def stiffness(
         with whole_files(page, json) as (page_file, json_file):
             stiffness_page(analysis, title=f"Joint stiffness of {arm.name}").write(page_file)
             if json_file is not None:
-                write_json(json_file, analysis.to_dict())
+                write_json(json_file, signed(analysis.to_dict()))
     show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],
                [[one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.relative_error_percent]
                 for one in analysis.joints])
@@ -275,6 +278,7 @@ def precorrect(
     from ideal_robot.whole_file import whole_files
     from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
+    from scenes.program import signed
     from scenes.report.page import write_json
 
     folder = out or Path("out") / "precorrect"
@@ -292,8 +296,8 @@ def precorrect(
             result.recording.write(path_file)
             write_page(result, page_file, measured)
             if json_file is not None:
-                write_json(json_file, {**result.to_dict(), **_played_errors(measured), "output": output,
-                                       "report": report})
+                write_json(json_file, signed({**result.to_dict(), **_played_errors(measured), "output": output,
+                                              "report": report}))
     show_table("Correction per joint", *table(result, measured))
     typer.echo(f"corrected path: {output}")
     typer.echo(f"report: {report}")

@@ -10,20 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from ideal_robot.bounded_values import parsed_json, read_json, read_text
 from ideal_robot.errors import InputError, did_you_mean
-from scenes.provenance import machine, program
+from scenes.program import PLACES, SCHEMA, TIMES, machine, program
 from scenes.report.page import plain, write_json
 from scenes.sweep import FIGURES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SCHEMA = 1
-"""Counts the layouts of the file."""
-TIMES = ("real_time_factor", "cycle_time_ms", "seconds")
-PLACES = ("recording", "report", "urdf")
-"""Keys of an answer that say how long it took and where files lie; they stand apart from results."""
-SIGNED = ("schema", "program")
-"""Keys of a file that say what wrote it."""
+NOT_RESULTS = (*TIMES, *PLACES, "times", "files", "schema", "program")
+"""Keys of a file that say how long it took, where files lie and what wrote it."""
 CASE = ("scene", "robot", "individual", "world", "speed_m_s", "method")
 """What runs of one case have in common; its runs differ in their seeds."""
 HASHES = ("task_hash", "world_hash", "model_hash")
@@ -92,18 +87,13 @@ class Results:
         return write_json(path, {"schema": SCHEMA, "program": self.program, "machine": self.machine, "runs": rows})
 
 
-def signed(content: dict[str, Any]) -> dict[str, Any]:
-    """The content of a ``--json`` of runs, with its layout and the program that computed it."""
-    return {"schema": SCHEMA, "program": program(), **content}
-
-
 def table(answers: Iterable[Mapping[Any, Any]]) -> pd.DataFrame:
     """A table of answers of a sweep, without times and places; lists and texts that no column is for are left out."""
     import pandas as pd
 
     rows = []
     for answer in answers:
-        kept = {key: value for key, value in plain(answer).items() if key not in (*TIMES, *PLACES, *SIGNED)}
+        kept = {key: value for key, value in plain(answer).items() if key not in NOT_RESULTS}
         kept.setdefault("individual", 1)
         rows.append({key: value for key, value in _flat(kept).items() if not isinstance(value, list)})
     frame = pd.DataFrame(rows)

@@ -207,7 +207,7 @@ def test_the_command_line_plays_a_path_and_writes_what_json_names(tmp_path: Path
     assert figures["failure"] is None
     assert figures["robot"] == "kr6"
     assert figures["method"] == "ideal"
-    assert figures["cycles"] == figures["path_cycles"] == len(Recording.read(figures["recording"]).t)
+    assert figures["cycles"] == figures["path_cycles"] == len(Recording.read(figures["files"]["recording"]).t)
     assert set(figures["answer_time_ms"]) == {"median", "p99", "max"}
     assert len(figures["motor_rms_error_mrad"]) == 6
 

@@ -1,0 +1,77 @@
+"""What wrote a file of results: program and machine; and results apart from times and places."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import subprocess
+from contextlib import suppress
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+SCHEMA = 1
+"""Counts the layouts of files of results."""
+TIMES = ("real_time_factor", "cycle_time_ms", "compute_time_ms", "seconds")
+PLACES = ("recording", "report", "urdf", "output", "motion")
+"""Keys of an answer that say how long it took and where files lie; they stand apart from results."""
+ROOMS = ("ideal_robot", "planning", "scenes", "sensing", "sim")
+"""Folders of what is installed; a run depends on nothing else of ours."""
+
+
+@cache
+def program() -> dict[str, str | None]:
+    """Version of the program, commit of the checkout (None where it is installed), digest of all its sources."""
+    return {"version": metadata.version("ideal-robot"), "commit": _commit(), "digest": _source_digest()}
+
+
+def _commit() -> str | None:
+    root = Path(__file__).parents[1]
+    if (root / ".git").exists():
+        with suppress(OSError, subprocess.SubprocessError):
+            return subprocess.run(["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12"],
+                                  capture_output=True, text=True, check=True, timeout=10.0).stdout.strip()
+    return None
+
+
+def _source_digest() -> str:
+    found = hashlib.sha256()
+    root = Path(__file__).parents[1]
+    for path in sorted(path for room in ROOMS for path in (root / room).rglob("*")):
+        if path.suffix in (".py", ".toml", ".urdf", ".json") and path.is_file():
+            found.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+def machine() -> dict[str, str]:
+    """What computed: kind of processor, system, Python, and the libraries that decide the last digits."""
+    libraries = {name: metadata.version(name) for name in ("numpy", "scipy", "numba", "pin", "pybullet")}
+    return {"processor": platform.machine(), "system": platform.system(), "python": platform.python_version(),
+            **libraries}
+
+
+def signed(content: dict[str, Any]) -> dict[str, Any]:
+    """The content of a ``--json``, with its layout and the program that computed it, results before times and places.
+
+    Args:
+        content: of one run; or of several, in a list ``runs`` or a table ``methods``.
+    """
+    apart = told_apart(content)
+    if isinstance(runs := content.get("runs"), list):
+        apart["runs"] = [told_apart(one) for one in runs]
+    if isinstance(methods := content.get("methods"), dict):
+        apart["methods"] = {key: told_apart(one) for key, one in methods.items()}
+    return {"schema": SCHEMA, "program": program(), **apart}
+
+
+def told_apart(answer: dict[str, Any]) -> dict[str, Any]:
+    """Results, then ``times`` and ``files`` as tables of their own where there are any.
+
+    >>> told_apart({"report": "out/report.html", "seed": 1, "seconds": 0.2})
+    {'seed': 1, 'times': {'seconds': 0.2}, 'files': {'report': 'out/report.html'}}
+    """
+    groups = {"times": TIMES, "files": PLACES}
+    apart = {name: {key: answer[key] for key in keys if key in answer} for name, keys in groups.items()}
+    results = {key: value for key, value in answer.items() if key not in (*TIMES, *PLACES)}
+    return results | {name: found for name, found in apart.items() if found}
