@@ -51,11 +51,15 @@ class NamedTogether(griffe.Extension):
 def on_files(files: Files, config: Any) -> Files:
     """Adds the generated pages."""
     files.append(File.generated(config, "api/index.md", content=doors()))
+    listed: list[str] = []
     for room, modules in rooms().items():
         summary = (ROOT / room.replace(".", "/") / "__init__.py").read_text(encoding="utf-8").strip("\"\n ")
         first = summary.partition("\n")[0].strip('"') if summary.startswith(tuple("ABCDEFGHIJKLMNOPQRSTUVWXYZ")) else ""
         text = "\n\n".join([f"# {room}", first, *(f"::: {module}" for module in modules)])
         files.append(File.generated(config, f"api/modules/{room}.md", content=text))
+        listed.append(f"- [{room}]({room}.md): {first}")
+    content = "\n".join(["# Modules, room by room", "", *listed])
+    files.append(File.generated(config, "api/modules/index.md", content=content))
     for file in notebook_files(config):
         files.append(file)
     return files

@@ -160,7 +160,9 @@ def _end_with(parent: int) -> None:
 PATIENCE = 60.0
 """How long a cluster may be without a worker, or its scheduler without an answer, while tasks are left [s]."""
 BATCH = 1.0
-"""How long the tasks that are handed over together take [s]: a hundred times what Dask spends on them."""
+"""How long the tasks that are handed over together take [s], at least: a hundred times what Dask spends on them."""
+SPENT = 0.05
+"""What a batch costs the client, which takes one after the other [s]; by `python -m studies sweep-plan`."""
 _MOST_OF_A_BATCH = 100
 _AHEAD = 4
 """Batches handed over for each worker: the next ones are there when one is done, and the scheduler's memory is flat."""
@@ -172,6 +174,11 @@ _FETCHED = 1.0
 """How long a result may take to come, which is a few kilobytes [s]; later it is asked for again."""
 _RESULTS_LOOK = 0.02
 """How often it is looked for results, and for a scheduler that has gone [s]."""
+
+
+def batch_lasts(workers: int) -> float:
+    """How long the tasks of a batch take [s], so that the client keeps so many workers busy, with half to spare."""
+    return max(BATCH, 1.5 * SPENT * workers)
 
 
 def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], Any],
@@ -273,7 +280,7 @@ class _Handed:
         self._suspects: deque[int] = deque()
         self._next = iter(range(len(tasks)))
         self._losses = [0] * len(tasks)
-        self._size = 1
+        self._size, self._workers = 1, 0
 
     def again(self) -> None:
         """What was with a scheduler that has gone is handed over once more."""
@@ -285,10 +292,10 @@ class _Handed:
         from dask.distributed import as_completed
 
         coming = as_completed()
-        workers = _workers(client)
+        self._workers = _workers(client)
         patience, asked = Deadline.within(PATIENCE), Deadline.within(_ANSWERS)
         while self.left:
-            while len(self.pending) < _AHEAD * max(workers, 1) and (batch := self._taken()):
+            while len(self.pending) < _AHEAD * max(self._workers, 1) and (batch := self._taken()):
                 future = client.submit(_batch, self.function, [self.tasks[i] for i in batch], self.limit, pure=False)
                 self.pending[future] = batch
                 coming.add(future)
@@ -302,8 +309,8 @@ class _Handed:
             if client.status != "running":
                 raise _GoneError
             if asked.passed:
-                workers = _workers(client)
-                patience = Deadline.within(PATIENCE) if workers else patience
+                self._workers = _workers(client)
+                patience = Deadline.within(PATIENCE) if self._workers else patience
                 asked = Deadline.within(_ANSWERS)
             if patience.passed:
                 return
@@ -335,7 +342,7 @@ class _Handed:
             del self.pending[future]
             return self._lost(batch, f"the cluster lost it ({type(error).__name__})")
         del self.pending[future]
-        self._size = int(min(max(BATCH / max(seconds, 1e-6), 1.0), _MOST_OF_A_BATCH))
+        self._size = int(min(max(batch_lasts(self._workers) / max(seconds, 1e-6), 1.0), _MOST_OF_A_BATCH))
         found = [(index, result) for index, result in zip(batch, results, strict=True) if index in self.left]
         self.left -= set(batch)
         return found

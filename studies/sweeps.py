@@ -16,6 +16,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import typer
@@ -122,23 +123,22 @@ def sweep_plan(runs: int = 100_000, cores: str = "1,10,100,300,1000", repeats: i
     """A plan for many cores: recorded times of runs, replayed with the time that the client spends on a batch.
 
     Recorded here: --repeats runs of a path, a line and a force scene; what a batch costs the client: 500 batches of one
-    run that does nothing, on two workers. Replayed: --runs runs drawn of these times, in batches of a second;
-    the client hands over one batch after another, a worker that has none waits.
+    run that does nothing, on two workers. Replayed: --runs runs drawn of these times, in batches as a sweep
+    makes them; the client hands over one batch after another, a worker that has none waits.
     """
     recorded = [used(partial(play, Job(name, None, None, number)), time.perf_counter)
                 for name in ("iso9283_1", "straight", "force_wave") for number in range(1, repeats + 1)]
-    normal, crew.BATCH = crew.BATCH, 0.0
-    with tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), 2) as (address, _):
+    with mock.patch.object(crew, "batch_lasts", return_value=0.0), \
+            tempfile.TemporaryDirectory(prefix="sweep-") as name, cluster(Path(name), 2) as (address, _):
         spent = used(lambda: sweep(jobs(["line"], seeds=range(500)), dask=address, function=_nothing),
                      time.monotonic) / 500
-    crew.BATCH = normal
     seconds = np.random.default_rng(seed).choice(recorded, runs)
-    per_batch = max(1, round(normal / float(np.mean(recorded))))
-    batches = np.add.reduceat(seconds, np.arange(0, runs, per_batch))
-    head("cores", "runs", "mean of a run", "client, a batch", "would last", "efficiency")
+    head("cores", "runs", "mean of a run", "of a batch", "client, a batch", "would last", "efficiency")
     for number in map(int, cores.split(",")):
+        per_batch = max(1, round(crew.batch_lasts(number) / float(np.mean(recorded))))
+        batches = np.add.reduceat(seconds, np.arange(0, runs, per_batch))
         lasted = _replayed(batches, number, spent)
-        row(number, runs, f"{np.mean(recorded):.2f} s", f"{1e3 * spent:.1f} ms", f"{lasted / 3600:.2f} h",
+        row(number, runs, f"{np.mean(recorded):.2f} s", per_batch, f"{1e3 * spent:.1f} ms", f"{lasted / 3600:.2f} h",
             f"{float(seconds.sum()) / number / lasted:.2f}")
 
 

@@ -60,7 +60,8 @@ class RsiController:
         relative: whether corrections add up.
         sign: how the controller counts its axes against the URDF ``(n,)``.
         timeout: how long an answer is waited for [s]. The simulated time stands still meanwhile.
-        patience: cycles in a row without an answer after which it ends; ten times as many before the first answer.
+        patience: cycles in a row without an answer after which it ends; fifty times as many before the first answer,
+            which a server that compiles its code takes half a minute to give.
         real_time: whether a cycle takes as long as it says, as with a real controller.
         ipoc: time stamp of the first cycle [ms].
         currents: whether motor currents are sent.
@@ -103,7 +104,7 @@ class RsiController:
                 answered.append(correction is not None)
                 if correction is None:
                     silent, late = silent + 1, late + 1
-                    if silent >= self.patience * (1 if any(answered) else 10):
+                    if silent >= self.patience * (1 if any(answered) else 50):
                         ended = f"no answer in {silent} cycles"
                         break
                 else:
