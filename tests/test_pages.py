@@ -64,7 +64,7 @@ def test_the_course_has_eight_lessons_with_a_notebook_each() -> None:
     assert {path.name for path in NOTEBOOKS} <= set(re.findall(r"notebooks/(\w+\.ipynb)", text))
 
 
-def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def run(path: Path, monkeypatch: pytest.MonkeyPatch, longest: float = execute_notebooks.LONGEST_CELL) -> None:
     if "IDEAL_ROBOT_DATA" in path.read_text(encoding="utf-8"):
         if not DATA.is_dir():
             pytest.skip("needs the public data sets beside the repository")
@@ -72,13 +72,13 @@ def run(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("MPLBACKEND", "agg")
     right, wrong = ANSWERS[path.stem]
-    execute_notebooks.played(path, f"assert check({right})\nassert not check({wrong})\nassert not check(None)")
+    execute_notebooks.played(path, f"assert check({right})\nassert not check({wrong})\nassert not check(None)", longest)
 
 
 @pytest.mark.parametrize("path", [one for one in NOTEBOOKS if read(one).metadata.get("quick")],
                          ids=lambda path: path.stem)
 def test_a_quick_notebook_runs_and_knows_right_from_wrong(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run(path, monkeypatch)
+    run(path, monkeypatch, longest=100)
 
 
 @pytest.mark.slow
