@@ -23,10 +23,10 @@ test-all: .venv/installed check
 	$(BIN)/pytest -n 2 --dist worksteal -m "not real_time"
 	$(BIN)/pytest -m real_time
 
-# One in twenty of the slow tests, others with the next commit, up to the first that fails; two minutes at most (124), none is no failure (5).
+# One in twenty of the slow tests, others with the next commit; two minutes at most (124), none is no failure (5).
 # Those in real time are for a computer that does nothing else.
 test-part: .venv/installed
-	timeout 120 $(BIN)/pytest -x -n 2 -m "slow and not real_time" --part $$(git rev-list --count HEAD 2>/dev/null || echo 0)/20; \
+	timeout 120 $(BIN)/pytest -n 2 -m "slow and not real_time" --part $$(git rev-list --count HEAD 2>/dev/null || echo 0)/20; \
 		s=$$?; test $$s -eq 0 -o $$s -eq 5 -o $$s -eq 124
 
 docs: .venv/installed
