@@ -16,6 +16,8 @@ _WORDS = {
     "effects": "The model misses {effects}.",
     "none": "Nothing is missing: what the model leaves in this recording shows no dependence on anything that was "
             "looked at, above the smallest effect that is claimed.",
+    "quiet": "No effect could be named: what the model leaves in this recording shows no dependence on anything that "
+             "was looked at, above the smallest effect that is claimed.",
     "loud": "No effect could be named, though the model leaves more than the noise of the measurement.",
     "unknown": "The model misses {effects}; {unknown} has a cause that the effect library does not have.",
     "left": "The model misses {effects}.",
@@ -93,6 +95,9 @@ def summary(diagnosis: Diagnosis) -> str:
     words = diagnosis.verdict
     if words == "unknown" and not unknown:
         words = "left" if named else "refit" if diagnosis.refitted else "loud"
+    above = _above_noise(diagnosis)
+    if words == "none" and above:
+        words = "quiet"
     text = _WORDS[words].format(effects=_listed(named) or "no effect that the library has", unknown=_listed(unknown))
     if doubtful:
         words = _listed(doubtful)
@@ -105,7 +110,17 @@ def summary(diagnosis: Diagnosis) -> str:
         scale, unit = _MILLI.get(unit, (1.0, unit))
         text += (f" On data that had no part in finding it the error of {name} falls from {scale * before:.3g} to "
                  f"{scale * after:.3g} {unit}.")
-    return text
+    return f"{text} {above}" if above else text
+
+
+def _above_noise(diagnosis: Diagnosis) -> str:
+    """What is left above the noise of the measurement, in a sentence; empty where nothing is."""
+    left = [] if diagnosis.verdict == "undecided" else [c for c in diagnosis.channels if c.above_noise]
+    told = [(c, *_told(c.unit, c.rms_after)) for c in left]
+    if not told:
+        return ""
+    named = _listed([f"{c.channel} ({value:.3g} {unit}, {c.times_noise:.2g} times)" for c, value, unit in told])
+    return f"Left above the noise of the measurement: {named}."
 
 
 def unexplained(diagnosis: Diagnosis) -> str:

@@ -72,6 +72,8 @@ class RefitExplains:
 
 _LOUD = 3.0
 """Error over noise floor from which on something remains that the floor's own uncertainty does not account for."""
+_ABOVE = 2.0**0.5
+"""Error over noise floor from which on most of its power, rms² - noise², is not the measurement's noise."""
 _MATTERS = 0.10
 """Error over the spread of a torque from which on that matters. Friction near standstill, vibrations and a rigid body
 for an elastic one leave up to 6 % in closed loops of other engines in which nothing is undeclared."""
@@ -108,6 +110,17 @@ class ChannelResult:
     usual: float = 0.0
 
     @property
+    def times_noise(self) -> float:
+        """Error over the noise of the measurement, and of what else is never still; NaN where no noise is known."""
+        noise = max(self.noise_floor, self.usual)
+        return self.rms_after / noise if noise > 0.0 else float("nan")
+
+    @property
+    def above_noise(self) -> bool:
+        """Whether more of the error's power lies above the noise than in it."""
+        return self.times_noise > _ABOVE
+
+    @property
     def loud(self) -> bool:
         """Whether the error is still several times the noise of the measurement, and of what else is never still."""
         return self.noise_floor > 0.0 and self.rms_after > _LOUD * max(self.noise_floor, self.usual)
@@ -123,7 +136,7 @@ class ChannelResult:
         scale = 100.0 / self.rms_signal if self.rms_signal > 0 else float("nan")
         return {"channel": self.channel, "unit": self.unit, "rms_before": self.rms_before, "rms_after": self.rms_after,
                 "noise_floor": self.noise_floor, "rms_refit": self.rms_refit, "rms_signal": self.rms_signal,
-                "samples_counted_percent": 100.0 * self.counted,
+                "samples_counted_percent": 100.0 * self.counted, "times_noise": self.times_noise,
                 "relative_error_percent_before": scale * self.rms_before,
                 "relative_error_percent_refit": scale * self.rms_refit,
                 "relative_error_percent_after": scale * self.rms_after}
@@ -316,6 +329,7 @@ class Diagnosis(Summarised):
             "with_parameters_held": [[{"effect": e.name, "joint": e.joint, "parameters": [p.text for p in e.parameters]}
                                       for e in effects] for effects in self.beside_known],
             "unexplained": [c.channel for c in self.unexplained],
+            "above_noise": [c.channel for c in self.channels if c.above_noise],
         })
         return values
 

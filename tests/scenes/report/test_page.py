@@ -170,6 +170,20 @@ def test_an_effect_whose_error_rose_is_not_called_missing(worse: FoundEffect) ->
     assert "not claimed" in text
 
 
+def test_what_is_left_above_the_noise_is_told_where_no_cause_is_found() -> None:
+    def none(left: float) -> Diagnosis:
+        channels = (ChannelResult("tau_1", "N m", left, left, left, 0.5, 3.0),
+                    ChannelResult("x", "m", 1e-4, 1e-4, 1e-4, 1e-4, 1.0))
+        return Diagnosis("none", channels, (), (), "blocks", 20.0)
+
+    assert "Nothing is missing" in summary(none(0.6))
+    text = summary(none(1.3))
+    assert "Nothing is missing" not in text
+    assert text.endswith("Left above the noise of the measurement: tau_1 (1.3 N m, 2.6 times).")
+    assert none(1.3).to_dict()["above_noise"] == ["tau_1"]
+    assert none(0.6).to_dict()["above_noise"] == []
+
+
 def test_a_number_without_uncertainty_does_not_pretend_to_one() -> None:
     assert "±" not in _amount(EffectParameter("gain", 0.0, 0.0, "N m"))
     assert "nan" not in _amount(EffectParameter("gain", 0.0, float("nan"), "N m"))
