@@ -19,6 +19,7 @@ from ideal_robot.identification.controller import ControllerIdentification, iden
 from ideal_robot.identification.idim import Identification, identify, relative_error
 from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
+from ideal_robot.identification.verdict import JointVerdict, joint_verdicts
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction
 from ideal_robot.progress import Progress, Steps, silent
@@ -56,6 +57,7 @@ class IdentificationResult(Summarised):
         missing: what the recordings could not tell, each ``part: what is needed``.
         linear_loop: impulse responses of the closed loop, [G] (7), where there are commands; or None.
         warm_up: per joint how friction falls with gear temperature, where that was logged and rose; or None.
+        verdicts: what the model is worth, joint by joint.
     """
 
     model: Model
@@ -68,11 +70,13 @@ class IdentificationResult(Summarised):
     missing: tuple[str, ...] = ()
     linear_loop: LinearLoopFit | None = None
     warm_up: tuple[WarmUp | None, ...] = ()
+    verdicts: tuple[JointVerdict, ...] = ()
 
     def summary(self) -> list[tuple[str, str]]:
         """What was identified, how well, and what is missing."""
         errors = listed(residual_std(self.result.estimation), "%")
         return [("model", f"{self.model.robot_name!r}: std(residual)/std(torque) {errors} by joint"),
+                ("verdicts", ", ".join(f"{one.joint} {one.verdict}" for one in self.verdicts)),
                 ("warnings", str(len(self.warnings))),
                 ("not in the recordings", ", ".join(text.partition(":")[0] for text in self.missing) or "nothing")]
 
@@ -89,6 +93,7 @@ class IdentificationResult(Summarised):
         values: dict[str, Any] = plain({
             "robot": {"name": model.robot_name, "urdf_hash": model.urdf_hash, "joints": model.n},
             "method": model.provenance["method"],
+            "verdicts": [one.to_dict() for one in self.verdicts],
             "parameters": [
                 {"name": p.name, "joint": p.joint, "value": p.value, "std": p.std, "std_percent": p.std_percent,
                  "unit": p.unit, "meaning": p.meaning} for p in model.parameters
@@ -185,7 +190,7 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
     model, unknown = _with_stiffness(model, [r for r in result.recordings if r.has("qa")])
     missing += unknown
     return IdentificationResult(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings),
-                                tuple(missing), loop, _warm_up(model, result))
+                                tuple(missing), loop, _warm_up(model, result), joint_verdicts(model, result, robot))
 
 
 class FrictionPoints(NamedTuple):

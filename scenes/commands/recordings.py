@@ -105,15 +105,25 @@ def identify(
 
 
 def _show_identified(analysis: IdentificationResult, arm: Robot, recordings: list[dict[str, Any]]) -> None:
-    """Errors of each recording, the parameters with their uncertainty, the friction laws, warnings."""
+    """Errors of each recording, the parameters that the data tell, friction laws, warnings, and the verdicts."""
+    from ideal_robot.identification.verdict import told
+
     show_table("std(residual) / std(torque) [%]", ["recording", "role", *[f"joint {j + 1}" for j in range(arm.n)]],
                [[r["source"], r["role"], *r["residual_std_percent"]] for r in recordings])
+    parameters = analysis.model.parameters
+    clear = [p for p in parameters if told(p)]
     show_table(f"parameters of {arm.name}", ["name", "joint", "value", "σ", "σ [%]", "unit"],
-               [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in analysis.model.parameters])
+               [[p.name, p.joint, p.value, p.std, p.std_percent, p.unit] for p in clear])
+    if len(clear) < len(parameters):
+        typer.echo(f"{len(parameters) - len(clear)} parameters more are within two σ of zero; they stand on the page "
+                   "and in --json")
     show_table("friction laws", ["joint", "law"],
                [[j + 1, law.label] for j, law in enumerate(analysis.model.friction.laws)])
     for warning in analysis.warnings:
         typer.echo(f"warning: {warning}", err=True)
+    show_table("verdicts", ["joint", "verdict", "left of the torque [%]", "open by σ [%]", "why", "what would tell"],
+               [[v.joint, v.verdict, v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
+                for v in analysis.verdicts])
 
 
 SHARES_OF_DIAGNOSIS = {"reading": 0.7, "drawing": 0.3}

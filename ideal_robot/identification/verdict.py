@@ -1,0 +1,159 @@
+"""What an identified model is worth, joint by joint: what it leaves of the torque, what its parameters leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.identification.idim import Identification
+from ideal_robot.model.model import Model
+from ideal_robot.model.parametrisation import Parameter, Prediction, sensitivity
+from ideal_robot.robots.robot import Robot
+
+USABLE, WEAK, UNUSABLE = "usable", "weak", "unusable"
+
+GOOD = 100.0 * 0.1**0.5
+"""Share of a torque's standard deviation that holds a tenth of its power [%]: a usable model leaves no more …"""
+POOR = 100.0 * 0.5**0.5
+"""… and one that leaves half of the power explains no more than it leaves."""
+MOVED = 1e-3
+"""A joint that stays within this does not move [rad or m]."""
+_STATES = 200
+_SEED = 5
+
+_TELLS = {
+    "gravity": "slow moves through postures that change the load on joint {j}",
+    "inertia": "fast reversals of joint {j}, with the joints behind it stretched and folded",
+    "friction": "moves of joint {j} in both directions, slow ones and fast ones",
+}
+
+
+@dataclass(frozen=True)
+class JointVerdict:
+    """What the model of a joint is worth.
+
+    Attributes:
+        joint: from 1.
+        verdict: ``usable``, ``weak`` or ``unusable``.
+        left_percent: residual over torque, standard deviations, the larger one of estimation and validation [%].
+        uncertain_percent: what the parameters' covariance makes uncertain of the torque, over postures of the whole
+            range at the recorded speeds and accelerations, over the torque there [%].
+        reason: why it is not usable; empty where it is.
+        would_tell: the motion that would tell more; empty where none would, or none is needed.
+    """
+
+    joint: int
+    verdict: str
+    left_percent: float
+    uncertain_percent: float
+    reason: str = ""
+    would_tell: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {"joint": self.joint, "verdict": self.verdict, "left_percent": self.left_percent,
+                "uncertain_percent": self.uncertain_percent, "reason": self.reason, "would_tell": self.would_tell}
+
+
+def told(parameter: Parameter) -> bool:
+    """Whether the data tell a parameter from zero: by two standard deviations."""
+    return parameter.value != 0.0 and parameter.std < 0.5 * abs(parameter.value)
+
+
+def joint_verdicts(model: Model, result: Identification, robot: Robot) -> tuple[JointVerdict, ...]:
+    """A verdict for each joint.
+
+    Args:
+        model: as identified.
+        result: the identification behind it.
+        robot: the arm, with the range of its joints.
+    """
+    q = np.concatenate([recording.joints("q") for recording in result.recordings])
+    moved = np.ptp(q, axis=0) >= MOVED
+    counted = np.asarray(model.provenance.get("samples_counted_percent", np.full(model.n, 100.0)))
+    own, unseen = _left(result.estimation), _left(result.validation) if result.validation else None
+    open_ = _uncertain(model, result, robot)
+    return tuple(_verdict(j, own[j], own[j] if unseen is None else unseen[j],
+                          {name: share[j] for name, share in open_.items()},
+                          "it does not move" if not moved[j] else
+                          "its torque channel does not measure it" if counted[j] == 0.0 else "")
+                 for j in range(model.n))
+
+
+def _left(predictions: Sequence[Prediction]) -> Array:
+    """std(residual) / std(torque) per joint ``(n,)`` [%]; infinite where a torque never changes."""
+    y = np.concatenate([p.measured for p in predictions])
+    e = y - np.concatenate([p.tau for p in predictions])
+    spread = np.std(y, axis=0)
+    return np.where(spread > 0.0, 100.0 * np.std(e, axis=0) / np.where(spread > 0.0, spread, 1.0), np.inf)
+
+
+def _uncertain(model: Model, result: Identification, robot: Robot) -> dict[str, Array]:
+    """Standard deviation of the torque by kinds of parameters, ``all`` of them too, over the torque ``(n,)`` [%]."""
+    rng, n = np.random.default_rng(_SEED), model.n
+    speed, acceleration = _reached(result)
+    low, high = np.clip(robot.q_min, -np.pi, np.pi), np.clip(robot.q_max, -np.pi, np.pi)
+    q = low + (high - low) * rng.uniform(size=(_STATES, n))
+    qd, qdd = (limit * rng.uniform(-1.0, 1.0, (_STATES, n)) for limit in (speed, acceleration))
+    load = model.rigid_body(q, qd, qdd)
+    columns = sensitivity(model.kinematics, model.base, model.friction, q, qd, qdd, load)
+    torque = np.sqrt(np.mean(model.inverse_dynamics(q, qd, qdd) ** 2, axis=0))
+    kinds = np.array([_kind(name, model) for name in [p.name for p in model.parameters]])
+    found = {}
+    for kind in ("all", *_TELLS):
+        mine = np.ones(len(kinds), dtype=bool) if kind == "all" else kinds == kind
+        part = columns[:, :, mine]
+        power = np.einsum("knp,pr,knr->n", part, model.covariance[np.ix_(mine, mine)], part, optimize=True) / _STATES
+        found[kind] = 100.0 * np.sqrt(np.maximum(power, 0.0)) / np.maximum(torque, 1e-12)
+    return found
+
+
+def _reached(result: Identification) -> tuple[Array, Array]:
+    """Speeds and accelerations that the recordings reach, but for one sample in twenty ``(n,)`` each."""
+    speeds, accelerations = [], []
+    for recording in result.recordings:
+        step = max(1, round(0.02 / float(np.median(np.diff(recording.t)))))
+        t, q = recording.t[::step], recording.joints("q", slice(None, None, step))
+        qd = np.gradient(q, t, axis=0)
+        speeds.append(np.quantile(np.abs(qd), 0.95, axis=0))
+        accelerations.append(np.quantile(np.abs(np.gradient(qd, t, axis=0)), 0.95, axis=0))
+    return np.max(speeds, axis=0), np.max(accelerations, axis=0)
+
+
+def _kind(name: str, model: Model) -> str:
+    if name.startswith("offset_") or name not in model.base.names:
+        return "friction"
+    return "gravity" if model.base.gravitational[model.base.names.index(name)] else "inertia"
+
+
+def _verdict(j: int, own: float, unseen: float, uncertain: dict[str, float], broken: str) -> JointVerdict:
+    """The verdict for joint ``j``.
+
+    Args:
+        j: joint, from 0.
+        own: what is left in the recordings that were fitted [%].
+        unseen: what is left in the others [%].
+        uncertain: of the torque, by kinds of parameters [%].
+        broken: what is wrong with the joint's recording; empty where nothing is.
+    """
+    left, wide = max(own, unseen), uncertain["all"]
+    moves = _TELLS[max(_TELLS, key=lambda kind: uncertain[kind])].format(j=j + 1)
+    values = (float(left), float(wide))
+    if broken:
+        return JointVerdict(j + 1, UNUSABLE, *values, broken, _TELLS["friction"].format(j=j + 1)
+                            if "move" in broken else "")
+    if left > GOOD:
+        verdict = UNUSABLE if left > POOR else WEAK
+        share = f"{left:.0f} % of its torque is left" if np.isfinite(left) else "its torque never changes"
+        if unseen > 2.0**0.5 * own:
+            return JointVerdict(j + 1, verdict, *values, f"{share} in what was not fitted, {own:.0f} % in what was",
+                                f"the validation's motion, among those that are fitted; {moves}")
+        return JointVerdict(j + 1, verdict, *values, f"{share}; diagnose looks for what the model lacks")
+    if wide > GOOD:
+        return JointVerdict(j + 1, WEAK, *values, f"beyond the recorded postures its parameters leave {wide:.0f} % of "
+                                                  "the torque open", moves)
+    return JointVerdict(j + 1, USABLE, *values)
