@@ -32,6 +32,8 @@ _ORDER = 2
 """Stages of the command low-pass that are fitted; a single one comes out as two shorter ones just as well."""
 _CUTOFF = 12.0
 """Torque and angles are compared below this frequency [Hz]: above, the encoder's increments make the velocity."""
+_CLEARLY = 0.5
+"""A cascade without integrator is taken where it leaves less than this share of the other's squares at the start."""
 _EDGE = 50
 """Samples at either end that the filter spoils."""
 
@@ -143,6 +145,7 @@ class _JointCascade:
         ties then tell which low-pass fits.
         """
         best: tuple[float, Array, float] | None = None
+        plain: tuple[float, Array, float] | None = None
         for low in self.cycle * np.arange(0.0, 4.01, 0.5):
             H = self.columns(np.array([low, 2 * self.t_velocity]))
             a = np.linalg.lstsq(np.column_stack([H, np.ones(len(H))]), self.tau, rcond=None)[0]
@@ -152,8 +155,24 @@ class _JointCascade:
             found = least_squares(lambda x, H=H, unit=unit: self.difference(H, x * unit), start / unit, max_nfev=12)
             if best is None or found.cost < best[0]:
                 best = float(found.cost), found.x * unit, float(low)
+            without = self._without_integrator(H, float(low))
+            if plain is None or without[0] < plain[0]:
+                plain = without
         assert best is not None
+        assert plain is not None
+        if plain[0] < _CLEARLY * best[0]:
+            best = plain
         return np.concatenate([best[1], [best[2] + 1e-4, 2 * self.t_velocity]])
+
+    def _without_integrator(self, H: Array, low: float) -> tuple[float, Array, float]:
+        """Cost, gains ``k_v, k_ff, k_p, k_i`` and low-pass of a cascade whose velocity loop has no integrator.
+
+        The integrator's columns follow the others so closely that a search from them does not come back to none.
+        """
+        a = np.linalg.lstsq(np.column_stack([H[:, :3], np.ones(len(H))]), self.tau, rcond=None)[0]
+        k_p = max(a[2], 1e-9)
+        gains = np.array([max(a[0] / k_p, 0.1), a[1] / k_p, k_p, 1e-6 * k_p])
+        return 0.5 * float(np.sum(self.difference(H, gains) ** 2)), gains, low
 
 
 def _fit_joint(joint: _JointCascade) -> tuple[Array, float]:
@@ -165,7 +184,7 @@ def _fit_joint(joint: _JointCascade) -> tuple[Array, float]:
         return joint.difference(joint.columns(x[4:] * unit[4:]), x[:4] * unit[:4])
 
     gains = least_squares(residual, start / unit, x_scale="jac", max_nfev=60).x * unit
-    gains[4:] = np.abs(gains[4:])
+    gains[3:] = [max(gains[3], 0.0), *np.abs(gains[4:])]
     left = joint.tau - joint.torque(joint.columns(gains[4:]), gains[:4])
     offset = float(np.mean(left))
     error = 100.0 * float(np.linalg.norm(left - offset) / np.linalg.norm(joint.tau - joint.tau.mean()))

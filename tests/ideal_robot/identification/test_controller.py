@@ -13,6 +13,9 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
+from tests.sources import DATA
+
+EMPS = DATA / "emps" / "emps_estimation.parquet"
 
 K_P, K_D, K_I = 5000.0, 200.0, 0.2
 T = 0.012
@@ -157,3 +160,16 @@ def test_a_logged_cycle_that_is_no_whole_number_of_the_controllers_is_read(off: 
     q_c, cycle = 0.1 * np.sin(2e-3 * t), 0.001 * (1.0 + off)
     joint = _JointCascade(q_c, q_c, np.cos(2e-3 * t), cycle, 0.0005)
     assert joint.columns(np.array([0.002, 0.001])).shape == (len(joint.tau), 6)
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason="measured data (../shared/data/emps) are not there")
+def test_the_published_gains_of_a_measured_cascade_without_integrator_are_found() -> None:
+    """EMPS: position gain 160.18 1/s, velocity gain 243.45 V/(m/s) at 35.15 N/V, no integrator; its reference is q_d."""
+    recording = Recording.read(EMPS)
+    commanded = Recording({**recording.columns, "q_c_1": recording.columns["q_d_1"]}, recording.meta, "emps")
+    fit = fit_controller(commanded, Robot.load(EMPS.parent / "emps.urdf"))
+    k_v, _, k_p, k_i = (float(values[0]) for values in cascade_gains(fit.controller))
+    assert fit.error_percent[0] < 1.0
+    assert k_v == pytest.approx(160.18, rel=0.02)
+    assert k_p == pytest.approx(243.45 * 35.15, rel=0.02)
+    assert k_i < 0.01 * k_p * k_v
