@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +18,7 @@ from ideal_robot.feedforward.method import Needs
 from ideal_robot.feedforward.registry import feedforward, methods
 from ideal_robot.loop.from_model import loop_model
 from ideal_robot.loop.simulation import simulate
+from ideal_robot.model.cascade import Cascade
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised, listed, over_time, plain
 from ideal_robot.robots.robot import Robot
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
     from ideal_robot.results import Figure
 
 # A path of whatever sampling at the interpolation cycle, with rest before and behind.
+
+DRAWS = 10
+"""Controllers that are drawn where only their spread is known."""
 
 REST_AFTER = 0.3
 """Rest added behind the path [s]."""
@@ -87,6 +92,8 @@ class PrecorrectedPath(Summarised):
         t: ``(N,)`` [s].
         q_d, q_c: desired and commanded ``(N, n)`` [rad].
         expected: error the identified loop still makes with the commands, and without ``(N, n)`` each [rad].
+        reach: root mean square of the first of them with each of ``DRAWS`` controllers of the model's spread
+            ``(DRAWS, n)`` [rad]; None where the model's controller was identified.
     """
 
     recording: Recording = field(repr=False)
@@ -96,6 +103,7 @@ class PrecorrectedPath(Summarised):
     q_d: Array = field(repr=False)
     q_c: Array = field(repr=False)
     expected: tuple[Array, Array] = field(repr=False)
+    reach: Array | None = field(repr=False, default=None)
 
     @property
     def expected_rms(self) -> tuple[Array, Array]:
@@ -103,11 +111,20 @@ class PrecorrectedPath(Summarised):
         after, before = (np.sqrt(np.mean(error**2, axis=0)) for error in self.expected)
         return after, before
 
+    @property
+    def beyond_uncorrected(self) -> tuple[int, ...]:
+        """Joints, from 1, in which a controller of the spread makes the correction worse than none."""
+        worst = np.zeros(self.q_d.shape[1]) if self.reach is None else self.reach.max(axis=0)
+        return tuple(int(j) + 1 for j in np.flatnonzero(worst > self.expected_rms[1]))
+
     def summary(self) -> list[tuple[str, str]]:
         """What was corrected, and the error that the model expects to be left."""
         after, before = (1e3 * rms for rms in self.expected_rms)
-        return [("path", f"{self.robot_name!r}, {self.method}: {len(self.t)} cycles, {self.t[-1] - self.t[0]:.4g} s"),
+        rows = [("path", f"{self.robot_name!r}, {self.method}: {len(self.t)} cycles, {self.t[-1] - self.t[0]:.4g} s"),
                 ("expected rms error", listed(after, "mrad or mm")), ("uncorrected", listed(before, "mrad or mm"))]
+        if self.reach is not None:
+            rows.insert(2, ("by the controller's spread up to", listed(1e3 * self.reach.max(axis=0), "mrad or mm")))
+        return rows
 
     def plot(self) -> Figure:
         """Expected error of each joint, corrected and uncorrected."""
@@ -122,7 +139,9 @@ class PrecorrectedPath(Summarised):
         values: dict[str, Any] = plain({
             "method": self.method, "robot": self.robot_name, "cycles": len(self.t), "duration_s": float(self.t[-1]),
             "largest_correction_mrad": 1e3 * np.max(np.abs(self.q_c - self.q_d), axis=0),
-            "expected_rms_error_mrad": {"corrected": after, "uncorrected": before}})
+            "expected_rms_error_mrad": {"corrected": after, "uncorrected": before, **(
+                {} if self.reach is None else {"corrected_from": 1e3 * self.reach.min(axis=0),
+                                               "corrected_to": 1e3 * self.reach.max(axis=0)})}})
         return values
 
 
@@ -163,4 +182,27 @@ def precorrect(t: Array, q_d: Array, model: Model, robot: Robot, method: str = "
     # Of an arm whose geometry is not the drawn one, other joint angles bring the tool where the path wants it.
     wanted = CorrectedArm(robot, model.effects).from_rest(path, robot.t_ipo)
     errors = [np.asarray(wanted - simulate(loop, commands).q_a[:-1]) for commands in (q_c, path)]
-    return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]))
+    return PrecorrectedPath(recording, method, robot.name, times, path, q_c, (errors[0], errors[1]),
+                            _reach(model, robot, delay, q_c, wanted))
+
+
+def _reach(model: Model, robot: Robot, delay: int, q_c: Array, wanted: Array) -> Array | None:
+    """Errors of the same commands ``(DRAWS, n)`` [rad] with controllers drawn from the spread of the model's one.
+
+    Args:
+        model: its controller may have a spread.
+        robot: cycle and limits.
+        delay: cycles between hand-over of a command and the start of its interpolation.
+        q_c: the commands ``(N, n)`` [rad].
+        wanted: what the arm shall do ``(N, n)`` [rad].
+    """
+    controller = model.controller
+    if controller is None or not controller.spread:
+        return None
+    mean, rng, found = Cascade.of(controller), np.random.default_rng(DRAWS), []
+    for _ in range(DRAWS):
+        drawn = mean.drawn(controller.spread, rng).controller(controller.t_cycle, {})
+        drawn = dataclasses.replace(drawn, delay=controller.delay)
+        loop = loop_model(dataclasses.replace(model, controller=drawn), robot, delay=delay)
+        found.append(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2, axis=0)))
+    return np.array(found)

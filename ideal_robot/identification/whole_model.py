@@ -20,6 +20,7 @@ from ideal_robot.identification.idim import Identification, identify, relative_e
 from ideal_robot.identification.joint_fit import stiffness_from_arm
 from ideal_robot.identification.two_step import TwoStep, identify_two_step
 from ideal_robot.identification.verdict import JointVerdict, joint_verdicts
+from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import Prediction
 from ideal_robot.progress import Progress, Steps, silent
@@ -191,6 +192,27 @@ def identify_model(recordings: Recording | Sequence[Recording], robot: Robot, *,
     missing += unknown
     return IdentificationResult(model, result, controller, two_step, result.recordings, result.unseen, tuple(warnings),
                                 tuple(missing), loop, _warm_up(model, result), joint_verdicts(model, result, robot))
+
+
+def with_given_controller(analysis: IdentificationResult, wanted: str | Path, robot: Robot) -> IdentificationResult:
+    """The result with a controller from elsewhere, where the recordings tell none.
+
+    Args:
+        analysis: what the recordings tell.
+        wanted: see ``ideal_robot.model.cascade.given_controller``.
+        robot: the arm.
+
+    Raises:
+        InputError: no such file, or wrong numbers in it.
+    """
+    given = given_controller(wanted, analysis.model, robot)
+    if analysis.model.controller is not None:
+        return dataclasses.replace(analysis, warnings=(*analysis.warnings, "controller-given: the recordings tell the "
+                                                       "controller; --controller was not needed"))
+    model = dataclasses.replace(analysis.model, controller=given)
+    missing = tuple("linear loop: commands are needed; the controller is a given one" if text.startswith("controller")
+                    else text for text in analysis.missing)
+    return dataclasses.replace(analysis, model=model, missing=missing)
 
 
 class FrictionPoints(NamedTuple):

@@ -151,6 +151,8 @@ class ControllerModel:
         filter_order: number of equal first-order stages of that low-pass.
         delay: dead time from the hand-over of a command to its effect, beyond the filter [s].
         std: standard deviations by field name, where known.
+        spread: of a controller that was not identified, how far its cascade's numbers may be from these
+            (``ideal_robot.model.cascade``), by name.
     """
 
     t_cycle: float
@@ -163,6 +165,7 @@ class ControllerModel:
     filter_order: int = 1
     delay: float = 0.0
     std: dict[str, list[float]] = field(default_factory=dict)
+    spread: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def position_gain(self) -> Array:

@@ -47,6 +47,9 @@ Decimation = Annotated[float | None, typer.Option(help="Decimation filter [Hz]; 
                                                        "filter.")]
 WithoutIntegrator = Annotated[list[Path] | None, typer.Option(help="Recording with the controllers' integrators "
                                                                    "off, for their gains ([G] 5.2.2).")]
+Controller = Annotated[str | None, typer.Option(help="Joint controllers that the recordings do not tell: a file of "
+                                                     "data-sheet gains (TOML), or class for what arms usually "
+                                                     "have.")]
 UrdfOut = Annotated[Path | None, typer.Option(help="Write a URDF with the identified, physically consistent "
                                                    "inertias.")]
 
@@ -61,6 +64,7 @@ def identify(
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
     decimate_to: Decimation = None,
     without_integrator: WithoutIntegrator = None,
+    controller: Controller = None,
     model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None,
     export_urdf: UrdfOut = None,
     json: JsonResults = None,
@@ -71,7 +75,7 @@ def identify(
     Example, after that of `plan-identification`:
     `ideal-robot identify out/plan/recording.parquet --robot kr6 --model model.json`
     """
-    from ideal_robot.identification.whole_model import identify_model
+    from ideal_robot.identification.whole_model import identify_model, with_given_controller
     from ideal_robot.progress import Steps
     from ideal_robot.robots.robot import Robot
     from ideal_robot.signals.recording import Recording
@@ -90,6 +94,8 @@ def identify(
         analysis = identify_model(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
                            cutoff_decimation=decimate_to, without_integrator=pd_only,
                            cascade=model is not None, progress=steps.begin("reading"))
+        if controller is not None:
+            analysis = with_given_controller(analysis, controller, arm)
         steps.begin("drawing")
         content, page = analysis.to_dict(), out / "report.html"
         with whole_files(page, json, model, export_urdf) as (page_file, json_file, model_file, urdf_file):
@@ -271,6 +277,7 @@ def precorrect(
         "precorrect", incomplete))] = "ideal",
     delay: PlannerDelay = False,
     rest: Rest = 0.6,
+    controller: Controller = None,
     play: Played = False,
     seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1,
     json: JsonFigures = None,
@@ -295,7 +302,8 @@ def precorrect(
     check_outputs({"--out": folder}, output=output, json=json)
     with progress_bar("precorrect") as progress:
         progress(0.1, "")
-        result = precorrected_path(path, model, robot=robot, method=method, delay=delay, rest=rest)
+        result = precorrected_path(path, model, robot=robot, method=method, delay=delay, rest=rest,
+                                   controller=controller)
         measured = None
         if play:
             progress(0.6, "playing")
@@ -309,6 +317,10 @@ def precorrect(
                 write_json(json_file, signed({**result.to_dict(), **_played_errors(measured), "output": output,
                                               "report": report}))
     show_table("Correction per joint", *table(result, measured))
+    if beyond := result.beyond_uncorrected:
+        typer.echo(f"warning: within the spread of the controller the corrected path may miss by more than the path "
+                   f"itself does in joint {', '.join(map(str, beyond))}; a recording with commands (q_c_i) tells the "
+                   "controller", err=True)
     typer.echo(f"corrected path: {output}")
     typer.echo(f"report: {report}")
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.execution.precorrect import PrecorrectedPath, path_at_cycles, precorrect
+from ideal_robot.model.cascade import given_controller
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import SHIPPED, Robot
 from ideal_robot.signals.recording import Recording
@@ -21,7 +22,7 @@ from sim.arm.world import World
 
 
 def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None, method: str = "ideal",
-                      delay: bool = False, rest: float = 0.6) -> PrecorrectedPath:
+                      delay: bool = False, rest: float = 0.6, controller: str | None = None) -> PrecorrectedPath:
     """Reads a joint path, corrects it and checks the result against the robot's limits.
 
     Args:
@@ -31,6 +32,8 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
         method: see ``ideal_robot.execution.precorrect.precorrect``.
         delay: whether the planner's delay of one cycle is in force.
         rest: rest before the path [s].
+        controller: in the place of the model's, see ``ideal_robot.model.cascade.given_controller``; None for the
+            model's.
 
     Raises:
         InputError: unreadable or unsuitable input.
@@ -38,6 +41,8 @@ def precorrected_path(path: Path, model_file: Path, *, robot: str | None = None,
     """
     model = Model.load(model_file)
     arm = robot_of(model, robot, model_file)
+    if controller is not None:
+        model = replace(model, controller=given_controller(controller, model, arm))
     t, q_d, column = columns_of(Recording.read(path), arm, path)
     result = precorrect(t, q_d, model, arm, method, delay=int(delay), rest=rest, file=path, column=column)
     meta = {**result.recording.meta, "model": str(model_file)}
@@ -134,6 +139,9 @@ def table(result: PrecorrectedPath, measured: tuple[Array, Array] | None = None)
     after, before = result.expected_rms
     columns = ["joint", "largest correction mrad", "expected error before mrad", "after mrad"]
     values = [largest, before, after]
+    if result.reach is not None:
+        columns += ["by the controller's spread from", "to mrad"]
+        values += [result.reach.min(axis=0), result.reach.max(axis=0)]
     if measured is not None:
         columns += ["played: error before mrad", "after mrad"]
         values += [np.sqrt(np.mean(error**2, axis=0)) for error in measured[::-1]]
@@ -151,7 +159,9 @@ def write_page(result: PrecorrectedPath, path: Path, measured: tuple[Array, Arra
     after, before = (1e3 * float(np.max(rms)) for rms in result.expected_rms)
     report = Report(f"Corrected path for {result.robot_name}",
                     f"Expected from the identified model: {after:.3f} mrad root mean square "
-                    f"on the worst joint with the corrected path, {before:.2f} mrad without.")
+                    f"on the worst joint with the corrected path, {before:.2f} mrad without."
+                    + ("" if result.reach is None else " The controller was not identified: within its spread the "
+                       f"corrected path leaves up to {1e3 * float(result.reach.max()):.2f} mrad."))
     report.table(*table(result, measured))
     figure = Figure(figsize=(9.0, 4.0))
     axes = figure.add_subplot()

@@ -164,7 +164,7 @@ def test_a_logged_cycle_that_is_no_whole_number_of_the_controllers_is_read(off: 
 
 @pytest.mark.skipif(not EMPS.exists(), reason="measured data (../shared/data/emps) are not there")
 def test_the_published_gains_of_a_measured_cascade_without_integrator_are_found() -> None:
-    """EMPS: position gain 160.18 1/s, velocity gain 243.45 V/(m/s) at 35.15 N/V, no integrator; its reference is q_d."""
+    """EMPS: position gain 160.18 1/s, velocity gain 243.45 V/(m/s) at 35.15 N/V, no integrator; commands are q_d."""
     recording = Recording.read(EMPS)
     commanded = Recording({**recording.columns, "q_c_1": recording.columns["q_d_1"]}, recording.meta, "emps")
     fit = fit_controller(commanded, Robot.load(EMPS.parent / "emps.urdf"))
