@@ -37,7 +37,8 @@ GROUPS = {
         "force": "force", "force-parts": "force", "stability": "stability", "surface-shapes": "shapes",
         "measured": "measured", "measured-adapted": "measured",
     },
-    "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses"},
+    "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses",
+                  "ablation": "ablation", "rules": "ablation"},
     "closings": {"closings": "closings", "outside": "outside", "true-friction": "outside"},
     "robustness": {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",

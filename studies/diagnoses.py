@@ -24,6 +24,7 @@ from ideal_robot.effects import SENSOR
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.identification.idim import identify
+from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.commands.common import numbers, whole_numbers
@@ -37,7 +38,7 @@ from studies.strangers.engines import ENGINES
 from studies.strangers.logger import draw_logger, record
 from studies.strangers.plant import draw_plant
 from studies.strangers.score import Score, leaving_out, report, score
-from studies.strangers.trial import Twin, draw_trial
+from studies.strangers.trial import Trial, Twin, draw_trial
 
 GAVE_UP = SimpleNamespace(verdict="failed", effects=(), unknown=())
 """What counts as the answer of a diagnosis that ends with an error."""
@@ -85,18 +86,22 @@ def _play(job: Job) -> Score | None:
         print(error, flush=True)
         return None
     with robot_of(trial.urdf) as robot:
-        model = None
         try:
-            if trial.reference is not None:
-                # What is known before is a rigid body with friction, as an identification has it, and no effects.
-                model = (identify([trial.reference], robot).model if trial.kind == "known" else
-                         diagnose(trial.reference, robot, only=()).model)
+            model = known_before(trial, robot)
             start = time.process_time()
             found = diagnose(trial.recording, robot, model=model, options=Options().scaled(scale))
         except (IdealRobotError, ArithmeticError, ValueError) as error:
             print(f"{seed}: {error}", flush=True)
             return score(trial, GAVE_UP)
         return score(trial, found, time.process_time() - start)
+
+
+def known_before(trial: Trial, robot: Robot) -> Model | None:
+    """The model of a trial's healthy reference, or None: a rigid body with friction, as an identification has it."""
+    if trial.reference is None:
+        return None
+    return (identify([trial.reference], robot).model if trial.kind == "known" else
+            diagnose(trial.reference, robot, only=()).model)
 
 
 def _line(s: Score) -> str:
