@@ -49,7 +49,8 @@ FLAGS: dict[str, Any] = {"without_which_none": (), "enough_of_most": (), "cautio
                          "of_angle_alone": False, "tail_alone": False}
 """Flags on ``Effect`` that change the behaviour of the search, with the value that switches them off. Those that one
 step alone asks are switched off with it: ``sooner_than`` with ``likelier``, ``at_all_frequencies`` with
-``holds_slowly``, ``told_from`` with ``is_short``, ``of_slow_motion`` with ``share_slowly``, ``standstill`` with ``at_standstill``."""
+``holds_slowly``, ``told_from`` with ``is_short``, ``of_slow_motion`` with ``share_slowly``, ``standstill``
+with ``at_standstill``."""
 OPTIONS: dict[str, Callable[[Options], float]] = {
     "smallest_next": lambda o: o.smallest, "smallest_learned": lambda o: o.smallest,
     "smallest_absorbed": lambda o: o.smallest, "smallest_torque": lambda o: 0.0, "smallest_beside": lambda o: 0.0,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import ClassVar, Self
 
 import numpy as np
-from scipy import ndimage
+from scipy import ndimage, signal
 
 from ideal_robot.arrays import Array
 from ideal_robot.effects.base import (
@@ -205,21 +205,22 @@ class LateTorque(DeadTime):
         return [EffectParameter(self.coefficient_names[0], float(coefficients[0]), float(std[0]), "s")]
 
 
-class TorqueFilter(WholeArmEffect, LateTorque):
-    """The torques of all joints pass one lag ``T`` before they are recorded: ``tau(t) = tau_model(t - T)``.
+class CommonDelay(WholeArmEffect, LateTorque):
+    """The torques of all joints are recorded late by one ``delta``: ``tau(t) = tau_model(t - delta)``.
 
-    Averaging, filters of any order and a clock of their own look alike well below their corner: a delay. One number
-    for the whole arm (joint 0), tried before any joint has a delay of its own; negative where the positions are late. A
-    column of a filter of first order was tried: it weakens fast motion, too, and was named where nothing was filtered.
+    A clock or a bus of the logger's own, an average over its interval, a filter of higher order: below their corner
+    they all are a delay. One number for the whole arm (joint 0), tried before any joint has a delay of its own;
+    negative where the positions are late.
     """
 
-    name = "torque_filter"
-    coefficient_names = ("time constant",)
+    name = "common_delay"
     caution = 1.0
-    sooner_than = ("dead_time",)
+    # A filter has a delay and weakens besides: where that is not seen, no more is said than the delay.
+    sooner_than = ("torque_filter", "dead_time")
     at_all_frequencies = False
-    discriminating_motion = ()
-    source = "first-order expansion of a filter: its group delay at low frequency"
+    discriminating_motion = (
+        ("torque_filter", "the same path as fast as the arm allows: a filter weakens what is quick, a delay does not"),
+    )
 
     def usable(self, signals: Signals, joint: int) -> bool:
         """Of one joint alone it is that joint's delay."""
@@ -229,6 +230,41 @@ class TorqueFilter(WholeArmEffect, LateTorque):
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
         late = np.column_stack([delayed(torque, theta[0], signals.dt) for torque in signals.torque.T])
         return np.asarray((late - signals.torque)[:, :, None] / theta[0])
+
+
+class TorqueFilter(CommonDelay):
+    """The torques of all joints pass one lag of first order: ``T dtau/dt + tau = tau_model``.
+
+    The column is ``(tau(T) - tau_model)/T``, exact where theta has become the time constant.
+    """
+
+    name = "torque_filter"
+    coefficient_names = ("time constant",)
+    sooner_than = ("dead_time",)
+    # What weakens fast motion alone is a vibration; a filter makes slow motion as late as fast.
+    at_all_frequencies = True
+    held = (-np.inf, 0.0)
+    discriminating_motion = ()
+    source = "lag of first order"
+
+    def starts(self, signals: Signals, joint: int) -> list[Theta]:
+        """A short and a long one."""
+        return [(1e-3,), (8e-3,)]
+
+    def bounds(self, signals: Signals, joint: int) -> list[tuple[float, float]]:
+        """No filter, and the longest."""
+        return [(0.0, self.longest)]
+
+    def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
+        """See ``Effect.columns``. Shape ``(N, n, 1)``; begins settled."""
+        b, a = signal.bilinear([1.0], [theta[0], 1.0], 1.0 / signals.dt)
+        settled = signal.lfilter_zi(b, a)[:, None] * signals.torque[:1]
+        late, _ = signal.lfilter(b, a, signals.torque, axis=0, zi=settled)
+        return np.asarray((late - signals.torque)[:, :, None] / theta[0])
+
+    def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
+        """The time constant, where the column is exact."""
+        return (float(np.clip(coefficients[0], self._shortest, self.longest)),)
 
 
 class LatePosition(DeadTime):

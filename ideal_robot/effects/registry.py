@@ -38,6 +38,7 @@ _TABLE = {
     "link_load/tau": "loads:LinkLoad",
     "zero_error/tau": "kinematics:ZeroError",
     "base_tilt/tau": "loads:BaseTilt",
+    "common_delay/tau": "drive:CommonDelay",
     "torque_filter/tau": "drive:TorqueFilter",
     "axis_coupling/tau": "drive:AxisCoupling",
     "dead_time/tau": "drive:LateTorque",

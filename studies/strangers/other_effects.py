@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from studies.strangers import drive
 from studies.strangers.arm import joint_axes, sliding
-from studies.strangers.effects import Draw, Drawn, Setup, in_drive, in_proportion, span
+from studies.strangers.effects import Draw, Drawn, Setup, Values, in_drive, in_proportion, span
 
 
 def _base_tilt(rng: np.random.Generator, s: Setup, j: int) -> Drawn:
@@ -29,7 +29,10 @@ def _torque_filter(rng: np.random.Generator, s: Setup, j: int) -> Drawn:
     def apply(setup: Setup, size: float) -> Setup:
         return setup.with_logger(lag=size * 3e-3)
 
-    return Drawn("torque_filter", 0, apply, 12.0, lambda size: {("torque_filter", 0, "time constant"): 3e-3 * size})
+    def values(size: float) -> Values:
+        return {("torque_filter", 0, "time constant"): 3e-3 * size, ("common_delay", 0, "delay"): 3e-3 * size}
+
+    return Drawn("torque_filter", 0, apply, 12.0, values)
 
 
 def _load_direction_friction(rng: np.random.Generator, s: Setup, j: int) -> Drawn:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from studies.strangers.trial import Trial
+from studies.strangers.trial import LATE, Trial
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def score(trial: Trial, diagnosis: Any, seconds: float = 0.0) -> Score:
         right = False
     covered, compared = [], set()
     # What all torques are late by alike is a part of a joint's delay where it has no name of its own.
-    common = trial.late if ("torque_filter", 0) not in named else 0.0
+    common = 0.0 if {(name, 0) for name in LATE} & set(named) else trial.late
     for effect in diagnosis.effects:
         # Of several orders of one ripple the first, largest one is the one drawn; the others are its multiples.
         place = effect.fitted.name, effect.fitted.joint, effect.fitted.channel

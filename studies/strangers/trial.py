@@ -21,6 +21,7 @@ WHOLE_ARM = 0
 
 EQUIVALENT: dict[str, tuple[tuple[str, str], ...]] = {
     "torque_filter": (
+        ("common_delay", "below its corner a lag of first order is a delay"),
         ("dead_time", "below its corner a lag of first order is a delay; as one for all torques (joint 0) it is right"),
     ),
     "arm_delay": (
@@ -41,6 +42,9 @@ EQUIVALENT: dict[str, tuple[tuple[str, str], ...]] = {
 }
 """Cause drawn → further names that are right, with the reason. The cause's own name is always right."""
 
+LATE = ("common_delay", "torque_filter")
+"""Names of what makes all torques late."""
+
 LAST_BUT_ONE_ONLY = frozenset({("link_load", "payload")})
 """Pairs that hold only where the load sits on the last link but one."""
 
@@ -48,7 +52,8 @@ HEALTHY: dict[str, str] = {
     "presliding_hysteresis": "the plant's friction goes through standstill by bristles or Dahl's state in every joint",
     "arm:joint_elasticity": "all gears of the plant are elastic, which arm angles show",
     "joint_elasticity": "all gears of the plant are elastic, and say nothing but their stiffness",
-    "torque_filter": "the logger averaged or filtered all torques; as one cause of the whole arm",
+    "common_delay": "the logger averaged or filtered all torques; as one cause of the whole arm",
+    "torque_filter": "the same",
 }
 """What a plant without any effect may truly have, and when; named where it is so it is neither asked for nor false."""
 
@@ -190,7 +195,7 @@ def _attempt(rng: np.random.Generator, seed: int, kind: str, engine: str,
         reference = record(other, plant, ENGINES[engine](plant, again))
     logger = setup.logger
     # Two lags in a row are one.
-    values = {key: value + (logger.late if key[0] == "torque_filter" else 0.0) for key, value in values.items()}
+    values = {key: value + (logger.late if key[0] in LATE else 0.0) for key, value in values.items()}
     return Trial(
         seed, kind, engine, record(logger, setup.plant, run), arm.urdf, reference, tuple(causes),
         _truly_there(setup), values, f"{arm.name}/{arm.n}", motion.kind, logger.torque, plant.controller,
@@ -231,7 +236,7 @@ def _truly_there(setup: Setup) -> frozenset[tuple[str, int]]:
         if np.isfinite(plant.stiffness[j]) and np.isfinite(plant.stiffness).all():
             found |= {("joint_elasticity", j + 1), ("arm:joint_elasticity", j + 1)}
     if setup.logger.late > 2e-4:
-        found |= {("torque_filter", 0), ("dead_time", 0)}
+        found |= {("common_delay", 0), ("torque_filter", 0), ("dead_time", 0)}
     return frozenset(found)
 
 

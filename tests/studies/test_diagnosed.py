@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from ideal_robot.diagnosis import diagnose
 from ideal_robot.effects import Signals
-from ideal_robot.effects.drive import AxisCoupling
+from ideal_robot.effects.drive import AxisCoupling, CommonDelay
 from ideal_robot.identification.idim import identify
+from ideal_robot.signals.recording import Recording
 from studies.strangers.arm import robot_of
 from studies.strangers.score import Score, score
-from studies.strangers.trial import Trial, draw_trial
+from studies.strangers.trial import LATE, Trial, draw_trial
 
 
 def diagnosed(seed: int) -> tuple[Trial, Any, Score]:
@@ -53,11 +56,35 @@ def test_friction_that_differs_from_place_to_place_is_no_shaft_with_negative_fri
 
 
 @pytest.mark.slow
-def test_one_filter_of_all_torques_comes_before_delays_of_three_joints() -> None:
+def test_one_lag_of_all_torques_comes_before_delays_of_three_joints() -> None:
     trial, found, result = diagnosed(731095)
     assert "dead_time" not in {name for name, _ in result.named}
-    lag = next(e.fitted.parameters[0] for e in found.effects if e.fitted.name == "torque_filter")
+    lag = next(e.fitted.parameters[0] for e in found.effects if e.fitted.name in LATE)
     assert abs(lag.value - trial.late) < 2.0 * lag.std
+
+
+def _late_by(recording: Recording, delay: float) -> Recording:
+    """A recording all of whose torques a logger stamps late."""
+    late = {name: CubicSpline(recording.t, values)(recording.t - delay) if name.startswith("tau") else values
+            for name, values in recording.columns.items()}
+    return dataclasses.replace(recording, columns=late)
+
+
+@pytest.mark.parametrize("seed", [994008, pytest.param(994001, marks=pytest.mark.slow),
+                                  pytest.param(994003, marks=pytest.mark.slow),
+                                  pytest.param(994005, marks=pytest.mark.slow)])
+def test_a_clock_that_is_late_for_all_torques_is_a_common_delay(seed: int) -> None:
+    """In each of three engines; a filter as the only name would say that fast motion is weakened."""
+    trial = draw_trial(seed, "none", size=(3.0, 10.0), seconds=(15.0, 25.0))
+    assert trial.late == 0.0
+    with robot_of(trial.urdf) as robot:
+        for delay in (0.0, 5e-3, 12e-3):
+            found = [e for e in diagnose(_late_by(trial.recording, delay), robot).effects
+                     if isinstance(e.fitted.effect, CommonDelay)]
+            assert [e.fitted.name for e in found] == (["common_delay"] if delay else [])
+            for one in found:
+                assert one.indistinguishable_from == ("torque_filter",)
+                assert one.fitted.parameters[0].value == pytest.approx(delay, abs=4e-4)
 
 
 @pytest.mark.slow

@@ -77,6 +77,7 @@ def test_two_effects_are_right_only_both() -> None:
 def test_one_filter_of_all_torques_is_one_cause_not_six() -> None:
     trial = a_trial(("torque_filter", 0))
     assert score(trial, said("effects", ("dead_time", 0))).right
+    assert score(trial, said("effects", ("common_delay", 0))).right
     assert not score(trial, said("effects", *(("dead_time", j) for j in range(1, 7)))).right
 
 
@@ -132,6 +133,6 @@ def test_a_joints_delay_holds_what_all_torques_are_late_by_unless_that_has_a_nam
     trial = dataclasses.replace(a_trial(("dead_time", 2)), late=1e-3)
     number = SimpleNamespace(name="delay", value=4e-3, std=1e-4)
     alone = score(trial, said("effects", ("dead_time", 2), parameters=(number,)))
-    beside = score(trial, said("effects", ("dead_time", 2), ("torque_filter", 0), parameters=(number,)))
+    beside = score(trial, said("effects", ("dead_time", 2), ("common_delay", 0), parameters=(number,)))
     assert dict(alone.covered)["dead_time: delay"] == pytest.approx(0.0, abs=1e-9)
     assert dict(beside.covered)["dead_time: delay"] == pytest.approx(10.0)

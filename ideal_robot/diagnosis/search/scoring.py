@@ -15,6 +15,7 @@ from ideal_robot.diagnosis.statistics.dependence import FINE, Dependence
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import ARM_POSITION
+from ideal_robot.effects.drive import DeadTime
 from ideal_robot.effects.fitted import Unknown
 
 _ITERATIONS = 4
@@ -291,11 +292,10 @@ class Scoring:
         """
         residual = self.model.residual(fit)
         use, scored = self.model.problem.products.use, []
-        taken = {(c.candidate.effect.name, c.candidate.joint) for c in self.model.choices
-                 if c.candidate.key in fit.keys}
+        taken = [c.candidate for c in self.model.choices if c.candidate.key in fit.keys]
         for starts in pool:
             first = starts[0]
-            if (first.effect.name, first.joint) in taken and not first.effect.scanned:
+            if not first.effect.scanned and any(_forms_of_one(first, other) for other in taken):
                 continue
             if first.effect.scanned:
                 found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, use)
@@ -309,6 +309,12 @@ class Scoring:
                 if best is not None and best[0] > _PROMISING:
                     scored.append(self.tested(fit, best[1]))
         return scored
+
+
+def _forms_of_one(a: Candidate, b: Candidate) -> bool:
+    """Whether two candidates are forms of one cause at one joint, of which it has one at most: it is late once."""
+    late = isinstance(a.effect, DeadTime) and isinstance(b.effect, DeadTime)
+    return a.joint == b.joint and (a.effect.name == b.effect.name or late)
 
 
 def with_equivalents(problem: Problem, choices: list[Choice], share: float = 0.95) -> list[Choice]:

@@ -15,7 +15,7 @@ from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, prior_precision, with_parameters
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import FittedEffect
-from ideal_robot.effects.drive import TorqueFilter
+from ideal_robot.effects.drive import CommonDelay
 from ideal_robot.model.model import Model
 from ideal_robot.model.parametrisation import parameter_vector
 
@@ -163,8 +163,8 @@ def beside_lag(torque: DomainDiagnosis) -> Estimate:
         torque: the domain of the motor torques, settled.
     """
     effects, signals = torque.effects, torque.problem.regression.signals
-    lag = TorqueFilter()
-    if not lag.usable(signals, 0) or any(c.effect.name == lag.name for c in effects):
+    lag = CommonDelay()
+    if not lag.usable(signals, 0) or any(isinstance(c.effect, CommonDelay) for c in effects):
         return torque.final
     candidate = Candidate(lag, 0, (_START,))
     for _ in range(_ITERATIONS):

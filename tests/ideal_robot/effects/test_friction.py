@@ -110,10 +110,21 @@ def test_a_delay_is_exact_where_the_chord_is_as_long(delay):
     assert late[inner] == pytest.approx(np.sin(2.0 * np.pi * 8.0 * (t - delay))[inner], abs=1e-5)
 
 
-def test_one_filter_delays_every_joint():
+def test_a_filter_of_first_order_is_a_delay_well_below_its_corner_and_weakens_above():
+    t = np.arange(0.0, 6.0, 1e-3)
+    torque = np.column_stack([np.sin(2.0 * np.pi * f * t) for f in (1.0, 40.0)])
+    signals = Signals(t, *[np.zeros_like(torque)] * 4, torque, np.zeros_like(torque))
+    lag, delay = (find(name, "tau").columns(signals, 0, (0.004,))[1000:, :, 0] for name in ("torque_filter",
+                                                                                           "common_delay"))
+    assert np.std(lag[:, 0] - delay[:, 0]) < 0.02 * np.std(delay[:, 0])
+    assert np.std(0.004 * lag[:, 1] + torque[1000:, 1]) == pytest.approx(
+        np.std(torque[1000:, 1]) / np.hypot(1.0, 2.0 * np.pi * 40.0 * 0.004), rel=0.01)
+
+
+def test_one_delay_is_every_joints():
     _, regression = of_a_moved_arm()
     signals = regression.signals
-    column = find("torque_filter", "tau").columns(signals, 0, (0.01,))[:, :, 0]
+    column = find("common_delay", "tau").columns(signals, 0, (0.01,))[:, :, 0]
     steps = round(0.01 / signals.dt)
     late = signals.torque[100 - steps : -100 - steps] - signals.torque[100:-100]
     np.testing.assert_allclose(0.01 * column[100:-100], late, atol=1e-9)
@@ -127,7 +138,7 @@ def test_a_late_device_sees_where_the_arm_was():
     np.testing.assert_allclose(column[10:-10], ((after - before) / (2 * h))[10:-10], atol=2e-4)
 
 
-@pytest.mark.parametrize(("name", "prefix", "early"), [("torque_filter", "tau", -1.0), ("dead_time", "tau", -1.0),
+@pytest.mark.parametrize(("name", "prefix", "early"), [("common_delay", "tau", -1.0), ("dead_time", "tau", -1.0),
                                                        ("dead_time", "q", 1.0)])
 def test_torques_that_are_held_over_a_cycle_are_not_early(name, prefix, early):
     """Half a cycle of a loop of a kilohertz is in every drive: a torque acts from its stamp on until the next."""
