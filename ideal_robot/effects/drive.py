@@ -216,9 +216,9 @@ class CommonDelay(WholeArmEffect, LateTorque):
     name = "common_delay"
     caution = 1.0
     # A filter has a delay and weakens besides: where that is not seen, no more is said than the delay.
-    sooner_than = ("torque_filter", "dead_time")
+    sooner_than: ClassVar[tuple[str, ...]] = ("torque_filter", "dead_time")
     at_all_frequencies = False
-    discriminating_motion = (
+    discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("torque_filter", "the same path as fast as the arm allows: a filter weakens what is quick, a delay does not"),
     )
 
