@@ -29,6 +29,8 @@ AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
 BELOW = (-0.2, -0.35, -0.05, 0.1, -0.5)
 """… heights of the surface from the second joint …"""
+HEADINGS = (90.0, 0.0)
+"""Of the line, across the arm or away from it; the second is tried where the first fits nowhere [deg] …"""
 SIZES = (0.75, 0.6, 0.45, 0.3)
 """… and lengths of the line."""
 FASTEST = 0.7
@@ -57,12 +59,14 @@ class Place:
 
     Attributes:
         origin: of the surface [m].
+        heading: of the surface about z [deg].
         length: of the line [m].
         speed: that the joints allow with something to spare [m/s].
         tool_mm: length of a tool that keeps the wrist off the surface.
     """
 
     origin: tuple[float, float, float]
+    heading: float
     length: float
     speed: float
     tool_mm: float
@@ -79,14 +83,16 @@ def place_line(scene: LineScene) -> Place:
     """
     robot = scene.arm
     best: Place | None = None
-    for candidate in (one for share in SIZES for one in _candidates(scene, robot, share)):
-        speed = fits(candidate, candidate.arm)
-        if speed is not None and (best is None or speed > best.speed):
-            best = Place(candidate.surface.origin, float(candidate.line.length or 0.0), speed, candidate.tool_mm)
-            if speed >= FAST_ENOUGH:
-                return best
-    if best is not None:
-        return best
+    for heading in HEADINGS:
+        for candidate in (one for share in SIZES for one in _candidates(scene, robot, share, heading)):
+            speed = fits(candidate, candidate.arm)
+            if speed is not None and (best is None or speed > best.speed):
+                best = Place(candidate.surface.origin, heading, float(candidate.line.length or 0.0), speed,
+                             candidate.tool_mm)
+                if speed >= FAST_ENOUGH:
+                    return best
+        if best is not None:
+            return best
     raise InputError(f"no line fits in the reach of {robot.name} ({reach(robot):.2f} m) with the tool pointing down; "
                      "give the posture to work from as home in the robot's TOML, or place surface and line by hand",
                      file=robot.urdf, field="robot")
@@ -100,37 +106,41 @@ def where_it_fits(scene: LineScene) -> str:
         return error.message
     x, y, z = place.origin
     tool = f" and tool_mm = {place.tool_mm:g}" if place.tool_mm else ""
-    return (f"a line of {place.length:g} m fits with surface.origin = [{x:g}, {y:g}, {z:g}], heading_deg = 90{tool}; "
-            "ideal-robot new NAME --robot writes such a scene")
+    return (f"a line of {place.length:g} m fits with surface.origin = [{x:g}, {y:g}, {z:g}], "
+            f"heading_deg = {place.heading:g}{tool}; ideal-robot new NAME --robot writes such a scene")
 
 
-def _candidates(scene: LineScene, robot: Robot, share: float) -> Iterator[LineScene]:
+def _candidates(scene: LineScene, robot: Robot, share: float, heading: float) -> Iterator[LineScene]:
     """The scene with a line of a share of the reach, at the places that are tried, without a tool first.
 
     Args:
         scene: to change.
         robot: the arm.
         share: length of the line relative to the reach.
+        heading: of the surface [deg].
     """
     size, data = reach(robot), robot.pinocchio.createData()
     pin.forwardKinematics(robot.pinocchio, data, robot.home)
     shoulder = float(data.oMi[min(2, robot.n)].translation[2])
     length = _rounded(share * size)
+    turn = math.radians(heading)
     for tool, below, ahead in product(TOOLS, BELOW, AHEAD):
         height = _rounded(max(shoulder + below * size, LOWEST))
-        origin = (_rounded(ahead * size), _rounded(-0.5 * length), height)
-        yield resized(scene, length, origin).changed(tool_mm=round(100.0 * tool * size) * 10.0)
+        begin = np.array([ahead * size, 0.0]) - 0.5 * length * np.array([math.cos(turn), math.sin(turn)])
+        origin = (_rounded(float(begin[0])), _rounded(float(begin[1])), height)
+        yield resized(scene, length, origin, heading).changed(tool_mm=round(100.0 * tool * size) * 10.0)
 
 
-def resized(scene: LineScene, length: float, origin: tuple[float, float, float]) -> LineScene:
+def resized(scene: LineScene, length: float, origin: tuple[float, float, float], heading: float = 90.0) -> LineScene:
     """The scene with its sine that long, its waves in proportion, at another place.
 
     Args:
         scene: to change.
         length: of the line [m].
         origin: of the surface [m].
+        heading: of the surface about z [deg].
     """
-    return scene.changed(surface={"origin": list(origin), "heading_deg": 90.0, "tilt_deg": [0.0, 0.0]},
+    return scene.changed(surface={"origin": list(origin), "heading_deg": heading, "tilt_deg": [0.0, 0.0]},
                          line={"formula": formula(length), "length": length, "points": None, "svg": None},
                          reference=run_ups(length))
 
@@ -155,6 +165,7 @@ def scene_text(example: str, robot: str, place: Place) -> str:
         place: where the line fits.
     """
     values: dict[str, Any] = {"robot": robot, "speed": place.speed, "origin": list(place.origin),
+                              "heading_deg": place.heading,
                               "formula": formula(place.length), "length": place.length,
                               "description": f"A sine-like line in the reach of {Path(robot).stem}."}
     rows = example.splitlines()

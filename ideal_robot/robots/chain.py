@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
+from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.urdf import check_text
 
@@ -23,6 +24,11 @@ _FLANGE = ("tool0", "tcp", "flange")
 """Frames that a tool is put on, the ROS-Industrial name of the one whose z axis leads away from the arm first."""
 _SLENDER = 3
 """A branch with fewer moving joints than this beside another one is a finger, not an arm."""
+
+_ASIDE = math.sin(math.radians(10.0))
+"""Part of a tool's z axis along the last joint's axis at least: a torch may be bent, but not across or backwards."""
+_SHORT = 1e-3
+"""Distance of the tool from the joint before the last one along the last axis that tells nothing of its sense [m]."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +68,10 @@ def serial_arm(text: str, file: str | Path | None = None, tool: str | None = Non
     chain = tree.path(end)
     while chain and tool not in joints and not drives(chain[-1]):
         chain.pop()
-    reached = [str(joint.find("child").get("link")) for joint in chain]  # type: ignore[union-attr]
-    at = _tool_link(tree, reached) if tool not in joints else tool
+    at = _tool_link(tree, [_child(joint) for joint in chain]) if tool not in joints else tool
     changed = _held(joints, {id(joint) for joint in chain}) + _limited(chain)
+    if tool not in joints:
+        at = _facing_away(root, tree, chain, at, changed)
     return SerialArm(ET.tostring(root, encoding="unicode") if changed else text, at, tuple(changed))
 
 
@@ -137,9 +144,7 @@ def drives(joint: ET.Element) -> bool:
     """Whether a joint of a URDF moves on its own and is no gripper's."""
     if joint.get("type") == "fixed" or joint.find("mimic") is not None:
         return False
-    child = joint.find("child")
-    carried = "" if child is None else str(child.get("link"))
-    return not (_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(carried))
+    return not (_GRIPPER.search(str(joint.get("name"))) or _FINGER.search(_child(joint)))
 
 
 def _parent(joint: ET.Element) -> str:
@@ -157,7 +162,68 @@ def _tool_link(tree: _Tree, chain: list[str]) -> str | None:
         for link in near:
             if wanted in link.lower():
                 return link
-    return near[-1]
+    return next((link for link in reversed(near) if not _FINGER.search(link)), near[0])
+
+
+def _facing_away(root: ET.Element, tree: _Tree, chain: list[ET.Element], link: str | None, changed: list[str]
+                 ) -> str | None:
+    """The tool link, or a frame added to it whose z axis leads away from the arm where the link's own does not.
+
+    The last joint's axis is the way that a tool points; URDFs of before the frame ``tool0`` have x along it.
+
+    Args:
+        root: of the URDF; the frame is added to it.
+        tree: of its links.
+        chain: joints from the base on.
+        link: for tools.
+        changed: what was made of the URDF, in words; the frame is added to it.
+    """
+    moving = [joint for joint in chain if drives(joint)]
+    if link is None or len(moving) < 2 or moving[-1].get("type") == "prismatic":
+        return link
+    beyond = _placed(tree.path(link), moving[-1])
+    back = _placed(tree.path(_child(moving[-1])), moving[-2])
+    along = _axis(moving[-1])
+    # The last joint's angle turns about the axis alone: what lies along it is the same at every angle.
+    length = float(along @ (beyond.translation + back.rotation.T @ back.translation))
+    if abs(length) < _SHORT:
+        return link
+    away = beyond.rotation.T @ (math.copysign(1.0, length) * along)
+    if away[2] > _ASIDE:
+        return link
+    rpy = pin.rpy.matrixToRpy(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), away).matrix())
+    name = f"{link}_away"
+    joint = ET.SubElement(root, "joint", {"name": f"{name}_joint", "type": "fixed"})
+    ET.SubElement(joint, "parent", {"link": link})
+    ET.SubElement(joint, "child", {"link": name})
+    ET.SubElement(joint, "origin", {"xyz": "0 0 0", "rpy": " ".join(f"{v:.12g}" for v in rpy)})
+    ET.SubElement(root, "link", {"name": name})
+    changed.append(f"the tool points along the last joint's axis, which is not the z axis of {link}: give another link "
+                   "as tool_frame in the robot's TOML if it does not")
+    return name
+
+
+def _placed(path: list[ET.Element], behind: ET.Element) -> pin.SE3:
+    """The place of a path's last link in the frame of a joint on it, all joints at zero."""
+    place = pin.SE3.Identity()
+    for joint in path[path.index(behind) + 1:]:
+        origin = joint.find("origin")
+        xyz, rpy = (np.zeros(3) if origin is None else np.array([float(v) for v in origin.get(key, "0 0 0").split()])
+                    for key in ("xyz", "rpy"))
+        place = place * pin.SE3(pin.rpy.rpyToMatrix(rpy), xyz)
+    return place
+
+
+def _axis(joint: ET.Element) -> Array:
+    """The direction of a joint's axis ``(3,)``; zeros where it has none."""
+    axis = joint.find("axis")
+    written = np.array([float(v) for v in ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split()])
+    return np.asarray(written / max(float(np.linalg.norm(written)), 1e-9))
+
+
+def _child(joint: ET.Element) -> str:
+    child = joint.find("child")
+    return "" if child is None else str(child.get("link"))
 
 
 def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:
@@ -176,13 +242,12 @@ def _held(joints: dict[str, ET.Element], chain: set[int]) -> list[str]:
 
 def _hold(joint: ET.Element) -> None:
     """Fixes a joint at zero, or at the limit next to it."""
-    limit, axis, origin = joint.find("limit"), joint.find("axis"), joint.find("origin")
+    limit, origin = joint.find("limit"), joint.find("origin")
     at = 0.0
     if limit is not None and joint.get("type") != "continuous":
         at = min(max(0.0, float(limit.get("lower", 0.0))), float(limit.get("upper", 0.0)))
     if at != 0.0:
-        direction = np.array([float(v) for v in ("1 0 0" if axis is None else axis.get("xyz", "1 0 0")).split()])
-        direction /= np.linalg.norm(direction)
+        direction = _axis(joint)
         if origin is None:
             origin = ET.SubElement(joint, "origin")
         xyz, rpy = (np.array([float(v) for v in origin.get(key, "0 0 0").split()]) for key in ("xyz", "rpy"))

@@ -103,7 +103,9 @@ class Robot(Summarised):
     @cached_property
     def tool_id(self) -> int:
         """Pinocchio's index of the TCP frame."""
-        return int(self.pinocchio.getFrameId(self.tool_frame))
+        # A joint and a link may have the same name; the link's frame is the tool's.
+        called = [i for i, frame in enumerate(self.pinocchio.frames) if frame.name == self.tool_frame]
+        return max(called, key=lambda i: self.pinocchio.frames[i].type == pin.FrameType.BODY)
 
     @property
     def tool_place(self) -> NDArray[np.float64]:

@@ -163,6 +163,8 @@ def _cylinder(way: Array, mass: float, radius: float) -> ET.Element:
     """The ``inertial`` of a full cylinder along a way ``(3,)`` [m] from the link's frame."""
     length = float(np.linalg.norm(way))
     along = way / length if length > 1e-9 else np.array([0.0, 0.0, 1.0])
+    # A joint is no flat disc, whose moments PyBullet refuses.
+    length = max(length, radius)
     across = mass * (3.0 * radius**2 + length**2) / 12.0
     inertia = across * np.eye(3) + (0.5 * mass * radius**2 - across) * np.outer(along, along)
     inertial = ET.Element("inertial")

@@ -38,6 +38,30 @@ def test_a_jaw_behind_the_last_joint_is_no_joint_of_the_arm(tmp_path: Path) -> N
     assert Robot.load(written(tmp_path, urdf(5, beyond=jaw))).n == 5
 
 
+def test_a_tool_frame_with_x_ahead_gets_one_with_z_ahead(tmp_path: Path) -> None:
+    """As URDFs of before the frame tool0 have it; a link called as its joint may be the tool, too."""
+    ahead = urdf(6).replace('rpy="0 1.5707963 0"', 'rpy="0 0 0"').replace('name="flange"', 'name="tool0"')
+    robot = Robot.load(written(tmp_path, ahead))
+    assert "last joint's axis" in robot.assumed[0]
+    usual = Robot.load(written(tmp_path, urdf(6), "usual"))
+    q = np.full(6, 0.3)
+    np.testing.assert_allclose(robot.fk()(q).translation, usual.fk()(q).translation, atol=1e-9)
+    np.testing.assert_allclose(robot.fk()(q).rotation[:, 2], usual.fk()(q).rotation[:, 2], atol=1e-6)
+    robot.urdf.with_suffix(".toml").write_text('tool_frame = "tool0"\n')
+    named = Robot.load(robot.urdf)
+    assert named.assumed == ()
+    np.testing.assert_allclose(named.fk()(q).rotation[:, 0], usual.fk()(q).rotation[:, 2], atol=1e-6)
+
+
+def test_a_finger_is_no_tool_and_a_fixed_joint_follows_none(tmp_path: Path) -> None:
+    fixed = GRIPPER.replace('type="prismatic"', 'type="fixed"').replace('<link name="left"/>', "").replace(
+        'link="left"', 'link="finger_tip"').replace('name="left"', 'name="finger_tip"')
+    bare = urdf(6, beyond=fixed).replace("tool0", "plate")
+    robot = Robot.load(written(tmp_path, bare))
+    assert robot.tool_frame == "right"
+    assert Robot.load(written(tmp_path, bare.replace("right", "thumb"), "thumb")).tool_frame == "hand"
+
+
 def test_joints_that_turn_without_end_or_slide_are_read(tmp_path: Path) -> None:
     endless = Robot.load(written(tmp_path, urdf(6, kind="continuous")))
     assert endless.q_max[0] == pytest.approx(2.0 * np.pi)
