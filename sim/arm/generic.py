@@ -6,11 +6,14 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.robot import Robot, spread_postures
 from ideal_robot.robots.size import WEAKEST
 
+STEP = 0.0005
+"""Time step of the simulated arm [s]; every cycle time is a multiple of it."""
 RESONANCE = 15.0
 """[Hz] of a link on its gear with the motor held; 10 to 20 Hz is common for base axes."""
 DAMPING = 0.07
@@ -25,6 +28,11 @@ LAG = 0.002
 """Time from an encoder reading to the torque that answers it [s]: velocity cycle, its filter, the current loop."""
 MARGIN = 2.0
 """Factor by which the gain of a cascade could be raised before it is unstable, 6 dB."""
+
+FOLLOWED = 1.0
+"""Oscillation that the simulation's step is to follow, times the step; ``SimulatedArm`` refuses 1.2."""
+SWEPT = 25
+"""Angles of each joint at which it is looked at."""
 
 
 def generic_world(robot: Robot) -> dict[str, Any]:
@@ -48,12 +56,13 @@ def generic_world(robot: Robot) -> dict[str, Any]:
     link = np.maximum(mass, 0.2 * rotor)
     stiffness = np.maximum((2 * np.pi * RESONANCE) ** 2 * link, gravity / SAG)
     damping = 2 * DAMPING * np.sqrt(stiffness * link)
+    rigid = _too_fast(robot, stiffness, rotor)
     gain = np.array([_stable(BANDWIDTH * (m + j), j, (light, m), k, d)
                      for m, j, light, k, d in zip(mass, rotor, lightest, stiffness, damping, strict=True)])
     turns = np.where(robot.gear_ratio > 1.0, 1.0, GEAR)
     settings: dict[str, Array] = {
         "extra_rotor_inertia": extra,
-        "stiffness": stiffness,
+        "stiffness": np.where(rigid, np.inf, stiffness),
         "damping": damping,
         "coulomb": 0.045 * strength,
         "stribeck": 0.012 * strength,
@@ -97,6 +106,50 @@ def _strength(robot: Robot, gravity: Array, inertia: Array) -> Array:
     needed = np.where(robot.prismatic, 0.0, 1.5 * gravity + 60.0 * inertia)
     needed = np.where(robot.prismatic, 1.5 * gravity + 60.0 * inertia, np.maximum(needed, WEAKEST * needed.max()))
     return np.where(np.isfinite(robot.tau_max), np.minimum(robot.tau_max, needed), 1.5 * gravity + 5.0 * inertia)
+
+
+# Oscillations that the simulation's step cannot follow.
+
+def fastest(mass: Array, stiffness: Array, rotor: Array) -> tuple[float, int]:
+    """Fastest oscillation of links M, rotors J and gears K in a posture [rad/s], and the gear that most of it is in.
+
+    Its squared frequencies are those of √K (M⁻¹ + J⁻¹) √K; a rigid gear has its rotor in M and no part in it.
+
+    Args:
+        mass: of the links ``(n, n)`` [kg m²].
+        stiffness: of the gears ``(n,)`` [N m/rad], infinite where rigid.
+        rotor: on the joint side ``(n,)`` [kg m²].
+    """
+    rigid = np.isinf(stiffness)
+    root = np.sqrt(np.where(rigid, 0.0, stiffness))
+    # A last link without inertia of its own turns with a trace of its rotor's.
+    turned = np.linalg.inv(mass + np.diag(np.where(rigid, rotor, 1e-6 * rotor)))
+    values, ways = np.linalg.eigh(root[:, None] * (turned + np.diag(np.where(rigid, 0.0, 1.0 / rotor))) * root)
+    return float(np.sqrt(max(values[-1], 0.0))), int(np.argmax(np.abs(ways[:, -1])))
+
+
+def _too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
+    """Gears that have to be rigid ``(n,)``, so that the step follows all oscillations wherever the arm stands.
+
+    Where two axes fall together, a slim link between them alone holds their gears apart.
+
+    Args:
+        robot: the arm.
+        stiffness: of its gears ``(n,)`` [N m/rad].
+        rotor: on the joint side ``(n,)`` [kg m²].
+    """
+    model, data = robot.pinocchio, robot.pinocchio.createData()
+    low, high = np.clip(robot.q_min, -np.pi, np.pi), np.clip(robot.q_max, -np.pi, np.pi)
+    swept = np.tile(robot.home, (robot.n, SWEPT, 1))
+    for j in range(robot.n):
+        swept[j, :, j] = np.linspace(low[j], high[j], SWEPT)
+    found = np.array(stiffness)
+    for q in [*spread_postures(robot.q_min, robot.q_max), *swept.reshape(-1, robot.n)]:
+        mass = pin.crba(model, data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        while (worst := fastest(mass, found, rotor))[0] > FOLLOWED / STEP:
+            found[worst[1]] = np.inf
+    return np.isinf(found)
 
 
 # Stability of a cascade on a rotor that a spring connects with its link.

@@ -19,6 +19,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError, found_in
 from ideal_robot.robots.robot import Robot
 from ideal_robot.robots.size import of_its_size
+from sim.arm.generic import STEP as STEP
 from sim.arm.generic import generic_world
 
 # What the settings of a world may be: types and ranges, key by key.
@@ -78,9 +79,6 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
         raise InputError(f"expected {expected}", field=field, value=array.tolist())
     return tuple(array.tolist())
 
-
-STEP = 0.0005
-"""Time step of the simulated arm [s]; every cycle time is a multiple of it."""
 
 PerJoint = float | tuple[float, ...]
 """One number for all joints, or one per joint."""

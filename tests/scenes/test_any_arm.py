@@ -18,7 +18,7 @@ from scenes.placing import check_way, fits, place_line, resized, scene_text
 from scenes.scene_file import library, load_scene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import Scene
-from sim.arm.generic import MARGIN, generic_world, growth
+from sim.arm.generic import FOLLOWED, MARGIN, STEP, fastest, generic_world, growth
 from sim.arm.world import World
 from tests.arms import GRIPPER, urdf, written
 
@@ -105,6 +105,24 @@ def test_a_bare_arms_world_can_be_played_and_its_cascade_is_stable(joints: int, 
                      for q in spread_postures(robot.q_min, robot.q_max)], axis=0)
     for j in range(joints):
         assert growth(MARGIN * gain[j], rotor[j], links[j], stiffness[j], damping[j]) <= 0.0
+
+
+def test_a_slim_link_between_two_axes_that_fall_together_makes_a_gear_rigid(tmp_path: Path) -> None:
+    """The step follows no spring of 3000 N m/rad on 3e-4 kg m²; with the gear rigid, its rotor goes with the link."""
+    assert fastest(np.array([[0.02]]), np.array([50.0]), np.array([0.1])) == (
+        pytest.approx(np.sqrt(50.0 * (1.0 / 0.02 + 1.0 / 0.1)), rel=1e-4), 0)
+    slim = '<inertia ixx="0.003" iyy="0.003" izz="0.0003"'
+    limit = 'lower="-2.9" upper="2.9" effort="200" velocity="2"'
+    text = urdf(7, mass=1.0, limit=limit).replace('<inertia ixx="0.01" iyy="0.01" izz="0.01"', slim)
+    robot = arm_of(str(written(tmp_path, text)))
+    stiffness, rotor = (np.array(generic_world(robot)[name]) for name in ("stiffness", "extra_rotor_inertia"))
+    assert np.isinf(stiffness).any()
+    assert not np.isinf(stiffness).all()
+    data = robot.pinocchio.createData()
+    for q in spread_postures(robot.q_min, robot.q_max):
+        mass = pin.crba(robot.pinocchio, data, q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        assert fastest(mass, stiffness, rotor)[0] <= FOLLOWED / STEP
 
 
 def test_a_gain_that_is_too_high_is_found_unstable() -> None:
