@@ -87,7 +87,7 @@ def recorded() -> Iterator[list[Taken]]:
     """Writes down what every filter is given meanwhile."""
     every: list[Taken] = []
     kept: dict[int, Taken] = {}
-    inner = DeviationFilter.__init__, DeviationFilter.travel, DeviationFilter.update
+    inner = DeviationFilter.__init__, DeviationFilter.travel, DeviationFilter.take
 
     def make(self: DeviationFilter, *arguments: Any, **named: Any) -> None:
         kept[id(self)] = Taken((copy.deepcopy(arguments), dict(named)))
@@ -98,12 +98,12 @@ def recorded() -> Iterator[list[Taken]]:
         kept[id(self)].calls.append(("travel", s))
         inner[1](self, s)
 
-    def update(self: DeviationFilter, measurement: Measurement) -> Fused:
+    def take(self: DeviationFilter, measurement: Measurement) -> Fused:
         kept[id(self)].calls.append(("update", measurement))
         return inner[2](self, measurement)
 
     with (patch.object(DeviationFilter, "__init__", make), patch.object(DeviationFilter, "travel", travel),
-          patch.object(DeviationFilter, "update", update)):
+          patch.object(DeviationFilter, "take", take)):
         yield every
 
 

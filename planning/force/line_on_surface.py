@@ -172,7 +172,7 @@ class LineOnSurface:
         line, and two fields in a row show the same one.
         """
         settings, s = self.settings, measurement.s
-        d, _ = self.follower.fusion.deviation(s)
+        d = self.follower.fusion.mean(s)
         off = measurement.value - np.sum(measurement.direction * d, axis=1)  # type: ignore[operator]
         trend = np.column_stack([np.ones(len(s)), s - s.mean()])
         fit = np.linalg.lstsq(trend, off, rcond=None)[0]

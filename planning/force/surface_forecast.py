@@ -39,13 +39,15 @@ class SmoothSurface(DeviationModel):
     Args:
         length: l [m].
         across: model of the deviation across the path, where a camera shows it; without one there is none.
+        rows: of ``across``, shared with other length scales.
     """
 
     directions = 2
     drifts = True
 
-    def __init__(self, length: float, across: PathDeviation | None = None) -> None:
+    def __init__(self, length: float, across: PathDeviation | None = None, rows: RowsAcross | None = None) -> None:
         self._across, n = across, ORDER + 1
+        self._rows_across = rows or RowsAcross(across)
         self._rate = math.sqrt(2.0 * ORDER + 1.0) / length
         # Of the companion matrix N of (D + 1)^n, N + I is nilpotent: F(u) is a polynomial times exp(-u).
         companion = np.eye(n, k=1)
@@ -80,13 +82,8 @@ class SmoothSurface(DeviationModel):
     def basis(self, s: Array, stand: Stand | None = None) -> Array:
         """Across the path its own model's; the height from the derivatives where the state stands."""
         s = np.asarray(s, dtype=float)
-        H = np.zeros((len(s), 2, self.size))
         stand = stand or Stand(self.begin, 0.0)
-        if self._across is not None:
-            H[:, 0, : self._first] = self._across.basis(s, stand)[:, 0]
-        H[:, 1, self._first], H[:, 1, self._first + 1] = 1.0, s
-        H[:, 1, self._height] = _rows(self._rate * (s - stand.s), self._first_rows)
-        return H
+        return np.asarray(_basis(s, self._rate * (s - stand.s), self._rows_across(s, stand), self._first_rows))
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """The step of the map across the path."""
@@ -97,20 +94,53 @@ class SmoothSurface(DeviationModel):
         F[: self._first, : self._first], Q[: self._first, : self._first] = step
         return F, Q
 
-    def carry(self, way: float) -> tuple[Array, Array]:
-        """The process goes on by ``way`` [m]."""
-        F, Q = np.eye(self.size), np.zeros((self.size, self.size))
-        step, left = _carried(self._rate * way, self._powers, self._stationary)
-        F[self._height, self._height], Q[self._height, self._height] = step, left
+    def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array]:
+        """The process goes on by ``way`` [m]; of ``out`` its own block is written."""
+        F, Q = (np.eye(self.size), np.zeros((self.size, self.size))) if out is None else out
+        _carry(self._rate * way, self._powers, self._stationary, F[self._height, self._height],
+               Q[self._height, self._height])
         return F, Q
 
     def told(self, s: Array, stand: Stand) -> bool:
         """The process is Markov's: what is ahead of the state depends on what is behind it by the state alone."""
-        return bool(np.all(s >= stand.s))
+        return bool(s.min() >= stand.s)
 
     def spread(self, s: Array, stand: Stand) -> Array:
         """What comes to the height between where the state stands and ``s`` ``(m, 2)`` [m²]."""
         return np.asarray(_left(self._rate * (s - stand.s), self._first_rows, self._stationary))
+
+
+class RowsAcross:
+    """Rows of a map across the path; all length scales ask one after another for the same places.
+
+    Args:
+        model: the map's; None: there is none.
+    """
+
+    def __init__(self, model: PathDeviation | None) -> None:
+        self._model = model
+        self._asked: tuple[bytes, float] | None = None
+        self._rows = np.zeros((0, 0))
+
+    def __call__(self, s: Array, stand: Stand) -> Array:
+        """``(m, size)`` at arc lengths ``(m,)`` [m]."""
+        if self._model is None:
+            return np.zeros((len(s), 0))
+        if (asked := (s.tobytes(), stand.begin)) != self._asked:
+            self._asked, self._rows = asked, np.ascontiguousarray(self._model.basis(s, stand)[:, 0])
+        return self._rows
+
+
+@jit()
+def _basis(s: Array, u: Array, across: Array, first_rows: Array) -> Array:  # pragma: no cover
+    """Rows ``(m, 2, size)`` at arc lengths ``s (m,)`` [m], ways ``u (m,)`` [1/rate] ahead; ``across (m, n)``."""
+    m, n = across.shape
+    rows, H = _rows(u, first_rows), np.zeros((m, 2, n + 2 + first_rows.shape[1]))
+    for i in range(m):
+        H[i, 0, :n] = across[i]
+        H[i, 1, n], H[i, 1, n + 1] = 1.0, s[i]
+        H[i, 1, n + 2 :] = rows[i]
+    return H
 
 
 @jit()
@@ -120,7 +150,8 @@ def _rows(u: Array, first_rows: Array) -> Array:  # pragma: no cover
     for i in range(u.size):
         factor = np.exp(-u[i])
         for k in range(first_rows.shape[0]):
-            rows[i] += factor * first_rows[k]
+            for j in range(first_rows.shape[1]):
+                rows[i, j] += factor * first_rows[k, j]
             factor *= u[i]
     return rows
 
@@ -136,19 +167,24 @@ def _left(u: Array, first_rows: Array, stationary: Array) -> Array:  # pragma: n
 
 
 @jit()
-def _carried(u: float, powers: Array, stationary: Array) -> tuple[Array, Array]:  # pragma: no cover
-    """F of a way ``u`` [1/rate], and the covariance of what comes to the states on it."""
+def _carry(u: float, powers: Array, stationary: Array, F: Array, Q: Array) -> None:  # pragma: no cover
+    """Writes F of a way ``u`` [1/rate], and into Q the covariance of what comes to the states on it."""
     step, factor = np.zeros_like(stationary), np.exp(-u)
     for k in range(powers.shape[0]):
-        step += factor * powers[k]
+        for i in range(step.shape[0]):
+            for j in range(step.shape[1]):
+                step[i, j] += factor * powers[k, i, j]
         factor *= u
-    return step, stationary - step @ stationary @ step.T
+    F[:] = step
+    Q[:] = stationary - step @ stationary @ step.T
 
 
 def surfaces(across: Callable[[], PathDeviation] | None = None,
              lengths: Sequence[float] = LENGTHS) -> list[DeviationModel]:
     """Models of all length scales, each with a map across the path of its own."""
-    return [SmoothSurface(length, None if across is None else across()) for length in lengths]
+    maps = [None if across is None else across() for _ in lengths]
+    rows = RowsAcross(maps[0] if maps else None)
+    return [SmoothSurface(length, one, rows) for length, one in zip(lengths, maps, strict=True)]
 
 
 # Where the arm was while it was in contact: the observer behind the gears, run again once the force is known.

@@ -63,14 +63,19 @@ class DeviationModel(ABC):
         del s
         return None
 
-    def drift(self, dt: float) -> Array:
-        """Covariance ``(size, size)`` by which the state becomes uncertain in ``dt`` seconds."""
+    def drift(self, dt: float) -> Array | None:
+        """Covariance ``(size, size)`` by which the state becomes uncertain in ``dt`` seconds; None for none."""
         del dt
-        return np.zeros((self.size, self.size))
+        return None
 
-    def carry(self, way: float) -> tuple[Array, Array] | None:
-        """Transition ``(F, Q)`` of the state when the tool goes on by ``way`` [m]; None if there is none."""
-        del way
+    def carry(self, way: float, out: tuple[Array, Array] | None = None) -> tuple[Array, Array] | None:
+        """Transition ``(F, Q)`` of the state when the tool goes on by ``way`` [m]; None if there is none.
+
+        Args:
+            way: [m].
+            out: matrices of an earlier call that take the result; new ones if None.
+        """
+        del way, out
         return None
 
     def told(self, s: Array, stand: Stand) -> bool:
@@ -81,15 +86,15 @@ class DeviationModel(ABC):
         del s, stand
         return not self.drifts
 
-    def spread(self, s: Array, stand: Stand) -> Array:
-        """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²].
+    def spread(self, s: Array, stand: Stand) -> Array | None:
+        """Variance of the deviation at ``s (m,)`` that no state holds yet ``(m, directions)`` [m²]; None for none.
 
         Args:
             s: arc lengths [m].
             stand: of the state.
         """
-        del stand
-        return np.zeros((len(s), self.directions))
+        del s, stand
+        return None
 
 
 @dataclass(frozen=True)

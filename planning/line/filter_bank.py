@@ -9,7 +9,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from planning.line.deviation_model import DeviationModel
 from planning.line.fusion import DeviationFilter
-from planning.line.measurement import Fused, Measurement
+from planning.line.measurement import Fused, Measurement, check
 
 FORGETS = 0.1
 """Way over which what was likely before counts for less [m]: a surface changes its shape."""
@@ -31,6 +31,7 @@ class FilterBank:
     def __init__(self, members: Sequence[DeviationFilter], forgets: float = FORGETS) -> None:
         self.members, self._forgets = list(members), forgets
         self._log, self._s = np.zeros(len(self.members)), 0.0
+        self._weights = np.full(len(self.members), 1.0 / len(self.members))
 
     @property
     def likeliest(self) -> DeviationFilter:
@@ -45,8 +46,7 @@ class FilterBank:
     @property
     def weights(self) -> Array:
         """Probabilities of the members."""
-        weights = np.exp(self._log - self._log.max())
-        return np.asarray(weights / weights.sum())
+        return self._weights.copy()
 
     def travel(self, s: float) -> None:
         """Moves all states along with the arm, which is at arc length ``s`` [m]."""
@@ -55,27 +55,34 @@ class FilterBank:
 
     def update(self, measurement: Measurement) -> Fused:
         """Fuses one measurement in every member; what became of it in the likeliest."""
-        every = [member.update(measurement) for member in self.members]
+        check(measurement, self.model.directions)
+        every = [member.take(measurement) for member in self.members]
         if measurement.at is not None and measurement.at > self._s:
             self._log *= np.exp((self._s - measurement.at) / self._forgets)
             self._s = measurement.at
         self._log += [one.likelihood for one in every]
         self._log -= self._log.max()
+        weights = np.exp(self._log)
+        self._weights = weights / weights.sum()
         return every[int(np.argmax(self._log))]
 
     def deviation(self, s: Array, t: float | None = None) -> tuple[Array, Array]:
         """See ``DeviationFilter.deviation``; the variance has what the members differ by in it."""
         every = [member.deviation(s, t) for member in self.members]
-        means, variances = (np.array(part) for part in zip(*every, strict=True))
-        mean = np.tensordot(self.weights, means, 1)
-        return mean, np.tensordot(self.weights, variances + (means - mean) ** 2, 1)
+        means, variances = np.array([one[0] for one in every]), np.array([one[1] for one in every])
+        mean = self._mixed(means)
+        return mean, self._mixed(variances + (means - mean) ** 2)
 
     def mean(self, s: Array) -> Array:
         """The deviation alone, ``(m, directions)`` [m]."""
-        return np.asarray(np.tensordot(self.weights, [member.mean(s) for member in self.members], 1))
+        return self._mixed(np.array([member.mean(s) for member in self.members]))
+
+    def _mixed(self, every: Array) -> Array:
+        """Of the members' values ``(members, m, directions)``."""
+        return np.asarray((self._weights @ every.reshape(len(every), -1)).reshape(every.shape[1:]))
 
     def bias(self, sensor: str) -> tuple[Array, Array]:
         """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
         means, sigmas = (np.array(part) for part in zip(*[one.bias(sensor) for one in self.members], strict=True))
-        mean = self.weights @ means
-        return mean, np.sqrt(self.weights @ (sigmas**2 + (means - mean) ** 2))
+        mean = self._weights @ means
+        return mean, np.sqrt(self._weights @ (sigmas**2 + (means - mean) ** 2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,8 +12,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.special import chdtri
 
 from ideal_robot.arrays import Array
-from ideal_robot.jit import jit
 from planning.line.deviation_model import DeviationModel, Stand
+from planning.line.equation import Equation, Innovation, extended, mean_and_variance, rows_along, widened, within
 from planning.line.measurement import Fused, Measurement, check
 
 DOUBT = 1e-2
@@ -117,7 +117,10 @@ class DeviationFilter:
             size += len(sigmas)
             variances += [sigma**2 for sigma in sigmas]
         self._size, self._bias_variances = size, variances
-        self._bounds = np.concatenate([[0.0], chdtri(np.arange(1, 65), significance)])
+        self._bounds = np.concatenate([[0.0], chdtri(np.arange(1, 65), significance)]).tolist()
+        # Written to in every step.
+        self._F, self._Q = np.eye(size), np.zeros((size, size))
+        self._way = self._F[: model.size, : model.size], self._Q[: model.size, : model.size]
         self._track = self._fresh()
         self._rival: _Track | None = None
         self._moved, self._confirm_moved = dict(moved or {}), confirm_moved
@@ -162,14 +165,19 @@ class DeviationFilter:
             InputError: shapes that do not fit each other or the model, or values that are not finite.
         """
         check(measurement, self.model.directions)
+        return self.take(measurement)
+
+    def take(self, measurement: Measurement) -> Fused:
+        """As ``update``, with a measurement that was checked."""
+        t = measurement.t
         if not self.model.drifts:
             # Nothing depends on time: late and unordered measurements are as good as any.
-            self.t = max(self.t, measurement.t)
-            return self._fuse(measurement)
-        if measurement.t < self.t and self.model.told(measurement.s, self._stand):
-            measurement = replace(measurement, t=self.t)
-        late = [past for past in self._memory if past.t > measurement.t] if measurement.t < self.t else []
-        if late and measurement.t < self._memory[0].t and len(late) == len(self._memory):
+            self.t = max(self.t, t)
+            return self._fuse(measurement, measurement.covariance)
+        if t < self.t and self.model.told(measurement.s, self._stand):
+            t = self.t
+        late = [past for past in self._memory if past.t > t] if t < self.t else []
+        if late and t < self._memory[0].t and len(late) == len(self._memory):
             nothing = np.zeros(len(measurement.value))
             return Fused(nothing.astype(bool), nothing, 0.0, 0, "too late")
         if late:
@@ -177,11 +185,11 @@ class DeviationFilter:
             for _ in late:
                 self._memory.pop()
             self._track.kf.x, self._track.kf.P, self._stand = late[0].x, late[0].P, late[0].stand
-            self.t = self._memory[-1].t if self._memory else measurement.t
-        fused = self._in_time(measurement)
+            self.t = self._memory[-1].t if self._memory else t
+        fused = self._in_time(measurement, t)
         for past, after in zip(late, [*(one.stand.begin for one in late[1:]), self.model.begin], strict=False):
             if isinstance(past.then, Measurement):
-                self._in_time(past.then)
+                self._in_time(past.then, past.t)
             else:
                 self._remember(past.t, past.then)
                 self._step(*past.then, after)
@@ -199,7 +207,8 @@ class DeviationFilter:
         """
         H = self.model.basis(s, self._stand)
         mean, variance = self.mean_and_variance(H.reshape(-1, self.model.size), t)
-        return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2]) + self.model.spread(s, self._stand)
+        ahead = self.model.spread(s, self._stand)
+        return mean.reshape(H.shape[:2]), variance.reshape(H.shape[:2]) + (0.0 if ahead is None else ahead)
 
     def looked_back(self, s: Array) -> tuple[Array, Array]:
         """The deviation as all measurements show it, those of other places as well: smoothed (Rauch, Tung, Striebel).
@@ -232,61 +241,65 @@ class DeviationFilter:
 
     def mean(self, s: Array) -> Array:
         """The deviation alone, ``(m, directions)`` [m]."""
-        return self.model.basis(s, self._stand) @ self.state
+        H = self.model.basis(s, self._stand)
+        return np.asarray((H.reshape(-1, self.model.size) @ self.state).reshape(H.shape[:2]))
 
     def mean_and_variance(self, H: Array, t: float | None = None) -> tuple[Array, Array]:
         """Mean and variance ``(m,)`` of linear functions ``H (m, size)`` of the state, e.g. rows of a basis."""
         size, kf = self.model.size, self._track.kf
         P = kf.P[:size, :size]
-        if t is not None and self.model.drifts and np.isfinite(self.t):
-            P = P + self.model.drift(max(t - self.t, 0.0))
-        return H @ kf.x[:size], np.einsum("ij,ij->i", H @ P, H)
+        if t is not None and np.isfinite(self.t) and (drift := self.model.drift(max(t - self.t, 0.0))) is not None:
+            P = P + drift
+        return mean_and_variance(np.ascontiguousarray(H), kf.x[:size], np.ascontiguousarray(P))
 
     def bias(self, sensor: str) -> tuple[Array, Array]:
         """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
         at = self._bias_at[sensor]
         return self._track.kf.x[at].copy(), np.sqrt(np.diag(self._track.kf.P)[at])
 
-    def _in_time(self, measurement: Measurement) -> Fused:
-        self._remember(measurement.t, measurement)
-        while self._memory[0].t < measurement.t - self._memory_length:
+    def _in_time(self, measurement: Measurement, t: float) -> Fused:
+        self._remember(t, measurement)
+        while self._memory[0].t < t - self._memory_length:
             self._memory.popleft()
-        model, F, Q = self.model, np.eye(self._size), np.zeros((self._size, self._size))
-        if np.isfinite(self.t):
-            Q[: model.size, : model.size] = model.drift(max(measurement.t - self.t, 0.0))
         way = 0.0 if measurement.at is None else max(measurement.at - self._stand.s, 0.0)
-        if way and (step := model.carry(way)) is not None:
-            F[: model.size, : model.size] = step[0]
-            Q[: model.size, : model.size] += step[1]
-        self._track.kf.predict(F=F, Q=Q)
-        self.t, self._stand = measurement.t, Stand(self._stand.begin, self._stand.s + way)
-        ahead = model.spread(measurement.s, self._stand)
-        if ahead.any() and measurement.direction is not None:
-            unknown = np.diag(np.sum(measurement.direction**2 * ahead, axis=1))
-            measurement = replace(measurement, covariance=measurement.covariance + unknown)
-        return self._fuse(measurement)
+        self._go_on(t, way)
+        self.t, self._stand = t, Stand(self._stand.begin, self._stand.s + way)
+        ahead, R = self.model.spread(measurement.s, self._stand), measurement.covariance
+        if ahead is not None and measurement.direction is not None:
+            R = widened(R, measurement.direction, ahead)
+        return self._fuse(measurement, R)
 
-    def _fuse(self, measurement: Measurement) -> Fused:
-        H = self._rows(measurement)
-        if measurement.origin is not None:
-            measurement = self._extended(measurement, H)
-        seen = _innovation(self._track, measurement, H)
-        moved = self._weighed(measurement, H, seen)
-        fused = replace(self._try(self._track, measurement, H, seen), likelihood=self._likelihood(seen))
+    def _go_on(self, t: float, way: float) -> None:
+        """The state at a later instant [s], when the tool has gone on by ``way`` [m]."""
+        drift = self.model.drift(max(t - self.t, 0.0)) if np.isfinite(self.t) else None
+        moves = way > 0.0 and self.model.carry(way, self._way) is not None
+        if drift is None and not moves:
+            return
+        F, Q = (self._F, self._Q) if moves else (np.eye(self._size), np.zeros((self._size, self._size)))
+        if drift is not None:
+            Q = Q.copy()
+            Q[: self.model.size, : self.model.size] += drift
+        self._track.kf.predict(F=F, Q=Q)
+
+    def _fuse(self, measurement: Measurement, R: Array) -> Fused:
+        equation = self._equation(measurement, R)
+        seen = equation.innovation(self._track.kf)
+        moved = self._weighed(equation, seen)
+        fused = self._try(self._track, equation, seen)
         if moved:
             self._replace(moved)
-            count = len(measurement.value)
+            count = len(equation.z)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "sensor moved")
         if fused.dof or not self._confirm:
             self._rival = None if fused.dof else self._rival
             return fused
         if self._rival is None:
             self._rival = self._fresh()
-        if not self._try(self._rival, measurement, H, _innovation(self._rival, measurement, H)).dof:
+        if not self._try(self._rival, equation, equation.innovation(self._rival.kf)).dof:
             self._rival = None
         elif self._rival.agreed >= self._confirm:
             self._replace(self._rival)
-            count = len(measurement.value)
+            count = len(equation.z)
             return Fused(np.ones(count, dtype=bool), fused.innovation, fused.nis, count, "map replaced")
         return fused
 
@@ -295,32 +308,31 @@ class DeviationFilter:
         self._track, self._rival, self._shaken = by, None, []
         self._passed.clear()
 
-    def _weighed(self, measurement: Measurement, H: Array, seen: _Innovation) -> _Track | None:
+    def _weighed(self, equation: Equation, seen: Innovation) -> _Track | None:
         """The hypothesis of a moved sensor, once measurements have become more likely under it than under the map's.
 
         One begins with each measurement that the map makes doubtful, and from then on it and the map take all of them.
         A knock that shows little at first is still there when more has come, and one that was thought of for nothing
         before is not in its way.
         """
-        sigmas = self._moved.get(measurement.sensor)
+        sigmas = self._moved.get(equation.sensor)
         if sigmas is None:
             return None
         likelihood = self._likelihood(seen)
-        if seen.nis > float(chdtri(len(measurement.value), DOUBT)) and len(self._shaken) < AT_ONCE:
-            self._shaken.append(self._begun_anew(measurement.sensor, sigmas))
+        if seen.nis > float(chdtri(len(equation.z), DOUBT)) and len(self._shaken) < AT_ONCE:
+            self._shaken.append(self._begun_anew(equation.sensor, sigmas))
         for shaken in self._shaken:
-            seen_so = _innovation(shaken, measurement, H)
+            seen_so = equation.innovation(shaken.kf)
             shaken.lead += self._likelihood(seen_so) - likelihood
             shaken.weighed += 1
-            self._try(shaken, measurement, H, seen_so)
+            self._try(shaken, equation, seen_so)
         sure = [one for one in self._shaken if one.lead > LEAD and one.agreed >= self._confirm_moved]
         self._shaken = [one for one in self._shaken if one.lead >= -LEAD and one.weighed < WEIGHED]
         return max(sure, key=lambda one: one.lead, default=None)
 
-    def _likelihood(self, seen: _Innovation) -> float:
+    def _likelihood(self, seen: Innovation) -> float:
         """Logarithm of the likelihood, in which an outlier counts as one."""
-        bound = float(self._bounds[min(len(seen.value), 64)])
-        return -0.5 * (min(seen.nis, bound) + seen.log_det)
+        return -0.5 * (min(seen.nis, self._bounds[min(len(seen.value), 64)]) + seen.log_det)
 
     def _begun_anew(self, sensor: str, sigmas: tuple[float, ...]) -> _Track:
         """The map as it is, with errors of the sensor that have nothing to do with those before."""
@@ -330,70 +342,45 @@ class DeviationFilter:
         return _Track(kf)
 
     def _rows(self, measurement: Measurement) -> Array:
-        basis = self.model.basis(measurement.s, self._stand)
-        rows = basis[:, 0] if measurement.direction is None else np.einsum("md,mdn->mn", measurement.direction, basis)
+        basis, size = self.model.basis(measurement.s, self._stand), self.model.size
+        rows = basis[:, 0] if measurement.direction is None else rows_along(measurement.direction, basis)
         H = np.zeros((len(measurement.value), self._size))
-        H[:, : self.model.size] = rows if measurement.combination is None else measurement.combination @ rows
+        H[:, :size] = rows if measurement.combination is None else measurement.combination @ rows
         if measurement.bias is not None and measurement.sensor in self._bias_at:
             H[:, self._bias_at[measurement.sensor]] = measurement.bias
         return H
 
-    def _extended(self, measurement: Measurement, H: Array) -> Measurement:
-        r"""About the state that is estimated: the rows' Jacobian goes into ``H``, the rest into the values.
+    def _equation(self, measurement: Measurement, R: Array) -> Equation:
+        H, z = self._rows(measurement), measurement.value
+        if measurement.origin is not None:
+            ratio = self._bias_at[measurement.sensor].start
+            z = extended(H, z, self._track.kf.x, measurement.origin, self.model.size, ratio)
+        return Equation(H, z, R, measurement.sensor, measurement.combination is not None)
 
-        With a ratio r of the distances from the sensor's place o (an extended Kalman filter, [L] 4.3):
-
-        .. math:: z = g^T \Delta x_r + r\, (g^T \Delta x_r - o) + v
-        """
-        size, ratio, x = self.model.size, self._bias_at[measurement.sensor].start, self._track.kf.x
-        predicted = H[:, :size] @ x[:size]
-        H[:, :size] *= 1.0 + x[ratio]
-        H[:, ratio] = predicted - measurement.origin
-        return replace(measurement, value=measurement.value + x[ratio] * predicted)
-
-    def _try(self, track: _Track, measurement: Measurement, H: Array, seen: _Innovation) -> Fused:
+    def _try(self, track: _Track, equation: Equation, seen: Innovation) -> Fused:
         """Gates a measurement against a hypothesis and fuses what is left of it."""
-        kf, R, innovation, S, nis = track.kf, measurement.covariance, seen.value, seen.covariance, seen.nis
-        used: Any = innovation**2 <= self._gate**2 * S.diagonal()
-        if measurement.combination is not None and not used.all():
-            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate")
-        if 2 * used.sum() < len(used):
+        (H, z, R, _, whole), (innovation, S, nis, _) = equation, seen
+        likelihood = self._likelihood(seen)
+        used: Any
+        used, dof = within(innovation, S, self._gate)
+        if whole and dof < len(z):
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "beyond the gate", likelihood)
+        if 2 * dof < len(z):
             # Among many wrong values a few pass by chance.
-            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate")
-        reason, dof = "", len(innovation)
-        if not used.all():
-            reason, dof, left = "some values beyond the gate", int(used.sum()), innovation[used]
-            H, R = H[used], R[np.ix_(used, used)]
+            return Fused(np.zeros_like(used), innovation, float("nan"), 0, "most values beyond the gate", likelihood)
+        reason = ""
+        if dof < len(z):
+            reason, left = "some values beyond the gate", innovation[used]
+            H, z, R = H[used], z[used], R[np.ix_(used, used)]
             nis = float(left @ np.linalg.solve(S[np.ix_(used, used)], left))
         if nis > self._bounds[min(dof, 64)]:
-            return Fused(np.zeros(len(used), dtype=bool), innovation, nis, 0, "innovation beyond its bound")
-        kf.update(measurement.value[used], R=R, H=H)
+            return Fused(np.zeros_like(used), innovation, nis, 0, "innovation beyond its bound", likelihood)
+        track.kf.update(z, R=R, H=H)
         track.agreed += 1
-        return Fused(used, innovation, nis, dof, reason)
+        return Fused(used, innovation, nis, dof, reason, likelihood)
 
 
 def _filter(x: Array, P: Array) -> KalmanFilter:
     kf = KalmanFilter(dim_x=len(x), dim_z=1)
     kf.x, kf.P = x, P
     return kf
-
-
-class _Innovation(NamedTuple):
-    """What a measurement says beyond a hypothesis: value, covariance, normalised square, logarithm of determinant."""
-
-    value: Array
-    covariance: Array
-    nis: float
-    log_det: float
-
-
-def _innovation(track: _Track, measurement: Measurement, H: Array) -> _Innovation:
-    return _Innovation(*_compared(track.kf.x, track.kf.P, H, measurement.value, measurement.covariance))
-
-
-@jit()
-def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, Array, float, float]:
-    innovation, S = z - H @ x, H @ P @ H.T + R
-    nis: float = np.sum(innovation * np.linalg.solve(S, innovation))
-    return innovation, S, nis, np.linalg.slogdet(S)[1]
-

@@ -314,7 +314,7 @@ class ForceJob:
         task.maps = self.scene.task != "contour"
         task.motors = BeyondSensor(self._known.model, self.robot.t_ipo)
         if task.vision is not None:
-            task.vision.detector = FoundBefore()
+            task.vision.detect = FoundBefore.points
         return task
 
 

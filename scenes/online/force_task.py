@@ -66,6 +66,9 @@ class GlueCamera:
         cell: what is known of the scene.
         follower: whose map the fields go into.
         rng: draws what garbage shows, where the scene has such trouble.
+
+    Attributes:
+        detect: finds the line's points in a field, in the tool frame.
     """
 
     def __init__(self, cell: Known, follower: SurfaceFollower, rng: np.random.Generator) -> None:
@@ -78,7 +81,8 @@ class GlueCamera:
         span = (scene.reference.run_up, reference.length - scene.reference.run_out)
         sight = SightSettings(latency=scene.camera.latency, distance_ratio=scene.assumed.distance_ratio)
         self.sight = LineOnSurface(follower, self.camera.T_tool_camera, sight, span)
-        self.detector: LineDetector = DETECTORS.get(scene.camera.detector)()
+        self._detector: LineDetector = DETECTORS.get(scene.camera.detector)()
+        self.detect: Callable[[Field], LineField] = self._detected
         self.fields: list[tuple[float, int, str]] = []
         self.first_used = float("nan")
 
@@ -92,9 +96,7 @@ class GlueCamera:
     def sense(self, t: float, arrived: Sequence[Field]) -> None:
         """Evaluates the fields that have arrived by ``t`` [s] and fuses them."""
         for item in arrived:
-            ahead = self.sight.predict(item.t_stamp).seen_by(self.camera, item.t_stamp, self.follower.history.row_pose)
-            seen = at_middle_row(self.detector.detect(item, self.camera, ahead, self.detection), self.camera,
-                                 self.follower.history.row_pose)
+            seen = at_middle_row(self.detect(item), self.camera, self.follower.history.row_pose)
             if self._during(self._trouble.garbage, item.t_stamp):
                 seen = self._garbage(seen)
             fused = self.sight.update(seen)
@@ -102,6 +104,11 @@ class GlueCamera:
             if dof and not np.isfinite(self.first_used):
                 self.first_used = t
             self.fields.append((item.t_stamp, dof, seen.reason if fused is None else fused.reason))
+
+    def _detected(self, item: Field) -> LineField:
+        """Line points of a field, in the tool frame."""
+        ahead = self.sight.predict(item.t_stamp).seen_by(self.camera, item.t_stamp, self.follower.history.row_pose)
+        return self._detector.detect(item, self.camera, ahead, self.detection)
 
     def _during(self, span: tuple[float, ...], t: float) -> bool:
         """Whether ``t`` lies in a span that counts from the beginning of the travel."""

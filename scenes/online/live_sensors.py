@@ -68,6 +68,11 @@ class FoundBefore:
             prediction: not needed.
             settings: not needed.
         """
+        return self.points(field)
+
+    @staticmethod
+    def points(field: Field) -> LineField:
+        """What was found in an ``EvaluatedField``."""
         if not isinstance(field, EvaluatedField):
             raise SensingError("only fields that were evaluated before")
         return dataclasses.replace(field.seen, t=field.t_stamp)

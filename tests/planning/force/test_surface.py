@@ -194,14 +194,14 @@ def test_the_filter_is_what_keeps_the_force(monkeypatch: pytest.MonkeyPatch) -> 
         return 3e-3 * np.exp(-(((s - 0.2) / 0.04) ** 2))
 
     kept = pressed(surface)
-    inner = DeviationFilter.update
+    inner = FilterBank.update
 
-    def update(self: DeviationFilter, measurement: Measurement) -> Fused:
+    def update(self: FilterBank, measurement: Measurement) -> Fused:
         if measurement.s[0] < 0.05:
             return inner(self, measurement)
         return Fused(np.zeros(1, dtype=bool), np.zeros(1), 0.0, 0)
 
-    monkeypatch.setattr(DeviationFilter, "update", update)
+    monkeypatch.setattr(FilterBank, "update", update)
     without = pressed(surface)
     rms, left_out = (np.sqrt(np.mean((one.force - 20.0) ** 2)) for one in (kept, without))
     assert rms < 1.0
