@@ -51,7 +51,13 @@ def rows_along(direction: Array, basis: Array) -> Array:  # pragma: no cover
 
 @jit()
 def widened(covariance: Array, direction: Array, variance: Array) -> Array:  # pragma: no cover
-    """A covariance ``(m, m)`` with what no state holds, of variances ``(m, d)``, seen along ``direction (m, d)``."""
+    """A covariance with the variances of what no state holds in it.
+
+    Args:
+        covariance: of the values ``(m, m)`` [m²].
+        direction: along which each is seen ``(m, d)``.
+        variance: of what no state holds ``(m, d)`` [m²].
+    """
     wider = covariance.copy()
     for i in range(len(direction)):
         for j in range(direction.shape[1]):
@@ -104,7 +110,13 @@ def _compared(x: Array, P: Array, H: Array, z: Array, R: Array) -> tuple[Array, 
 
 @jit()
 def within(innovation: Array, S: Array, gate: float) -> tuple[NDArray[np.bool_], int]:  # pragma: no cover
-    """Which values ``(m,)`` are within ``gate`` standard deviations, and how many."""
+    """Which values are within the gate ``(m,)``, and how many.
+
+    Args:
+        innovation: ``(m,)``.
+        S: its covariance ``(m, m)``.
+        gate: in standard deviations.
+    """
     used, count = np.zeros(len(innovation), dtype=np.bool_), 0
     for i in range(len(innovation)):
         used[i] = innovation[i] ** 2 <= gate**2 * S[i, i]
@@ -114,7 +126,13 @@ def within(innovation: Array, S: Array, gate: float) -> tuple[NDArray[np.bool_],
 
 @jit()
 def mean_and_variance(H: Array, x: Array, P: Array) -> tuple[Array, Array]:  # pragma: no cover
-    """Of linear functions ``H (m, n)`` of a state ``(n,)`` with covariance ``(n, n)``: ``(m,)`` each."""
+    """Of linear functions of a state, ``(m,)`` each.
+
+    Args:
+        H: the functions' rows ``(m, n)``.
+        x: the state ``(n,)``.
+        P: its covariance ``(n, n)``.
+    """
     HP, variance = H @ P, np.zeros(len(H))
     for i in range(len(H)):
         for k in range(H.shape[1]):
