@@ -28,6 +28,7 @@ class Case:
         shared: whether the joints share inertias; not where torques are in amperes of unknown gain.
         dead: joints (from 0) whose torque channel does not measure them, in one of the recordings.
         cutoff: of the position filter [Hz], or None for the usual one.
+        explain: whether each cause is weighed against all others in its place.
     """
 
     recording: Recording
@@ -41,6 +42,7 @@ class Case:
     only: Only | None
     dead: tuple[int, ...] = ()
     cutoff: float | None = None
+    explain: bool = False
 
     @property
     def stiffness(self) -> Array | None:

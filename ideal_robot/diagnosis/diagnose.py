@@ -18,10 +18,12 @@ from ideal_robot.diagnosis.statistics.problem import (
     with_parameters,
     with_possible_inertias,
 )
+from ideal_robot.diagnosis.validation.argument import Argument
 from ideal_robot.diagnosis.validation.domain_diagnosis import rms
 from ideal_robot.diagnosis.validation.final_fit import beside_lag, without_scatter
 from ideal_robot.diagnosis.validation.refit import explained_by_refitting
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect
+from ideal_robot.diagnosis.validation.weighing import arguments
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.checks import checked
@@ -52,7 +54,14 @@ def diagnosis_of(case: Case, found: Findings) -> Diagnosis:
                      warnings=found.warnings + warnings, model=model,
                      traces=tuple(result.traces for result in found.results), not_transferred=found.not_transferred,
                      unused=unused_columns(case.recording, tuple(d.problem.regression for d in found.domains)),
-                     refitted=refitted, beside_known=_beside_known(found))
+                     refitted=refitted, beside_known=_beside_known(found), arguments=_arguments(case, found))
+
+
+def _arguments(case: Case, found: Findings) -> tuple[Argument, ...]:
+    """Why each cause was named, where that is asked for."""
+    if not case.explain:
+        return ()
+    return tuple(one for domain in found.domains for one in arguments(domain, case.options, case.rng))
 
 
 def _beside_known(found: Findings) -> tuple[tuple[FittedEffect, ...], ...]:
@@ -164,7 +173,7 @@ def _prepared(case: Case, warnings: list[str]) -> tuple[Case, Findings]:
 
 def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, validate: Recording | None = None,
              options: Options | None = None, seed: int = 0, progress: Progress = silent,
-             only: Only | None = None, cutoff: float | None = None) -> Diagnosis:
+             only: Only | None = None, cutoff: float | None = None, explain: bool = False) -> Diagnosis:
     """Says which physical effect a model misses in a recording, in which joint, and what it is worth.
 
     Args:
@@ -180,6 +189,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
         only: names and joints of the effects that may be looked for, for an oracle; then nothing is learned either.
         cutoff: of the position filter [Hz]; 20 Hz if None, or a quarter of a slower sampling rate. The band in which
             torques are looked at and the time left out around reversals follow it.
+        explain: whether the result says of each cause which others were weighed in its place, and what told them apart.
 
     Raises:
         InputError: a recording that cannot be used, or a model of another arm.
@@ -195,7 +205,7 @@ def diagnose(recording: Recording, robot: Robot, *, model: Model | None = None, 
     warnings += [finding.warning for finding in known]
     case = Case(recording, robot, model, validate, options or Options(), np.random.default_rng(seed), progress,
                 shared=model is not None or not amperes, only=only, dead=tuple(dead_joints(tuple(known))),
-                cutoff=cutoff)
+                cutoff=cutoff, explain=explain)
     case, found = _prepared(case, warnings)
     if len(found.problem.regression.undecided) == robot.n:
         return undecided(case, stages.sensors_alone(case, found))

@@ -149,6 +149,9 @@ def diagnose(
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: 20. The band of the torques and "
                                                       "the time left out around reversals follow it.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0,
+    explain: Annotated[bool, typer.Option("--explain", help="Say why each cause was named: what else could stand in "
+                                                            "its place, by how much it is worse, and where in the "
+                                                            "recording that shows.")] = False,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
     out: ReportFolder = Path("out/diagnose"),
 ) -> None:
@@ -174,7 +177,7 @@ def diagnose(
         arm = Robot.load(robot, drive_data)
         found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
                          validate=None if validate is None else Recording.read(validate), seed=seed, cutoff=cutoff,
-                         progress=steps.begin("reading"))
+                         progress=steps.begin("reading"), explain=explain)
         steps.begin("drawing")
         page = out / "report.html"
         better = None if found.model is None else model_out
@@ -202,6 +205,8 @@ def _show_diagnosed(found: Diagnosis) -> None:
                    [[e.fitted.name, e.fitted.joint, e.fitted.channel, e.rms_before, e.rms_after, f"{e.p_value:.0e}",
                      ", ".join(e.depends_on) or "; ".join(p.text for p in e.fitted.parameters),
                      ", ".join(e.indistinguishable_from)] for e in (*found.effects, *found.unknown)])
+    for argument in found.arguments:
+        typer.echo(argument.text)
     for d in found.not_transferred:
         typer.echo(f"not added: {d.effect} in {d.channel} (p {d.p_value:.0e}); {d.reason}", err=True)
     for joint, reason in sorted(found.undecided.items()):

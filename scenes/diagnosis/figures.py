@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.validation.argument import NOT_TOLD, Argument
 from ideal_robot.diagnosis.validation.result import Diagnosis, FoundEffect, Traces
 from ideal_robot.effects.base import TCP_POSITION, prefix_of
 
 _BEFORE, _AFTER, _EFFECT, _SOFT = "#b0413e", "#2f6690", "#e06a00", "#8893a1"
 _CURVE = 0.5
 """Share of an effect that a curve over one signal has to explain for the effect to be drawn over it."""
+_RIVALS = 4
+"""Rivals of a cause that are drawn: the best ones, which a reader asks about; the JSON has all."""
 Contribution = tuple[tuple[str, ...], Traces, int, Array]
 """Names of the channels of a domain, their traces, the channel, and what an effect adds there ``(N,)``."""
 
@@ -44,6 +48,25 @@ def ladder_figure(diagnosis: Diagnosis) -> Figure:
         axes.set_xlabel(f"rms error of {name} [{channel.unit if channel else ''}]")
         axes.set_xlim(0, 1.12 * max(error for _, error in steps))
         axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def arguments_figure(arguments: Sequence[Argument]) -> Figure:
+    """How much worse each set of causes is with something else, or nothing, in the place of a named one."""
+    rows = [[*one.rivals[:_RIVALS], *(other for other in one.sets if not other.name)] for one in arguments]
+    figure = Figure(figsize=(6.2, 0.6 + sum(0.75 + 0.26 * len(one) for one in rows)), layout="constrained")
+    panels = figure.subplots(len(rows), 1, squeeze=False, sharex=True, height_ratios=[2 + len(one) for one in rows])
+    for axes, one, sets in zip(panels[:, 0], arguments, rows, strict=True):
+        for place, other in enumerate(sets):
+            axes.errorbar(other.nats, place, xerr=NOT_TOLD * other.std, color=_AFTER if other.told else _EFFECT,
+                          marker="o", ms=4.5, lw=0, elinewidth=1.4)
+        axes.set_yticks(range(len(sets)), [other.words for other in sets], fontsize=9)
+        axes.set_ylim(len(sets) - 0.4, -0.6)
+        axes.axvline(0.0, color="0.2", lw=1.0)
+        axes.set_title(f"{one.name}, {one.place}", fontsize=10, loc="left")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.set_xscale("symlog", linthresh=10.0)
+    panels[-1, 0].set_xlabel("worse than the named set by … nats (two standard errors)")
     return figure
 
 

@@ -9,7 +9,14 @@ import numpy as np
 from ideal_robot.diagnosis.validation.result import ChannelResult, Diagnosis, FoundEffect, Traces
 from ideal_robot.effects import SENSOR
 from ideal_robot.effects.base import EffectParameter
-from scenes.diagnosis.figures import contributions, effect_figure, ladder_figure, over_signals, over_time
+from scenes.diagnosis.figures import (
+    arguments_figure,
+    contributions,
+    effect_figure,
+    ladder_figure,
+    over_signals,
+    over_time,
+)
 from scenes.report.page import Report
 
 _WORDS = {
@@ -73,6 +80,7 @@ def add_diagnosis(page: Report, diagnosis: Diagnosis) -> None:
         names, traces, j, added = contribution
         page.figure(*effect_figure(e, names[j], _unit(diagnosis, names[j]), traces, j, added))
     _effects(page, diagnosis)
+    _arguments(page, diagnosis)
     if diagnosis.not_transferred:
         page.heading("What competed and lost")
         page.table(["effect", "where", "channel", "p-value", "error without", "error with", "unit", "why not"],
@@ -205,6 +213,18 @@ def _effects(page: Report, diagnosis: Diagnosis) -> None:
         if e.transfers is False:
             page.warning(f"{e.fitted.name} in {_where(e)} does not lower the error of the validation recording: "
                          "it may be a habit of the first recording.")
+
+
+def _arguments(page: Report, diagnosis: Diagnosis) -> None:
+    if not diagnosis.arguments:
+        return
+    page.heading("Why each was named")
+    for argument in diagnosis.arguments:
+        page.text(f"{argument.text[:1].upper()}{argument.text[1:]}")
+    page.figure(arguments_figure(diagnosis.arguments[:6]),
+                "How much worse the recording is foretold, on blocks of time that took no part in the fit, with "
+                "something else in the place of a named cause: log density in nats, two standard errors to either "
+                "side. Orange: the data do not tell it from the named one.")
 
 
 def _traces(page: Report, diagnosis: Diagnosis, names: tuple[str, ...], traces: Traces) -> None:

@@ -162,6 +162,18 @@ class PresentModel:
             at += group.m
         return np.asarray(r)
 
+    def left_out(self, fit: Fit) -> Array:
+        """Residual at all rows ``(N, c)``, each block predicted by the fit without its fold."""
+        blocks = self.problem.blocks
+        fold = blocks.fold[blocks.of_samples()]
+        r = self.problem.products.y.values[:, :, 0].copy()
+        at = 0
+        for key in fit.keys:
+            group = self.design.groups[key]
+            r[:, list(group.channels)] -= np.einsum("nkm,nm->nk", group.values, fit.betas[fold + 1, at : at + group.m])
+            at += group.m
+        return np.asarray(r)
+
     def add_columns(self, candidate: Candidate) -> None:
         """Makes a candidate's columns part of the design if they are not yet."""
         if candidate.key not in self.design.groups:

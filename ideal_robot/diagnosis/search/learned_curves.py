@@ -61,6 +61,18 @@ class LearnedCurves:
             return None
         return self._chosen(s)
 
+    def in_channel(self, fit: Fit, channel: int) -> Scored | None:
+        """The curve that takes most away in one channel, from 0, whether it is large or not.
+
+        Args:
+            fit: without it.
+            channel: from 0.
+        """
+        problem = self.model.problem
+        use = problem.products.use[:, channel] & problem.blocks.selecting[problem.blocks.of_samples()]
+        scored = self._of_channel(fit, self.model.residual(fit), channel, use, False, 0.0)
+        return max(scored, key=lambda s: s.test.total, default=None)
+
     def over_angle(self, fit: Fit, joint: int) -> Choice | None:
         """The curve over a joint's own angle, if blocks left out need it.
 

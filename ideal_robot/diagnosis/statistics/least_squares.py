@@ -138,6 +138,11 @@ class Fit:
         """Parameters fitted on all selecting blocks ``(P,)``."""
         return self._beta[0]
 
+    @property
+    def betas(self) -> Array:
+        """Parameters fitted on all selecting blocks, then without each fold ``(1 + folds, P)``."""
+        return np.asarray(self._beta)
+
     def squares(self, beta: Array | None = None) -> Array:
         """Squares of the residual per block and channel ``(B, c)``, unweighted."""
         v = np.append(-(self.beta if beta is None else beta), 1.0)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.validation.argument import Argument
 from ideal_robot.effects import FittedEffect
 from ideal_robot.errors import InputError
 from ideal_robot.model.model import Model
@@ -261,6 +262,7 @@ class Diagnosis(Summarised):
         refitted: joints whose error refitting the given model explains alone, so that a cause may hide in it.
         beside_known: where the given model's parameters do not hold and were fitted anew, what explains most of the
             recording with them as they were: one or two sets of effects, the sizes of each fitted together.
+        arguments: why each cause was named, where that was asked for.
     """
 
     verdict: str
@@ -279,6 +281,7 @@ class Diagnosis(Summarised):
     unused: dict[str, str] = field(default_factory=dict)
     refitted: tuple[RefitExplains, ...] = ()
     beside_known: tuple[tuple[FittedEffect, ...], ...] = ()
+    arguments: tuple[Argument, ...] = ()
 
     @property
     def unexplained(self) -> tuple[ChannelResult, ...]:
@@ -325,6 +328,7 @@ class Diagnosis(Summarised):
             "residual_after": [_structure(s) for s in self.remaining],
             "warnings": list(self.warnings),
             "unused": [{"columns": names, "reason": reason} for names, reason in self.unused.items()],
+            **({"explained": [a.to_dict() for a in self.arguments]} if self.arguments else {}),
             "explained_by_refitting": [r.to_dict() for r in self.refitted],
             "with_parameters_held": [[{"effect": e.name, "joint": e.joint, "parameters": [p.text for p in e.parameters]}
                                       for e in effects] for effects in self.beside_known],

@@ -1,0 +1,154 @@
+"""Why a cause was named: every set of causes that was weighed, its score against the named one, what told them apart.
+
+The score of a set is the log density that it gives to blocks of time which it was not fitted to. The noise of a channel
+is Gaussian, as large as what the named set leaves there, and coloured: so many samples count for one as the parameters
+scatter more over blocks than white noise has them scatter. Up to a constant
+
+    log p = -sum_bc w_c |r_bc|^2 / (2 colour)
+
+with ``r_bc`` the residual of block b in channel c, predicted without its fold. Differences are in nats; their standard
+error is that of a sum over blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from ideal_robot.arrays import Array
+from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, overlap
+from ideal_robot.diagnosis.search.forward_selection import candidates
+from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
+from ideal_robot.diagnosis.search.scoring import Scoring
+from ideal_robot.diagnosis.statistics.least_squares import Fit
+from ideal_robot.diagnosis.statistics.problem import Candidate
+from ideal_robot.diagnosis.validation.argument import Argument, Weighed
+from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, Effect, library
+from ideal_robot.effects.fitted import Unknown
+
+_REFINED = 4
+"""Rivals whose theta is refined: those beside which the others are far behind already at a coarse theta."""
+_BANDS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, np.inf)
+"""Octaves in which the difference is looked at [Hz]."""
+
+
+def arguments(domain: DomainDiagnosis, options: Options, rng: np.random.Generator) -> Iterator[Argument]:
+    """Why each cause of a domain was named, in their order.
+
+    Args:
+        domain: settled.
+        options: thresholds of the search.
+        rng: for the null distributions of learned curves.
+    """
+    problem = domain.problem.held()
+    model = PresentModel(problem)
+    model.replace(list(domain.choices))
+    scoring = Scoring(model, options)
+    curves = LearnedCurves(scoring, rng)
+    effects = [effect for effect in library() if effect.domain == problem.regression.domain]
+    for choice in domain.choices:
+        yield _Weighing(scoring, choice).argument(
+            [*_instead(scoring, choice, effects), *_curve_instead(curves, choice)])
+
+
+def _instead(scoring: Scoring, choice: Choice, effects: Sequence[Effect]) -> list[Candidate]:
+    """Every cause of the library that can stand in the place of a choice, its theta as the search has it."""
+    model, own = scoring.model, choice.candidate
+    made, fit = model.problem.regression, model.fit(choice)
+    known = model.problem.prior is not None or made.domain != MOTOR_TORQUE
+    pool = [starts for starts in candidates(effects, made.signals, made.undecided, known)
+            if (not own.joint or starts[0].joint in (own.joint, 0)) and starts[0].place != own.place]
+    scored = [s for s in scoring.scored(fit, pool) if overlap(model, own, s.candidate)]
+    scored.sort(key=lambda s: -s.test.total)
+    return [(scoring.refined(fit, s) if k < _REFINED else s).candidate for k, s in enumerate(scored)]
+
+
+def _curve_instead(curves: LearnedCurves, choice: Choice) -> list[Candidate]:
+    """The learned curve that explains most in the place of a cause of one joint, if there is one."""
+    channel = curves.model.problem.regression.channel_of(choice.candidate.joint)
+    if channel is None or choice.candidate.effect.learned:
+        return []
+    found = curves.in_channel(curves.model.fit(choice), channel)
+    return [] if found is None else [found.candidate]
+
+
+class _Weighing:
+    """What stands for and against one choice.
+
+    Args:
+        scoring: about the named set.
+        choice: of it.
+    """
+
+    def __init__(self, scoring: Scoring, choice: Choice) -> None:
+        self.scoring, self.model, self.choice = scoring, scoring.model, choice
+        best = self.model.fit()
+        blocks = self.model.problem.blocks
+        self.rows = blocks.selecting[blocks.of_samples()]
+        self.scale = np.sqrt(self.model.weights / (2.0 * best.inflation))
+        self.best = self._left(best)
+
+    def _left(self, fit: Fit) -> Array:
+        """What a set leaves of blocks that it was not fitted to, so that its squares are nats ``(N, c)``."""
+        return np.asarray(self.model.left_out(fit) * self.scale * self.rows[:, None])
+
+    def argument(self, others: Sequence[Candidate]) -> Argument:
+        """The argument, from what can stand in the choice's place."""
+        own, made = self.choice.candidate, self.model.problem.regression
+        left = [self._left(self.model.fit(self.choice)),
+                *(self._left(self.model.fit_beside(other, self.choice)) for other in others)]
+        sets = [self._weighed(r, other) for r, other in zip(left, [None, *others], strict=True)]
+        # Nothing in its place tells what the cause is worth; the next best cause why it is this.
+        next_best = min(range(len(sets)), key=lambda k: (not sets[k].name or sets[k].learned, sets[k].nats))
+        when, share = self._when(left[next_best])
+        return Argument(own.effect.name, own.joint, own.effect.channel(own.joint),
+                        f"joint {own.joint}" if own.joint else made.domain.whole,
+                        tuple(sorted(sets, key=lambda one: one.nats)), self._band(left[next_best]), when, share)
+
+    def _weighed(self, left: Array, other: Candidate | None) -> Weighed:
+        blocks = self.model.problem.blocks
+        gain = np.add.reduceat((left**2 - self.best**2).sum(axis=1), blocks.edges[:-1])[blocks.selecting]
+        return Weighed("" if other is None else _name(other.effect), 0 if other is None else other.joint,
+                       float(gain.sum()), float(np.std(gain, ddof=1) * np.sqrt(len(gain))),
+                       other is not None and other.effect.learned)
+
+    def _band(self, left: Array) -> tuple[float, float]:
+        """The fewest adjoining octaves that hold half of the difference [Hz]."""
+        t = self.model.problem.regression.t
+        f = np.fft.rfftfreq(len(t), float(t[1] - t[0]))
+        power = (np.abs(np.fft.rfft(left, axis=0)) ** 2 - np.abs(np.fft.rfft(self.best, axis=0)) ** 2).sum(axis=1)
+        parts = np.array([power[(f >= low) & (f < high)].sum() for low, high in pairwise(_BANDS)])
+        parts = parts / (parts.sum() or 1.0)
+        spans = [(b - a, -parts[a:b].sum(), a, b) for a in range(len(parts)) for b in range(a + 1, len(parts) + 1)
+                 if parts[a:b].sum() >= 0.5] or [(0, 0.0, 0, len(parts))]
+        _, _, a, b = min(spans)
+        return _BANDS[a], _BANDS[b]
+
+    def _when(self, left: Array) -> tuple[str, float]:
+        """The quarter of the time in which most of the difference lies, in words, and its share."""
+        gain = left**2 - self.best**2
+        made, at = self.model.problem.regression, self.scoring.at_rows
+        channel = int(np.argmax(gain.sum(axis=0)))
+        joint = self.choice.candidate.joint or (channel + 1 if made.domain in (MOTOR_TORQUE, ARM_POSITION) else 0)
+        signs = {"at the end": at.t, "at the beginning": -at.t}
+        if joint:
+            q, qd, qdd, load = (values[:, joint - 1] for values in (at.q, at.qd, at.qdd, at.load))
+            signs = {"at the highest speed": np.abs(qd), "near reversals and rest": -np.abs(qd),
+                     "at the largest acceleration": np.abs(qdd), "under the largest load": np.abs(load),
+                     "at the upper end of the range": q, "at the lower end of the range": -q, **signs}
+        rows = self.rows & made.use.any(axis=1)
+        total = float(gain[rows].sum()) or 1.0
+        shares = {words: float(gain[rows][x[rows] >= np.quantile(x[rows], 0.75)].sum()) / total
+                  for words, x in signs.items()}
+        words = max(shares, key=lambda key: shares[key])
+        return words, shares[words]
+
+
+def _name(effect: Effect) -> str:
+    """Name of what stands in a place; of causes with several forms the form as well."""
+    if isinstance(effect, Unknown):
+        return f"a curve over {' and '.join(effect.depends_on)}"
+    return effect.key if effect.channel_prefix != effect.domain.prefix else effect.name

@@ -1,0 +1,78 @@
+"""Why a cause was named: the score against everything in its place, and that asking for it changes nothing."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from ideal_robot.diagnosis import Diagnosis, Options, diagnose
+from ideal_robot.diagnosis.channels.blocks import time_blocks
+from ideal_robot.diagnosis.channels.motor_torque import torque_regression
+from ideal_robot.diagnosis.search.choice import Choice, PresentModel
+from ideal_robot.diagnosis.search.scoring import Scoring
+from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
+from ideal_robot.diagnosis.validation.argument import Argument, Weighed
+from ideal_robot.diagnosis.validation.weighing import _Weighing
+from ideal_robot.effects.registry import find
+from ideal_robot.model.model import Model
+from scenes.diagnosis.page import diagnosis_page
+from studies.strangers.arm import robot_of
+from studies.strangers.trial import draw_trial
+
+
+def of_a_stranger(*, explain: bool) -> Diagnosis:
+    trial = draw_trial(770017, "inside", size=(3.0, 10.0), seconds=(12.0, 15.0))
+    with robot_of(trial.urdf) as robot:
+        return diagnose(trial.recording, robot, explain=explain)
+
+
+def test_each_cause_is_weighed_against_all_others_and_nothing_else_changes(tmp_path) -> None:
+    plain, asked = (of_a_stranger(explain=explain) for explain in (False, True))
+    said = asked.to_dict()
+    why = said.pop("explained")
+    assert json.dumps(said) == json.dumps(plain.to_dict())
+    assert [(one["effect"], one["joint"]) for one in why] == [(e.fitted.name, e.fitted.joint) for e in asked.effects]
+    for argument in asked.arguments:
+        nothing = next(one for one in argument.sets if not one.name)
+        # What was named is worth something on blocks that had no part in fitting it.
+        assert nothing.nats > 0.0
+        assert nothing.told
+        assert len(argument.rivals) > 5
+        assert all(a.nats <= b.nats for a, b in zip(argument.sets, argument.sets[1:], strict=False))
+    page = tmp_path / "page.html"
+    diagnosis_page(asked, "why").write(page)
+    assert "Why each was named" in page.read_text(encoding="utf-8")
+
+
+def test_the_score_is_that_of_blocks_left_out_and_vanishes_for_the_same_set() -> None:
+    trial = draw_trial(770017, "inside", size=(3.0, 10.0), seconds=(12.0, 15.0))
+    with robot_of(trial.urdf) as robot:
+        made = torque_regression(trial.recording, robot, Model.nominal(robot))
+    problem = Problem(made, time_blocks(len(made.t), float(made.t[1] - made.t[0]), held_out=True))
+    model = PresentModel(problem)
+    cause = Choice(Candidate(find("cable_spring", "tau"), 1), 0.0)
+    model.replace([cause])
+    fit, selecting = model.fit(), problem.blocks.selecting
+    squares = np.add.reduceat(model.left_out(fit) ** 2, problem.blocks.edges[:-1])[selecting]
+    np.testing.assert_allclose(squares, fit.held_out_squares[selecting], rtol=1e-6, atol=1e-9 * squares.max())
+    argument = _Weighing(Scoring(model, Options()), cause).argument([cause.candidate])
+    same = next(one for one in argument.sets if one.name)
+    assert same.nats == pytest.approx(0.0, abs=1e-6)
+    nothing = next(one for one in argument.sets if not one.name)
+    without = model.fit(cause).held_out_squares[selecting]
+    expected = float(((without - squares) @ model.weights).sum()) / (2.0 * fit.inflation)
+    assert nothing.nats == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("nats", "words"), [(14.0, "Next best is joint_elasticity, 14 ± 3 nats worse"),
+                                             (2.0, "Not told from joint_elasticity, 2 ± 3 nats worse"),
+                                             (-9.0, "With joint_elasticity it is 9 ± 3 nats better")])
+def test_the_argument_says_no_more_than_its_standard_error_allows(nats: float, words: str) -> None:
+    argument = Argument("stribeck", 3, "tau_3", "joint 3", (Weighed("joint_elasticity", 3, nats, 3.0),
+                                                            Weighed("", 0, 310.0, 40.0)), (2.0, 4.0),
+                        "near reversals and rest", 0.6)
+    assert words in argument.text
+    assert ("between 2 and 4 Hz" in argument.text) is (abs(nats) > 6.0)
+    assert "With nothing in its place 310 ± 40 nats worse" in argument.text
