@@ -20,11 +20,12 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.jit import jit
 from planning import LineLostError, LineNeverSeenError, PlanningError
 from planning.force.force_follower import SurfaceFollower
 from planning.line.line_view import LineAhead, SeenLine
 from planning.line.measurement import Fused, Measurement
-from planning.path.path_kernels import cross, dot, unit
+from planning.path.path_kernels import unit
 
 OBLIQUE = 0.1
 """Slope of the rays across the path from which a field says something of the height, too."""
@@ -132,17 +133,17 @@ class LineOnSurface:
         follower, settings = self.follower, self.settings
         pose = follower.history.pose(t)
         eye = pose.act(self._camera.translation)
-        # A wrongly assumed distance scales what is seen about the optical axis.
-        axis = self._camera.rotation[:, 2]
-        offset = points_tcp - self._camera.translation
-        along = np.outer(offset @ axis, axis)
-        points_tcp = self._camera.translation + along + settings.distance_ratio * (offset - along)
-        lever = points_tcp @ pose.rotation.T
+        axis = np.ascontiguousarray(self._camera.rotation[:, 2])
+        lever, beside = _in_base(points_tcp, self._camera.translation, axis, settings.distance_ratio,
+                                 np.ascontiguousarray(pose.rotation))
         points = lever + pose.translation
         s, lateral, height = follower.reference.project(points, follower.s_at(t) + 0.06)
         frames = follower.reference.frames(s)
-        ray = points - eye
-        g = np.column_stack([np.ones(len(s)), -dot(ray, frames.normal) / dot(ray, frames.up)])
+        try:
+            velocity, rate = follower.history.velocity(t)
+        except PlanningError:
+            velocity, rate = np.zeros(3), np.zeros(3)
+        g, wrong = _seen_along(points - eye, (lever, beside), (frames.normal, frames.up), velocity, rate)
         value = g[:, 0] * lateral + g[:, 1] * (height - self._sunk)
         extra = np.zeros(len(s))
         if np.max(np.abs(g[:, 1])) < OBLIQUE:
@@ -153,16 +154,7 @@ class LineOnSurface:
             extra = g[:, 1] ** 2 * variance[:, 1]
             g = np.column_stack([g[:, 0], np.zeros(len(s))])
         covariance = np.diag(sigma**2 + settings.noise**2 + extra) + settings.common**2
-        turned = dot(frames.normal, cross(frames.up, lever))
-        try:
-            velocity, rate = follower.history.velocity(t)
-        except PlanningError:
-            velocity, rate = np.zeros(3), np.zeros(3)
-        moved = frames.normal @ velocity + dot(frames.normal, cross(np.broadcast_to(rate, lever.shape), lever))
-        # A wrong distance scales what is beside the optical axis.
-        beside = dot(frames.normal, (offset - along) @ pose.rotation.T)
-        return Measurement(t, s, value, covariance, g, "camera", np.column_stack([turned, moved, beside]),
-                           at=follower.s_at(t))
+        return Measurement(t, s, value, covariance, g, "camera", wrong, at=follower.s_at(t))
 
     def _implausible(self, measurement: Measurement) -> str:
         """Why a field cannot be of the line; empty if it can.
@@ -196,3 +188,49 @@ class LineOnSurface:
                 raise LineNeverSeenError(t, s, limit)
         elif s - max(self._last_seen[1], begin) > limit and self._front < end - 0.03:
             raise LineLostError(t, s, *self._last_seen, limit)
+
+
+@jit()
+def _in_base(points: Array, eye: Array, axis: Array, ratio: float, rotation: Array
+             ) -> tuple[Array, Array]:  # pragma: no cover
+    """Points from the tool's, and beside the optical axis, in directions of the base frame, ``(m, 3)`` each [m].
+
+    Args:
+        points: in the tool frame ``(m, 3)`` [m].
+        eye: of the camera, there ``(3,)`` [m].
+        axis: optical axis, there ``(3,)``.
+        ratio: by which a wrongly assumed distance scales what is seen about that axis.
+        rotation: of the tool frame ``(3, 3)``.
+    """
+    beside = points - eye
+    for i in range(len(points)):
+        depth = beside[i, 0] * axis[0] + beside[i, 1] * axis[1] + beside[i, 2] * axis[2]
+        for k in range(3):
+            beside[i, k] -= depth * axis[k]
+    return (points + (ratio - 1.0) * beside) @ rotation.T, beside @ rotation.T
+
+
+@jit()
+def _seen_along(ray: Array, points: tuple[Array, Array], frames: tuple[Array, Array], velocity: Array, rate: Array
+                ) -> tuple[Array, Array]:  # pragma: no cover
+    """Sensed directions ``(m, 2)``, and what each error of the camera adds to the values: yaw, stamp, scale ``(m, 3)``.
+
+    Args:
+        ray: from the eye to the points ``(m, 3)`` [m].
+        points: from the tool's, and beside the optical axis ``(m, 3)`` [m]: a wrong distance scales the latter.
+        frames: the path's normals and ups ``(m, 3)``.
+        velocity: of the tool ``(3,)`` [m/s].
+        rate: its angular velocity ``(3,)`` [rad/s].
+    """
+    (lever, beside), (normal, up) = points, frames
+    m = len(ray)
+    g, wrong = np.ones((m, 2)), np.zeros((m, 3))
+    for i in range(m):
+        n, u, r = normal[i], up[i], lever[i]
+        g[i, 1] = -(ray[i] @ n) / (ray[i] @ u)
+        for k in range(3):
+            a, b = (k + 1) % 3, (k + 2) % 3
+            wrong[i, 0] += n[k] * (u[a] * r[b] - u[b] * r[a])
+            wrong[i, 1] += n[k] * (velocity[k] + rate[a] * r[b] - rate[b] * r[a])
+            wrong[i, 2] += n[k] * beside[i, k]
+    return g, wrong
