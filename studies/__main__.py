@@ -29,7 +29,7 @@ GROUPS = {
         "fusion-cost": "fusion", "walks": "walks",
     },
     "accuracy": {
-        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "knew": "arms",
+        "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "knew": "arms", "urdfs": "arms",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "world", "heating": "world", "camera": "camera", "calibration": "camera", "detectors": "camera",

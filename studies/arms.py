@@ -9,12 +9,16 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError
+from ideal_robot.row_log import temporary_folder
 from scenes.arms import arm_of
 from scenes.commands.common import numbers, whole_numbers
 from scenes.line.kind import run
 from scenes.line.result import LineResult
-from scenes.methods import ADAPTED, IDEAL
+from scenes.methods import ADAPTED, IDEAL, NONE
 from scenes.models import own_model
+from scenes.placing import place_line, scene_text
+from scenes.scene_file import library, load_scene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import OWN, chosen
 from scenes.sweep import SweepFile, jobs, sweep
@@ -32,6 +36,10 @@ CHANGES: dict[str, dict[str, Any]] = {
     "camera knocked by 0.5° midway": {"camera": {"knock_deg": 0.5}},
     "all three": {"world": HEAVY | COLD, "camera": {"knock_deg": 0.5}},
 }
+ASSUMED = {"masses": "the links weigh", "some masses": "no arm's masses", "speeds": "no arm's speed limit",
+           "efforts": "no effort", "end of a turn": "turns without end", "gripper held": "is held",
+           "tool's direction": "last joint's axis"}
+"""What is assumed of an arm, by words that `new` and `run` tell it with."""
 
 
 def arms(lines: Path, individuals: str = "1-10", seeds: str = "1-3", speeds: str = "0.7,1.5,2",
@@ -123,6 +131,38 @@ def knew(seeds: int = 2, individual: int = 1) -> None:
                                   (changed.changed(model=before), IDEAL)))
         row(name, listed(1e3 * np.array(known)), listed(1e3 * np.array(learned)),
             f"{np.mean(learned) / np.mean(known):.2f}", listed(1e3 * np.array(fixed)))
+
+
+def urdfs(folder: Path, seed: int = 1) -> None:
+    """Every URDF of a folder as `new NAME --robot URDF` and `run` play it, beside `none`; errors in mm.
+
+    An arm takes one to five minutes of processor time, its own model most of it (kept in the user's cache folder).
+    """
+    head("arm", "joints", "m/s", "mean", "95 %", "`none`", "`none` / mean", "assumed")
+    for urdf in sorted(folder.glob("*.urdf")):
+        try:
+            cells = _followed(urdf, seed)
+        except IdealRobotError as error:
+            cells = ["", "", f"refused: {error}"]
+        row(urdf.stem, *cells)
+
+
+def _followed(urdf: Path, seed: int) -> list[object]:
+    """Joints, speed [m/s], errors with and without correction [mm] and what was assumed of an arm by its URDF."""
+    wanted = scene_of(LineScene, "line").changed(robot=str(urdf), model=OWN)
+    text = scene_text((library() / "line.toml").read_text(encoding="utf-8"), str(urdf.resolve()), place_line(wanted))
+    with temporary_folder() as kept:
+        file = Path(kept) / f"{urdf.stem}.toml"
+        file.write_text(text, encoding="utf-8")
+        scene = load_scene(str(file))
+        assert isinstance(scene, LineScene)
+        results = [run(scene.changed(seed=seed), method=method) for method in (ADAPTED, NONE)]
+    errors = [result.control_error for result in results]
+    told = " ".join(scene.arm.assumed)
+    assumed = ", ".join(name for name, says in ASSUMED.items() if says in told) or "nothing"
+    failure = " ".join(f"{result.failure}" for result in results if result.failure)
+    return [scene.arm.n, f"{scene.speed:g}", *_mm([errors[0].mean, errors[0].p95, errors[1].mean]),
+            f"{errors[1].mean / errors[0].mean:.0f}", failure or assumed]
 
 
 def _whole(text: str) -> list[int]:
