@@ -37,7 +37,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "all three": {"world": HEAVY | COLD, "camera": {"knock_deg": 0.5}},
 }
 ASSUMED = {"masses": "the links weigh", "some masses": "no arm's masses", "speeds": "no arm's speed limit",
-           "efforts": "no effort", "end of a turn": "turns without end", "gripper held": "is held",
+           "efforts": "no effort", "end of a turn": "turns without end", "joints held": "is held",
            "tool's direction": "last joint's axis"}
 """What is assumed of an arm, by words that `new` and `run` tell it with."""
 

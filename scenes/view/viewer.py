@@ -175,9 +175,13 @@ def open_recording(path: Path, robot: str | None) -> tuple[Robot, Recording]:
     """
     recording = Recording.read(path)
     name = robot or recording.meta.get("robot")
-    # A recording may name an arm that ships with the program; files are opened only where the user says so.
-    if name is None or (robot is None and name not in SHIPPED):
+    if name is None:
         raise InputError("the recording does not say its robot; give --robot", file=path)
+    # A recording may name an arm that ships with the program; files are opened only where the user says so.
+    if robot is None and name not in SHIPPED:
+        urdf = str(recording.meta.get("urdf") or "its URDF")[:200]
+        raise InputError(f"the recording is of an arm that does not ship with the program; give --robot {urdf}",
+                         file=path, field="robot", value=str(name)[:40])
     arm = Robot.load(name)
     if arm.n != recording.n:
         raise InputError(f"the recording has {recording.n} joints, {arm.name} has {arm.n}", file=path)

@@ -315,6 +315,13 @@ def test_times_that_do_not_rise_are_no_motion_to_show(t: list[float], tmp_path: 
         open_recording(path, None)
 
 
+def test_a_recording_of_the_users_arm_names_the_file_to_give(tmp_path: Path) -> None:
+    path = Recording({"t": np.arange(3.0), "q_1": np.zeros(3)}, {"robot": "mine", "urdf": "mine.urdf"}).write(
+        tmp_path / "r.parquet")
+    with pytest.raises(InputError, match=r"--robot mine\.urdf"):
+        open_recording(path, None)
+
+
 @pytest.mark.parametrize(("name", "value"), [
     ("t", np.arange(200.0)[::-1]), ("surface", np.zeros(3)), ("ghost", np.zeros((1, 6))), ("curve_0", np.zeros(2)),
     ("picture_0", np.arange(9.0)), ("words", np.array("3")), ("words", np.array("[" * 100_000)),
