@@ -45,6 +45,7 @@ THEMES = {
         "plan-identification": "motions:plan_identification",
         "plan-diagnosis": "motions:plan_diagnosis",
         "stiffness": "recordings:stiffness",
+        "twin": "twins:twin",
     },
     "Devices": {
         "detect": "devices:detect",

@@ -31,6 +31,7 @@ _SETTINGS = ("individual", "correction_delay", "quantisation", "encoder_incremen
 """Keys that say which arm it is and how it is measured; they hold nothing that a model could lack."""
 _WARMTH = "friction that changes with warmth does not act in the loop; play method adapted"
 _CONTROLLER = 'a controller is identified, not diagnosed; give the scene model = "own"'
+_TWIN = "a twin of measured recordings: what it holds beyond the model has no name"
 _SWITCH = "it switches off what the model holds; nothing is left to be found"
 _REASONS = {
     **dict.fromkeys(("thermal", "start_temperature", "ambient_temperature", "thermal_resistance",
@@ -39,6 +40,7 @@ _REASONS = {
     **dict.fromkeys(("low_pass", "t_ipo", "t_position", "t_velocity", "position_gain", "velocity_feedforward",
                      "velocity_gain", "integral_time", "velocity_filter", "current_lag"), _CONTROLLER),
     **dict.fromkeys(("ideal", "elasticity", "friction", "torque_limits"), _SWITCH),
+    **dict.fromkeys(("body", "residual", "spread"), _TWIN),
     "damping": "no effect of the library is a gear's damping",
     "inertia_tolerance": 'all masses at once are no effect; give the scene an individual and model = "own"',
 }

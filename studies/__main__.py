@@ -35,7 +35,7 @@ GROUPS = {
         "world": "world", "heating": "world", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "stability", "surface-shapes": "shapes",
-        "measured": "measured", "measured-adapted": "measured",
+        "measured": "measured", "measured-adapted": "measured", "twins": "twins", "twin-arms": "twins",
     },
     "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses",
                   "ablation": "ablation", "rules": "ablation"},

@@ -211,6 +211,7 @@ UNITS = {
     "twist_error": "rad",
     "transmission_error": "rad", "transmission_order": "per joint turn", "payload_mass": "kg", "payload_com": "m",
     "payload_inertia": "kg m²", "log_cycle": "s", "external_position_noise": "m", "external_rotation_noise": "rad",
+    "residual": "N m",
 }
 """Units of the settings that have one; the others are switches, shares and seeds."""
 COLUMNS = ["setting", "value, per joint where there are several", "unit"]
@@ -227,5 +228,7 @@ def world_rows(world: Mapping[str, Any]) -> list[list[Any]]:
 
 def _short(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
+        if value and isinstance(value[0], (list, tuple)):
+            return "; ".join(map(_short, value))
         return ", ".join(f"{one:.3g}" if isinstance(one, (int, float)) else str(one) for one in value)
     return value

@@ -21,6 +21,7 @@ from sim.arm.body import RigidRotors, load_links, start_physics
 from sim.arm.drive import drive_parameters, drive_start
 from sim.arm.history import History, recording_of
 from sim.arm.kernel import P_ELASTIC, P_ROTOR, P_STIFFNESS
+from sim.arm.residual import residual_torque
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
@@ -115,6 +116,7 @@ class SimulatedArm:
         self.robot, self.world = robot, world
         self.t_ipo = world.t_ipo
         self._rng = rng
+        self._extra_torque = residual_torque(world, robot.n, rng)
         self._specimen = draw_specimen(robot, world)
         self._model = self._specimen.model
         self._p, self._shared, self._counts = drive_parameters(
@@ -190,7 +192,7 @@ class SimulatedArm:
         p, s, counts, x, links = self._p, self._shared, self._counts, self._x, self._links
         q_a, qd_a, torque = self._q_a, self._qd_a, links[kernel.L_TORQUE]
         every, rotors, history = int(counts[kernel.N_LOG]), self._rotors, self._history
-        extra_torque, hook = self.world.extra_torque, self.step_hook
+        extra_torque, hook = self._extra_torque, self.step_hook
         touched = hook is not None or self._touchable
         set_torques, step, get_states, mode = (pybullet.setJointMotorControlArray, pybullet.stepSimulation,
                                                pybullet.getJointStates, pybullet.TORQUE_CONTROL)

@@ -56,7 +56,7 @@ def generic_world(robot: Robot) -> dict[str, Any]:
     link = np.maximum(mass, 0.2 * rotor)
     stiffness = np.maximum((2 * np.pi * RESONANCE) ** 2 * link, gravity / SAG)
     damping = 2 * DAMPING * np.sqrt(stiffness * link)
-    rigid = _too_fast(robot, stiffness, rotor)
+    rigid = too_fast(robot, stiffness, rotor)
     gain = np.array([_stable(BANDWIDTH * (m + j), j, (light, m), k, d)
                      for m, j, light, k, d in zip(mass, rotor, lightest, stiffness, damping, strict=True)])
     turns = np.where(robot.gear_ratio > 1.0, 1.0, GEAR)
@@ -128,7 +128,7 @@ def fastest(mass: Array, stiffness: Array, rotor: Array) -> tuple[float, int]:
     return float(np.sqrt(max(values[-1], 0.0))), int(np.argmax(np.abs(ways[:, -1])))
 
 
-def _too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
+def too_fast(robot: Robot, stiffness: Array, rotor: Array) -> NDArray[np.bool_]:
     """Gears that have to be rigid ``(n,)``, so that the step follows all oscillations wherever the arm stands.
 
     Where two axes fall together, a slim link between them alone holds their gears apart.
@@ -170,8 +170,9 @@ def _stable(gain: float, rotor: float, links: tuple[float, ...], stiffness: floa
     return gain
 
 
-def growth(gain: float, rotor: float, link: float, stiffness: float, damping: float) -> float:
-    """Largest real part of the poles of a default cascade [1/s]; below 0 it is stable.
+def growth(gain: float, rotor: float, link: float, stiffness: float, damping: float, k_v: float = 20.0,
+           T_i: float = 0.05) -> float:
+    """Largest real part of the poles of a cascade [1/s]; below 0 it is stable.
 
     States: rotor and link with their velocities, the velocity loop's integral, and the torque, which lags twice.
 
@@ -181,8 +182,10 @@ def growth(gain: float, rotor: float, link: float, stiffness: float, damping: fl
         link: [kg m²].
         stiffness: of the gear [N m/rad].
         damping: of the gear [N m s/rad].
+        k_v: position gain [1/s].
+        T_i: integral time [s].
     """
-    k_v, T_i, link = 20.0, 0.05, max(link, 1e-9)
+    link = max(link, 1e-9)
     A = np.zeros((7, 7))
     A[0, 1] = A[2, 3] = 1.0
     A[1] = np.array([-stiffness, -damping, stiffness, damping, 0.0, 0.0, 1.0]) / rotor

@@ -40,11 +40,17 @@ def draw_specimen(robot: Robot, world: World) -> Specimen:
     n = robot.n
     tolerance = world.inertia_tolerance
     model = robot.pinocchio.copy()
+    sheet = robot.rotor_inertia
+    if world.body:
+        identified = world.bodies(n)
+        sheet = identified[10 * n : 11 * n]
+        for joint in range(1, model.njoints):
+            model.inertias[joint] = pin.Inertia.FromDynamicParameters(identified[10 * (joint - 1) : 10 * joint])
     for joint in range(1, model.njoints):
         mass_factor = 1.0 + tolerance * rng.uniform(-1.0, 1.0)
         extension = 1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, 3)
         model.inertias[joint] = _scaled(model.inertias[joint], mass_factor, extension)
-    rotor = robot.rotor_inertia * (1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, n))
+    rotor = sheet * (1.0 + tolerance / 3.0 * rng.uniform(-1.0, 1.0, n))
     rotor = rotor + world.per_joint("extra_rotor_inertia", n)
     gain = 1.0 + world.drive_gain_error * rng.uniform(-1.0, 1.0, n)
     phase = rng.uniform(0.0, 2.0 * np.pi, n)

@@ -27,7 +27,8 @@ from sim.arm.generic import generic_world
 _POSITIVE = {"stiffness", "stribeck_velocity", "presliding", "degressive_velocity", "thermal_time_constant",
              "encoder_increments", "t_ipo", "t_position", "t_velocity", "log_cycle", "velocity_gain", "integral_time",
              "position_gain", "lubrication_time", "ripple_order", "transmission_order"}
-_SIGNED = {"start_temperature", "ambient_temperature", "reference_temperature", "payload_com", "friction_asymmetry"}
+_SIGNED = {"body", "start_temperature", "ambient_temperature", "reference_temperature", "payload_com",
+           "friction_asymmetry"}
 _CYCLES = {"t_ipo", "t_position", "t_velocity", "log_cycle"}
 _LONGEST = 1.0
 """Longest cycle [s]."""
@@ -48,6 +49,8 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
     if name in ("robot", "extra_torque"):
         return value
     field = f"world.{name}"
+    if name == "residual":
+        return _octaves(value)
     if kind == "bool":
         if not isinstance(value, bool):
             raise InputError("expected true or false", field=field, value=value)
@@ -62,7 +65,9 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
         raise InputError("expected a number or a list of numbers", field=field) from error
     if isinstance(value, (bool, str)) or np.isnan(array).any():
         raise InputError("expected a number or a list of numbers", field=field, value=value)
-    if np.isinf(array).any() and name != "stiffness":
+    if name == "stiffness":
+        array = np.where(array >= RIGID, np.inf, array)
+    elif np.isinf(array).any():
         raise InputError("must be finite", field=field)
     if name in _POSITIVE and (array <= 0).any():
         raise InputError("must be positive", field=field, value=array.tolist())
@@ -80,6 +85,20 @@ def checked_value(name: str, kind: str, value: Any) -> Any:
     return tuple(array.tolist())
 
 
+def _octaves(value: Any) -> tuple[tuple[float, ...], ...]:
+    """Rows of numbers that are not negative."""
+    try:
+        rows = tuple(tuple(float(one) for one in row) for row in value)
+    except (TypeError, ValueError) as error:
+        raise InputError("expected a list of lists of numbers", field="world.residual") from error
+    if not np.all([np.isfinite(row).all() and (np.array(row) >= 0.0).all() for row in rows]):
+        raise InputError("must be finite and not negative", field="world.residual")
+    return rows
+
+
+RIGID = 1.0e12
+"""Stiffness from which on a gear is rigid [N m/rad]: files hold no infinite numbers."""
+
 PerJoint = float | tuple[float, ...]
 """One number for all joints, or one per joint."""
 
@@ -94,7 +113,8 @@ class World:
     Attributes:
         robot: robot it belongs to.
         elasticity: gears are springs; off: the motors are rigidly the links.
-        stiffness, damping: of each gear [N m/rad, N m s/rad]; an infinite stiffness makes that one gear rigid.
+        stiffness, damping: of each gear [N m/rad, N m s/rad]; an infinite stiffness, from 1e12 up, makes that one gear
+            rigid.
         backlash: free play of each gear [rad]; 0 is none.
         friction: dynamic gear friction; off: none at all.
         friction_scale: factor on the whole friction of each joint.
@@ -140,6 +160,11 @@ class World:
             centre, the same about all axes].
         log_cycle: cycle of the recording [s].
         external_position_noise, external_rotation_noise: of the external measuring device [m, rad].
+        body: identified bodies in the place of the data sheet's: of each link mass, first moments [kg m] and moments of
+            inertia [kg m²] (``Ixx Ixy Iyy Ixz Iyz Izz``) about its joint's frame, then the rotor inertias, then
+            constant torques [N m]; ``12 n`` numbers, none for the data sheet's.
+        residual: torque without a name, drawn anew for each play: rows of standard deviations [N m], one number per
+            joint, for the octaves from 0.05 Hz up.
         extra_torque: see ``ExtraTorque``; None is none.
     """
 
@@ -202,6 +227,8 @@ class World:
     log_cycle: float = 0.002
     external_position_noise: float = 2.0e-5
     external_rotation_noise: float = 2.0e-5
+    body: tuple[float, ...] = ()
+    residual: tuple[tuple[float, ...], ...] = ()
     extra_torque: ExtraTorque | None = None
 
     def __post_init__(self) -> None:
@@ -250,6 +277,9 @@ class World:
     def from_table(cls, robot_name: str, table: dict[str, Any], file: str | None = None) -> World:
         """The default world changed by a scene's ``[world]`` table; ``ideal = true`` starts from the ideal one.
 
+        Its table ``spread`` gives standard deviations of keys that nobody measured, of their logarithms, that of
+        ``velocity_feedforward`` itself: the individual says which values they have.
+
         Args:
             robot_name: of a shipped robot, or the path of a URDF.
             table: keys of the world with their values.
@@ -259,7 +289,7 @@ class World:
             InputError: unknown key (named, with the allowed ones), wrong type, value out of range.
         """
         table = dict(table)
-        ideal = table.pop("ideal", False)
+        ideal, spread = table.pop("ideal", False), table.pop("spread", {})
         with found_in(file):
             if not isinstance(ideal, bool):
                 raise InputError("expected true or false", field="world.ideal", value=ideal)
@@ -267,7 +297,42 @@ class World:
             if unknown:
                 raise InputError(f"unknown key; allowed here are ideal, {', '.join(TABLE_KEYS)}",
                                  field=f"world.{unknown[0]}")
-            return (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
+            world = (cls.ideal(robot_name) if ideal else cls.default(robot_name)).replace(**table)
+            return world.drawn(spread) if spread else world
+
+    def drawn(self, spread: dict[str, float]) -> World:
+        """The world of its individual where the values of some keys are known to within a spread.
+
+        Args:
+            spread: standard deviations by key, see ``from_table``.
+
+        Raises:
+            InputError: a key that has no size, or a spread that is none.
+        """
+        rng, changed = np.random.default_rng([self.individual, 15485863]), {}
+        sizes = {field.name for field in dataclasses.fields(self) if str(field.type) == "PerJoint"}
+        if not isinstance(spread, dict):
+            raise InputError("expected a table", field="world.spread", value=spread)
+        for name in sorted(spread):
+            width = spread[name]
+            if name not in sizes or isinstance(width, (bool, str)) or not 0.0 <= float(width) <= 3.0:
+                raise InputError("expected a number from 0 to 3 for a key with a size per joint",
+                                 field=f"world.spread.{name}", value=width)
+            value = np.atleast_1d(getattr(self, name))
+            off = width * rng.standard_normal(len(value))
+            drawn = np.clip(value + off, 0.0, 1.0) if name == "velocity_feedforward" else value * np.exp(off)
+            changed[name] = tuple(drawn.tolist()) if len(value) > 1 else float(drawn[0])
+        return self.replace(**changed)
+
+    def bodies(self, n: int) -> Array:
+        """``body`` as an array ``(12 n,)``.
+
+        Raises:
+            InputError: another number of values.
+        """
+        if len(self.body) != 12 * n:
+            raise InputError(f"expected {12 * n} numbers for {n} joints", field="world.body", value=len(self.body))
+        return np.array(self.body)
 
     def replace(self, **changes: Any) -> World:
         """A checked copy with some effects changed.
@@ -294,7 +359,9 @@ class World:
 
     def table(self) -> dict[str, Any]:
         """All settings that a table can hold, for reports and recordings."""
-        return {name: list(value) if isinstance(value := getattr(self, name), tuple) else value for name in TABLE_KEYS}
+        values = {name: getattr(self, name) for name in TABLE_KEYS}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
+                if name not in ("body", "residual") or value}
 
 
 TABLE_KEYS = tuple(field.name for field in dataclasses.fields(World) if field.name not in ("robot", "extra_torque"))
