@@ -108,8 +108,21 @@ def robot_of(urdf: str) -> Iterator[Robot]:
     """The arm of a trial from the text of its URDF, whose file is there as long as the context."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "arm.urdf"
-        path.write_text(urdf, encoding="utf-8")
-        yield Robot.load(path)
+        yield written(urdf, path)
+
+
+def written(urdf: str, path: Path) -> Robot:
+    """The robot of a URDF's text, whose tool is its last link as it is.
+
+    Args:
+        urdf: text of the URDF.
+        path: where it is written; which link carries the tool is said beside it.
+    """
+    frames = pin.buildModelFromXML(urdf).frames
+    last = [frame.name for frame in frames if frame.type == pin.FrameType.BODY][-1]
+    path.write_text(urdf, encoding="utf-8")
+    path.with_suffix(".toml").write_text(f'tool_frame = "{last}"\n', encoding="utf-8")
+    return Robot.load(path)
 
 
 def sliding(model: pin.Model) -> np.ndarray:

@@ -26,7 +26,7 @@ from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.bullet import pybullet
 from studies.strangers import drive, integrator
-from studies.strangers.arm import STEP, Motion, joint_axes, sliding
+from studies.strangers.arm import STEP, Motion, joint_axes, sliding, written
 from studies.strangers.drive import ACTING, BELIEVED, CABLE, CABLE_REST, FLUID, LEVEL, RESULTS, STATES, drive_step
 from studies.strangers.integrator import spring_torque
 from studies.strangers.plant import BRISTLE, CONSTRAINT, DAHL, TANH, Plant, Run
@@ -205,9 +205,7 @@ def world_of(plant: Plant) -> World:
 
 def robot_of(plant: Plant, folder: Path) -> Robot:
     """The robot whose data sheet is the plant itself, limits out of the way."""
-    path = folder / "stranger.urdf"
-    path.write_text(plant.arm.urdf, encoding="utf-8")
-    robot, n = Robot.load(path), plant.n
+    robot, n = written(plant.arm.urdf, folder / "stranger.urdf"), plant.n
     # The world counts the ripple's order per motor turn.
     order = np.where(plant.block[drive.RIPPLE] != 0.0, plant.block[drive.RIPPLE_ORDER], 1.0)
     return dataclasses.replace(robot, pinocchio=plant.model, rotor_inertia=plant.rotor, drive_gain=np.ones(n),

@@ -20,6 +20,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from studies.sensors.force import draw_force_trial
 from studies.sensors.line import AXIS, SIZES, draw_line_trial, gantry
+from studies.strangers.arm import written
 
 NOISE = 2e-5
 
@@ -112,9 +113,8 @@ def test_a_late_device_and_a_good_one():
 
 def trial(seed: int, kind: str, folder: Path) -> tuple[Diagnosis, np.ndarray]:
     drawn = draw_force_trial(seed, kind)
-    (folder / "arm.urdf").write_text(drawn.urdf, encoding="utf-8")
     only = (("force_bias", 0), ("force_compliance", 0))
-    return diagnose(drawn.recording, Robot.load(folder / "arm.urdf"), only=only), drawn.size
+    return diagnose(drawn.recording, written(drawn.urdf, folder / "arm.urdf"), only=only), drawn.size
 
 
 @pytest.mark.parametrize(("seed", "name"), [(3, "force_bias"), (4, "force_compliance")])
