@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import IdealRobotError
 from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
@@ -25,6 +26,7 @@ from scenes.online.force_calibration import elasticity_by_pressing, tool_by_turn
 from scenes.online.force_known import START_HEIGHT, Known, force_reference
 from scenes.online.force_task import ForceLog, ForceTask, GlueCamera
 from scenes.online.line_job import Piece, calibrated_by_moving
+from scenes.online.line_task import AT_ONCE
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
 from scenes.scene_files.drawn_line import reference_points
@@ -61,10 +63,17 @@ _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
 
 
 class LiveForceTask(ForceTask):
-    """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped."""
+    """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped.
+
+    Behind short cycles an answer waits for no field: what has come is fused as soon as the command of a cycle has gone.
+    Forces are not put off.
+    """
 
     arm: LiveArm | None = None
     force: LiveForce | None = None
+    ahead = False
+    """Whether fields are fused between two cycles."""
+    _unfit: IdealRobotError | None = None
 
     maps = True
     """Whether what is felt goes into a map of the surface, which tells how well it fits."""
@@ -72,6 +81,26 @@ class LiveForceTask(ForceTask):
     """What they feel beyond what the sensor feels."""
     floor, ceiling = -np.inf, np.inf
     """Heights at the start of the path below which the tip does not go, and above which it feels nothing [m]."""
+
+    def lead(self, arm: LiveArm) -> None:
+        """From now on with this arm, which is at rest at the start."""
+        self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE
+        if self.ahead:
+            arm.between.append(lambda: self.look_between(arm.t))
+
+    def look_between(self, t: float) -> None:
+        """Fuses the fields that have arrived by ``t`` [s]; what goes wrong is told when the next cycle is planned."""
+        try:
+            super().look(t)
+        except IdealRobotError as error:
+            self._unfit = error
+
+    def look(self, t: float) -> None:
+        """See ``ForceTask``."""
+        if not self.ahead:
+            super().look(t)
+        elif self._unfit is not None:
+            raise self._unfit
 
     def plan(self, t: float, q_d: Array) -> Array:
         """See ``scenes.online.cycle.Task``."""
@@ -244,7 +273,8 @@ class ForceJob:
         task.floor = elasticity.touch - _BELOW * self.scene.force / elasticity.stiffness
         task.ceiling = elasticity.touch + _IN_AIR
         task.connect(force, camera)
-        task.arm, task.force, self._force = arm, force, force
+        task.force = self._force = force
+        task.lead(arm)
         if camera is not None and task.vision is not None:
             vision = task.vision
             camera.use(self.calibration.camera, self.calibration.time_offset)

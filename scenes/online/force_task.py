@@ -240,8 +240,7 @@ class ForceTask:
     def plan(self, t: float, q_d: Array) -> Array:
         """Desired joint positions over the horizon ``(n_d, n)``."""
         self._sense(t)
-        if self.vision is not None and self._camera is not None:
-            self.vision.sense(t, self._camera.arrived(t))
+        self.look(t)
         self._check(t)
         # Direct feedback goes its own way between touch-down and lift: no need to plan.
         if self._direct is not None and self.follower.phase is not Phase.APPROACH:
@@ -250,6 +249,11 @@ class ForceTask:
         q_d = self.follower.horizon(t)
         self._stop.command(t, q_d)
         return q_d
+
+    def look(self, t: float) -> None:
+        """Fuses the fields that have arrived by ``t`` [s]."""
+        if self.vision is not None and self._camera is not None:
+            self.vision.sense(t, self._camera.arrived(t))
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint positions ``(n,)``."""

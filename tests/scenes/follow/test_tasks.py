@@ -17,12 +17,13 @@ from planning import PlanningError
 from scenes.model_files import shipped_model
 from scenes.online.cycle import CycleSettings, play_cycles
 from scenes.online.devices import Devices
+from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later
 from scenes.online.line_job import LineJob, Piece, calibrated_by_moving
 from scenes.online.line_known import START, line_follower, span_of
 from scenes.online.line_task import LineLog
 from scenes.online.live_arm import LiveArm
-from scenes.online.live_sensors import EvaluatedField, ImaginedCamera
+from scenes.online.live_sensors import EvaluatedField, ImaginedCamera, ImaginedForce
 from scenes.online.run import _job, load_cell
 from scenes.result import silent
 from scenes.scene_files.drawn_line import believed_camera, reference_points
@@ -112,6 +113,37 @@ def test_between_packet_and_answer_there_is_no_field(tmp_path: Path) -> None:
     assert not [i for i, said in enumerate(link.said) if said == "plan" and link.said[i - 1] != "answer"]
     assert log.failure is not None
     assert "not done" in log.failure
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_fields_of_a_surface_are_fused_between_packets_too(tmp_path: Path, fails: bool) -> None:
+    """What goes wrong there stops the arm on its path, as it does elsewhere."""
+    job = _job(load_cell("glue"), Devices("rsi:", cycle=0.004), None, None)
+    assert isinstance(job, ForceJob)
+    link, task = Wire(robot=job.robot), job._task
+    link.said, link.commanded = [], job.q_start
+    arm, vision, camera = LiveArm(link, Journal(tmp_path, link.robot, {})), task.vision, Seen(job.robot.t_ipo, 0)
+    assert vision is not None
+    camera.predict = lambda t: vision.sight.predict(t).seen_from(vision.follower.history.pose(t))
+    task.connect(ImaginedForce(), camera)
+    update = vision.sight.update
+
+    def fused(seen: Any) -> Any:
+        link.said.append("field")
+        if fails:
+            raise PlanningError("nothing to be seen")
+        return update(seen)
+
+    vision.sight.update = fused  # type: ignore[method-assign]
+    task.lead(arm)
+    arm.begin()
+    end = 40 * job.robot.t_ipo
+    play_cycles(arm, job.robot, task, job.log, CycleSettings(job.braking, 0.05, end, end, ""), silent)
+    before = [link.said[i - 1] for i, said in enumerate(link.said) if said == "field"]
+    assert set(before) == {"answer"}
+    assert len(before) >= 6 or fails
+    assert str(job.log.failure).startswith("nothing to be seen" if fails else "not done")
+    assert link.said.count("packet") > 12
 
 
 def test_with_the_same_fields_the_plan_made_ahead_is_the_plan_made_at_once(tmp_path: Path) -> None:
