@@ -176,6 +176,11 @@ class SurfaceFollower:
         ]
         covariance = np.diag([one.sigma**2 for one in seen]) + settings.position_noise**2
         value = np.array([one.value for one in seen])
+        settles = self.phase is Phase.SETTLE
+        if settles:
+            # At the wanted force the height is known whatever E is; on the way there E is as doubtful as at first. How
+            # the tip gives way while the force rises tells little of E along the path.
+            covariance += FORCE_ERRORS[0] ** 2 * np.outer(value, value)
         if self._lateral and self._lateral_sigma(s[middle : middle + 1]) < KNOWN_LATERAL:
             # With a camera the force says how far to go along the surface's normal, not along the reference's. While
             # the line is not known it says so of where the tip is: nothing lateral is to be concluded from it.
@@ -190,7 +195,7 @@ class SurfaceFollower:
         wrong = np.column_stack([np.zeros(len(t)), np.full(len(t), sinking),
                                  np.full(len(t), self._by_friction(float(s.mean())))])
         return self.fusion.update(Measurement(float(t[-1]), s, value, covariance, direction, "force", wrong,
-                                              origin=origin, at=float(s.max())))
+                                              origin=None if settles else origin, at=float(s.max())))
 
     def _velocity(self, t: float) -> Array:
         """Velocity of the tip in the base frame at ``t`` ``(3,)`` [m/s]; zero before there is a history."""

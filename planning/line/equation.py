@@ -66,30 +66,43 @@ def widened(covariance: Array, direction: Array, variance: Array) -> Array:  # p
 
 
 @jit()
-def extended(H: Array, z: Array, x: Array, origin: Array, size: int, ratio: int) -> Array:  # pragma: no cover
-    r"""About the state that is estimated: the Jacobian goes into ``H (m, n)``, the values ``(m,)`` are returned.
+def extended(H: Array, z: Array, R: Array, x: Array, P: Array, origin: Array,  # pragma: no cover
+             at: tuple[int, int]) -> tuple[Array, Array]:
+    r"""About the state that is estimated: the Jacobian goes into ``H (m, n)``; values and their noise are returned.
 
     With a ratio r of the distances from the sensor's place o (an extended Kalman filter, [L] 4.3):
 
     .. math:: z = g^T \Delta x_r + r\, (g^T \Delta x_r - o) + v
 
+    The product's second-order part is noise whose covariance follows from that of its factors, and its mean is theirs
+    (a second-order filter: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation,
+    10.3.2). Without it values far from the sensor's place make r falsely certain.
+
     Args:
         H: rows of the linear equation, changed.
         z: values ``(m,)`` [m].
+        R: covariance of their noise ``(m, m)`` [m²].
         x: state ``(n,)``.
+        P: its covariance ``(n, n)``.
         origin: o ``(m,)`` [m].
-        size: number of states of the deviation, the first ones.
-        ratio: which state is r.
+        at: number of states of the deviation, the first ones, and which state is r.
     """
-    value = z.copy()
+    size, ratio = at
+    g = H[:, :size].copy()
+    along = g @ P[:size, :size].copy()
+    common = g @ P[:size, ratio].copy()
+    noise = R + P[ratio, ratio] * (along @ g.T)
+    value = z - common
     for i in range(len(z)):
         predicted = 0.0
         for k in range(size):
-            predicted += H[i, k] * x[k]
+            predicted += g[i, k] * x[k]
             H[i, k] *= 1.0 + x[ratio]
         H[i, ratio] = predicted - origin[i]
         value[i] += x[ratio] * predicted
-    return value
+        for j in range(len(z)):
+            noise[i, j] += common[i] * common[j]
+    return value, noise
 
 
 @jit()

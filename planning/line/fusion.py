@@ -353,8 +353,8 @@ class DeviationFilter:
     def _equation(self, measurement: Measurement, R: Array) -> Equation:
         H, z = self._rows(measurement), measurement.value
         if measurement.origin is not None:
-            ratio = self._bias_at[measurement.sensor].start
-            z = extended(H, z, self._track.kf.x, measurement.origin, self.model.size, ratio)
+            kf, ratio = self._track.kf, self._bias_at[measurement.sensor].start
+            z, R = extended(H, z, R, kf.x, kf.P, measurement.origin, (self.model.size, ratio))
         return Equation(H, z, R, measurement.sensor, measurement.combination is not None)
 
     def _try(self, track: _Track, equation: Equation, seen: Innovation) -> Fused:

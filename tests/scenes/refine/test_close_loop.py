@@ -164,13 +164,14 @@ def test_path_is_nearly_as_good_as_with_a_tracker():
     assert aligned["after"] <= 1.1 * aligned["oracle"]
     assert aligned["after"] < 0.1 * aligned["before"]
     # An error of the data sheet's drive gains goes into it in full, and the interval says so.
-    low, high = np.array([one.interval for one in sorted(result.analysis.joints, key=lambda one: one.joint)]).T
-    assert np.all((low < result.stiffness["oracle"]) & (result.stiffness["oracle"] < high))
+    joints, oracle = result.json()["clamped"]["joints"], np.array(result.json()["stiffness"]["oracle"])
+    low, high = np.array([one["interval_95"] for one in sorted(joints, key=lambda one: one["joint"])]).T
+    assert np.all((low < oracle) & (oracle < high))
 
 
 @pytest.mark.slow
 def test_wrench_at_the_clamp_tells_the_stiffness_without_the_drives() -> None:
     scene = load_scene("close_clamped")
     assert isinstance(scene, CloseClampedScene)
-    result = close_clamped(scene, measured="tcp")
-    np.testing.assert_allclose(result.stiffness["after"], result.stiffness["oracle"], rtol=0.03)
+    found = close_clamped(scene, measured="tcp").json()["stiffness"]
+    np.testing.assert_allclose(found["after"], found["oracle"], rtol=0.03)
