@@ -29,7 +29,7 @@ def test_after_is_close_to_the_oracle() -> None:
     assert result.errors["after"].mean < 0.5 * result.errors["before"].mean
     # Calibrated by moving, with the same wrong stamps, the camera's scale is off by what the stamps are worth.
     if not set(found) <= {"camera_latency", "camera_scale"}:
-        pytest.xfail(f"the camera's turn that such a calibration leaves is no effect of the library: {sorted(found)}")
+        pytest.xfail(f"beside the delay of the stamps a drift of them is named: {sorted(found)}")
     assert found["camera_latency"].coefficients[0] == pytest.approx(-0.008, abs=3e-4)
 
 
