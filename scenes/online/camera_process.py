@@ -228,6 +228,7 @@ def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCame
         camera = CameraModel(int(values["width"]), int(values["height"]), np.array(values["K"], float),
                              np.array(values["distortion"], float), mount, by_hand.readout)
         offset, residual = float(values["time_offset_s"]), values.get("residual_mm")
+        residual = float("nan") if residual is None else 1e-3 * float(residual)
         if not abs(offset) < 1.0:
             raise ValueError("no time offset")
     except (ValueError, KeyError, TypeError, IndexError, OverflowError) as error:
@@ -235,8 +236,7 @@ def calibrated_camera(by_hand: CameraModel, file: Path | None) -> CalibratedCame
                          file=file) from error
     if (camera.width, camera.height) != (by_hand.width, by_hand.height):
         raise InputError("is of pictures of another size than the scene's camera has", file=file)
-    return CalibratedCamera(camera, file, False, offset, float("nan") if residual is None else 1e-3 * float(residual),
-                            surface)
+    return CalibratedCamera(camera, file, False, offset, residual, surface)
 
 
 def _pose(rotation: Array, translation: Array) -> pin.SE3:

@@ -300,7 +300,8 @@ def test_a_calibration_is_kept_and_wrong_files_are_refused(tmp_path: Path) -> No
     assert (read.wanted, read.time_offset) == (False, 0.002)
     np.testing.assert_allclose(read.camera.T_tool_camera.homogeneous, kept.camera.T_tool_camera.homogeneous)
     for text in ("", "[]", json.dumps({**kept.json(), "rotation": [[1, 0], [0, 1]]}),
-                 json.dumps({**kept.json(), "time_offset_s": 9}), json.dumps({**kept.json(), "width": 64})):
+                 json.dumps({**kept.json(), "time_offset_s": 9}), json.dumps({**kept.json(), "width": 64}),
+                 json.dumps({**kept.json(), "residual_mm": [0.1]})):
         file.write_text(text)
         with pytest.raises(InputError):
             calibrated_camera(by_hand, file)
