@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.collisions import THICK
 from ideal_robot.robots.robot import Robot
+from ideal_robot.robots.size import reach
 from ideal_robot.robots.urdf import without_meshes
 from ideal_robot.row_log import temporary_folder
 from sim.arm.world import STEP
@@ -169,7 +172,7 @@ class Stage:
     """An arm on a floor that can be shown in many postures from one place.
 
     Args:
-        robot: any robot whose URDF holds primitive shapes; links without visible shape stay invisible.
+        robot: any robot whose URDF holds primitive shapes; an arm without any is drawn as rods from joint to joint.
         q: arm angles ``(n,)`` [rad] that the view is fitted to.
         width: of the picture [px].
         height: of the picture [px].
@@ -250,8 +253,33 @@ def _load(robot: Robot, client: int) -> int:
     """The arm with its primitive shapes: Bullet would open whatever file a mesh names."""
     with temporary_folder() as folder:
         path = folder / "arm.urdf"
-        path.write_text(without_meshes(robot.description), encoding="utf-8")
+        path.write_text(_with_rods(without_meshes(robot.description), THICK * reach(robot)), encoding="utf-8")
         return int(pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=client))
+
+
+def _with_rods(text: str, radius: float) -> str:
+    """The same URDF, its links drawn as rods to the next joint if it has no shape to be seen.
+
+    Args:
+        text: of the URDF.
+        radius: of the rods [m].
+    """
+    root = ET.fromstring(text)
+    if root.find("./link/visual") is not None:
+        return text
+    links = {link.get("name"): link for link in root.findall("link")}
+    for joint in root.findall("joint"):
+        origin, parent = joint.find("origin"), joint.find("parent")
+        way = np.array([float(v) for v in ("0 0 0" if origin is None else origin.get("xyz", "0 0 0")).split()])
+        length = float(np.linalg.norm(way))
+        if length < 1e-6 or parent is None:
+            continue
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), way / length).matrix()
+        visual = ET.SubElement(links[parent.get("link")], "visual")
+        ET.SubElement(visual, "origin", {"xyz": _text(0.5 * way), "rpy": _text(_rpy(turn))})
+        ET.SubElement(ET.SubElement(visual, "geometry"), "cylinder", {"length": f"{length}", "radius": f"{radius}"})
+        ET.SubElement(ET.SubElement(visual, "material", {"name": "rod"}), "color", {"rgba": "0.88 0.42 0 1"})
+    return ET.tostring(root, encoding="unicode")
 
 
 def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -23,6 +25,7 @@ from sim.arm.kernel import LOGGED
 from sim.arm.specimen import draw_specimen
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
+from tests.arms import urdf, written
 
 ROBOT = Robot.load("kr6")
 DEFAULT, IDEAL = World.default("kr6"), World.ideal("kr6")
@@ -365,3 +368,11 @@ def test_a_path_is_drawn() -> None:
 def test_posture_must_fit() -> None:
     with pytest.raises(InputError, match="6 joint angles"):
         picture(Robot.load("kr6"), np.zeros(5))
+
+
+def test_an_arm_without_shapes_is_drawn_as_rods(tmp_path: Path) -> None:
+    robot = Robot.load(written(tmp_path, urdf(6)))
+    view: dict[str, Any] = {"width": 240, "height": 180, "distance": 2.0, "target": [0.3, 0.0, 0.5]}
+    one = picture(robot, robot.home, **view)
+    other = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), **view)
+    assert (np.abs(one.astype(int) - other).max(axis=2) > 40).sum() > 200
