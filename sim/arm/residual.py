@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
 from sim.arm.world import ExtraTorque, World
 
 LOWEST = 0.05
@@ -25,6 +26,9 @@ def residual_torque(world: World, n: int, rng: np.random.Generator) -> ExtraTorq
         world: the true world.
         n: number of joints.
         rng: draws frequencies and phases; is not touched where the world has no residual.
+
+    Raises:
+        InputError: a row of the residual for another number of joints.
     """
     offset = world.bodies(n)[11 * n :] if world.body else np.zeros(n)
     given = world.extra_torque
@@ -32,6 +36,9 @@ def residual_torque(world: World, n: int, rng: np.random.Generator) -> ExtraTorq
         if not offset.any():
             return given
         return lambda t, q, qd, q_a: -offset + (0.0 if given is None else given(t, q, qd, q_a))
+    for row in world.residual:
+        if len(row) not in (1, n):
+            raise InputError(f"expected rows of one number or {n}, one per joint", field="world.residual", value=row)
     bands = np.array([np.broadcast_to(row, n) for row in world.residual])
     edges = octave_edges(len(bands))
     share = rng.uniform(size=(len(bands), WAVES, 1))

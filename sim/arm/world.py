@@ -315,7 +315,7 @@ class World:
             raise InputError("expected a table", field="world.spread", value=spread)
         for name in sorted(spread):
             width = spread[name]
-            if name not in sizes or isinstance(width, (bool, str)) or not 0.0 <= float(width) <= 3.0:
+            if name not in sizes or type(width) not in (int, float) or not 0.0 <= width <= 3.0:
                 raise InputError("expected a number from 0 to 3 for a key with a size per joint",
                                  field=f"world.spread.{name}", value=width)
             value = np.atleast_1d(getattr(self, name))
@@ -330,9 +330,10 @@ class World:
         Raises:
             InputError: another number of values.
         """
-        if len(self.body) != 12 * n:
-            raise InputError(f"expected {12 * n} numbers for {n} joints", field="world.body", value=len(self.body))
-        return np.array(self.body)
+        body = np.atleast_1d(self.body)
+        if len(body) != 12 * n:
+            raise InputError(f"expected {12 * n} numbers for {n} joints", field="world.body", value=len(body))
+        return body
 
     def replace(self, **changes: Any) -> World:
         """A checked copy with some effects changed.

@@ -376,3 +376,11 @@ def test_an_arm_without_shapes_is_drawn_as_rods(tmp_path: Path) -> None:
     one = picture(robot, robot.home, **view)
     other = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), **view)
     assert (np.abs(one.astype(int) - other).max(axis=2) > 40).sum() > 200
+
+
+@pytest.mark.parametrize(("key", "value"), [("body", -1), ("body", [1.0, 2.0]), ("residual", [[1.0, 2.0]]),
+                                            ("spread", {"stiffness": [1.0]}), ("spread", {"stiffness": float("nan")})])
+def test_what_a_twin_holds_is_for_the_joints_of_its_arm(key: str, value: object) -> None:
+    with pytest.raises(InputError) as caught:
+        arm_of(World.from_table("kr6", {key: value}))
+    assert str(caught.value.field).startswith(f"world.{key}")
