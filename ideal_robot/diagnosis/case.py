@@ -10,11 +10,12 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.motor_torque import in_own_units, torque_regression, without_dead_channels
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Choice, Options
-from ideal_robot.diagnosis.search.forward_selection import Only, Progress
+from ideal_robot.diagnosis.search.forward_selection import Only
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis, DomainResult, rms
 from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.model.model import Model
+from ideal_robot.progress import Progress
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 

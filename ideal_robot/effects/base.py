@@ -130,11 +130,9 @@ class Effect(ABC):
         enough_of_most: further columns, from 0, of which one that differs from none is enough where the effect takes
             away more than half of the held-out squares.
         sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
-        theta_is_physical: False where theta only serves the computation and has no uncertainty of its own.
-        scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.
-        told_from: periods within the range that was driven from which on no smooth curve over the angle looks like an
-            effect that is ``scanned``; with fewer it has to be as large as a learned curve, and none may explain more.
-        depends_on_joint: whether its numbers are in the units of its joint: of a sliding one in N and m.
+        told_from: of an effect that is ``scanned``, periods within the range that was driven from which on no smooth
+            curve over the angle looks like it; with fewer it has to be as large as a learned curve, and none may
+            explain more. Zero for all others.
         geometric: whether it is a change of the arm's geometry, which another joint's may reproduce where axes are
             parallel.
         caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
@@ -170,10 +168,7 @@ class Effect(ABC):
     without_which_none: ClassVar[tuple[int, ...]] = ()
     enough_of_most: ClassVar[tuple[int, ...]] = ()
     sooner_than: ClassVar[tuple[str, ...]] = ()
-    theta_is_physical: ClassVar[bool] = True
-    scanned: ClassVar[bool] = False
     told_from: ClassVar[float] = 0.0
-    depends_on_joint: ClassVar[bool] = True
     geometric: ClassVar[bool] = False
     caution: ClassVar[float] = 1.0
     flexible: ClassVar[bool] = False
@@ -202,6 +197,16 @@ class Effect(ABC):
     def key(self) -> str:
         """Name and place: what tells the forms of one cause apart."""
         return f"{self.name}/{self.channel_prefix}"
+
+    @property
+    def scanned(self) -> bool:
+        """Whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it."""
+        return self.told_from > 0.0
+
+    @property
+    def theta_is_physical(self) -> bool:
+        """Whether theta is a number with an uncertainty, and does not only serve to compute the coefficients."""
+        return type(self).consistent_theta is Effect.consistent_theta
 
     @property
     def at_motor(self) -> bool:

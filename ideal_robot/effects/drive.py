@@ -170,7 +170,6 @@ class LateTorque(DeadTime):
 
     theta_names = ("chord",)
     theta_units = ("s",)
-    theta_is_physical = False
     discriminating_motion: ClassVar[tuple[tuple[str, str], ...]] = (
         ("joint_elasticity", "the same path at half and at double speed: a delay grows with the torque's rate, a soft "
                              "gear with its second derivative"),

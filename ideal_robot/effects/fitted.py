@@ -54,7 +54,6 @@ class Unknown(Effect):
 
     name = "unknown"
     learned = True
-    depends_on_joint = False
     source = "learned from the residual"
 
     @classmethod

@@ -53,7 +53,6 @@ class KinematicError(Effect):
 
     name = "kinematic_error"
     domain = TCP_POSITION
-    depends_on_joint = False
     geometric = True
     coefficient_names = ("a", "d", "alpha", "theta")
     coefficient_units = ("m", "m", "rad", "rad")
@@ -87,7 +86,6 @@ class ThermalGrowth(WarmingEffect):
 
     name = "thermal_growth"
     domain = TCP_POSITION
-    depends_on_joint = False
     geometric = True
     coefficient_names = ("strain",)
     coefficient_units = ("1",)

@@ -27,7 +27,6 @@ class TorqueRipple(Effect):
     coefficient_names = ("cosine", "sine")
     coefficient_units = ("N m", "N m")
     source = "motor cogging and gear meshing; order = periods per joint turn"
-    scanned = True
     told_from = 4.5
     least_periods: ClassVar[float] = 2.0
 

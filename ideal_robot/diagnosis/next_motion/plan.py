@@ -25,13 +25,13 @@ from ideal_robot.diagnosis.next_motion.separation import (
     smallest_share,
 )
 from ideal_robot.diagnosis.search.choice import Options
-from ideal_robot.diagnosis.search.forward_selection import Progress, silent
 from ideal_robot.diagnosis.statistics.problem import Problem, prior_precision
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, TCP_POSITION, Domain, library
 from ideal_robot.errors import InputError
 from ideal_robot.identification.checks import checked
 from ideal_robot.identification.excitation import Workspace
 from ideal_robot.model.model import Model
+from ideal_robot.progress import Progress, silent
 from ideal_robot.results import Summarised, plain
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording

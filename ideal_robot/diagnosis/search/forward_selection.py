@@ -7,7 +7,7 @@ no part in the fit, and taken out again when later ones make it superfluous.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import Effect, Signals
+from ideal_robot.progress import Progress, silent
 
 
 def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int, str],
@@ -55,16 +56,10 @@ def candidates(effects: Sequence[Effect], signals: Signals, undecided: dict[int,
             yield [Candidate(effect, joint, theta, len(starts)) for theta in starts]
 
 
-Progress = Callable[[float, str], None]
-"""Called with the share done and a word."""
 Only = tuple[tuple[str, int], ...]
 """Names and joints of the effects that may be looked for."""
 _REFINED = 6
 """Candidates of a round that are refined over theta, at most."""
-
-
-def silent(share: float, word: str) -> None:
-    """Progress that nobody looks at."""
 
 
 class Search:

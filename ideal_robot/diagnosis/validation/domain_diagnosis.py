@@ -250,7 +250,9 @@ class DomainDiagnosis:
         evidence = {"p_value": choice.p_value, "rms_before": before, "rms_after": after,
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
                     "share": choice.share, "share_asked": choice.asked}
-        sliding = effect.depends_on_joint and candidate.joint > 0 and self.reported.prismatic[candidate.joint - 1]
+        # Geometry and curves are in units of their own, all else in those of its joint.
+        own = candidate.joint > 0 and not (effect.geometric or effect.learned)
+        sliding = own and self.reported.prismatic[candidate.joint - 1]
         fitted = fitted_effect(candidate, self.final, k, sliding=sliding, evidence=evidence)
         fitted = with_limits(fitted, candidate, self.problem.regression.signals)
         names = tuple(choice.dependence.names) if choice.dependence is not None else ()
