@@ -217,6 +217,8 @@ def follow_hour(minutes: float = 60.0, cycle: float = 0.012, scene: str = "glue"
                     gone = True
                     wire()
             code, said = follower.returncode, follower.communicate()[1][-400:]
+            if not (folder / "follow.json").exists():
+                raise SystemExit(said)
             truth, figures = cell.truth(1, 60.0), cell.figures()
     link, timing = figures["devices"]["arm"]["link"], figures["timing"]
     print(f"{figures['cycles']} cycles of {1e3 * cycle:g} ms in {timing['seconds']:.0f} s; ended with {code} {said}")

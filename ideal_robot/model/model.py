@@ -16,10 +16,9 @@ from ideal_robot.dynamics import (
     BaseParameters,
     base_parameters,
     link_parameters,
-    torques,
     with_link_parameters,
 )
-from ideal_robot.dynamics.newton_euler import chain_of, gravity_across
+from ideal_robot.dynamics.newton_euler import Chain, chain_of, gravity_across, inverse_dynamics
 from ideal_robot.dynamics.regressor import regressor
 from ideal_robot.effects import MOTOR_TORQUE, FittedEffect, Signals
 from ideal_robot.effects.signals import constant_of_weight
@@ -136,6 +135,10 @@ class Model(Summarised):
         model.armature = np.zeros(self.n)
         return model
 
+    @cached_property
+    def _exact_chain(self) -> Chain:
+        return chain_of(self._exact_model)
+
     def rigid_body(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Torque ``(N, n)`` [N m] of the links alone: what the gears transmit. No rotors, friction, offsets.
 
@@ -144,10 +147,12 @@ class Model(Summarised):
             qd: joint velocities ``(N, n)`` [rad/s].
             qdd: joint accelerations ``(N, n)`` [rad/s²].
         """
-        return torques(self._exact_model, q, qd, qdd)
+        return inverse_dynamics(self._exact_chain, *(np.ascontiguousarray(values, dtype=float)
+                                                     for values in (q, qd, qdd)))
 
     def inverse_dynamics(self, q: Array, qd: Array, qdd: Array, *, t: Array | None = None,
-                         temperature: Array | None = None, cutoff: float | None = None) -> Array:
+                         temperature: Array | None = None, cutoff: float | None = None,
+                         direction: Array | None = None) -> Array:
         """Motor torque ``(N, n)`` [N m] for a motion, [G] (8), with the effects that act on the torque.
 
         Args:
@@ -158,10 +163,11 @@ class Model(Summarised):
                 not given.
             temperature: gear temperatures ``(N, n)`` [°C], where known.
             cutoff: of the filter that measured positions went through [Hz]; None for exact ones.
+            direction: of sliding ``(N, n)``, -1 to 1, of who has followed the joints for longer than these positions.
         """
         q, qd, qdd = (np.atleast_2d(np.asarray(values, dtype=float)) for values in (q, qd, qdd))
         load = self.rigid_body(q, qd, qdd)
-        friction = self.friction.torque(qd, load, q)
+        friction = self.friction.torque(qd, load, q if direction is None else None, direction)
         tau = load + self._own_torque(qdd) + friction
         acting = [effect for effect in self.effects if effect.domain == MOTOR_TORQUE]
         if acting:
@@ -172,9 +178,10 @@ class Model(Summarised):
             still = np.zeros_like(q)
             signals = Signals(times, q, qd, qdd, load, tau, friction, temperature, rigid=self.rigid_body,
                               constant=constant_of_weight(self.offset, self.rigid_body(q, still, still)),
-                              cutoff=cutoff, sliding=self.friction.sliding(q, qd), payload=body,
+                              cutoff=cutoff, payload=body,
+                              sliding=self.friction.sliding(q, qd) if direction is None else direction,
                               bodies=lambda link: self._body_on(link, q, qd, qdd),
-                              gravity_across=lambda at: gravity_across(chain_of(self._exact_model), at))
+                              gravity_across=lambda at: gravity_across(self._exact_chain, at))
             tau = tau + np.sum([effect.contribution(signals) for effect in acting], axis=0)
         return tau
 

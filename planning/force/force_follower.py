@@ -123,11 +123,11 @@ class SurfaceFollower:
 
     def speed_at(self, t: float) -> float:
         """Speed of the travel at ``t`` [m/s]."""
-        return float(self.profile.speed(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
+        return self.profile.at(t - self._t_travel)[1] if np.isfinite(self._t_travel) else 0.0
 
     def s_at(self, t: float) -> float:
         """Arc length of the travel at ``t`` [m]."""
-        return float(self.profile.s(t - self._t_travel)) if np.isfinite(self._t_travel) else 0.0
+        return self.profile.at(t - self._t_travel)[0] if np.isfinite(self._t_travel) else 0.0
 
     def press_as(self, elasticity: float) -> None:
         """Assumes this elasticity of tip and surface [N/m] from now on."""

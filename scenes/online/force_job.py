@@ -65,15 +65,17 @@ _NO_LOAD = ToolLoad(np.zeros(6), 0.0, np.zeros(3), np.zeros(2))
 class LiveForceTask(ForceTask):
     """``ForceTask`` with devices that may fall silent and an arm that may have to be stopped.
 
-    Behind short cycles an answer waits for no field: what has come is fused as soon as the command of a cycle has gone.
-    Forces are not put off.
+    Behind short cycles an answer waits for no sensor: what has come is fused as soon as the command of a cycle has
+    gone, one thing between two cycles, forces first. Only whether a force is too large is looked at before.
     """
 
     arm: LiveArm | None = None
     force: LiveForce | None = None
     ahead = False
-    """Whether fields are fused between two cycles."""
+    """Whether what is sensed is fused between two cycles."""
     _unfit: IdealRobotError | None = None
+    _told = 0
+    """How many fusions of forces were looked at."""
 
     maps = True
     """Whether what is felt goes into a map of the surface, which tells how well it fits."""
@@ -86,19 +88,21 @@ class LiveForceTask(ForceTask):
         """From now on with this arm, which is at rest at the start."""
         self.arm, self.ahead = arm, self.vision is not None and arm.t_ipo < AT_ONCE
         if self.ahead:
-            arm.between.append(lambda: self.look_between(arm.t))
+            arm.between.append(lambda: self.fuse_between(arm.t))
 
-    def look_between(self, t: float) -> None:
-        """Fuses the fields that have arrived by ``t`` [s]; what goes wrong is told when the next cycle is planned."""
+    def fuse_between(self, t: float) -> None:
+        """Fuses what has arrived by ``t`` [s]; what goes wrong is told when the next cycle is planned."""
         try:
-            super().look(t)
+            if not self.fuse_forces(t):
+                self.fuse_fields(t)
+                self.motors.weigh()
         except IdealRobotError as error:
             self._unfit = error
 
-    def look(self, t: float) -> None:
+    def fuse(self, t: float) -> None:
         """See ``ForceTask``."""
         if not self.ahead:
-            super().look(t)
+            super().fuse(t)
         elif self._unfit is not None:
             raise self._unfit
 
@@ -106,11 +110,11 @@ class LiveForceTask(ForceTask):
         """See ``scenes.online.cycle.Task``."""
         if self.arm is not None:
             self.arm.check(t)
-        before = len(self.log.samples)
         q_d = super().plan(t, q_d)
         if self.force is not None:
-            if len(self.log.samples) > before and self.follower.phase is Phase.TRAVEL and self.maps:
+            if len(self.log.samples) > self._told and self.follower.phase is Phase.TRAVEL and self.maps:
                 self.force.signs.fits(self.log.samples[-1][2])
+            self._told = len(self.log.samples)
             if (trouble := self.force.trouble(t)) is not None:
                 raise EmergencyStopError("force", t, trouble)
             self._check_felt(t)
@@ -167,6 +171,8 @@ class LiveForceTask(ForceTask):
         super().collect(t0, t1, measured)
         if self.follower.phase is Phase.TRAVEL:
             self.motors.hear(measured, self._torque[0] / self.cell.scene.force, self.follower.force)
+            if not self.ahead:
+                self.motors.weigh()
 
 
 class ForceJob:

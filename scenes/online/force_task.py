@@ -240,7 +240,7 @@ class ForceTask:
     def plan(self, t: float, q_d: Array) -> Array:
         """Desired joint positions over the horizon ``(n_d, n)``."""
         self._sense(t)
-        self.look(t)
+        self.fuse(t)
         self._check(t)
         # Direct feedback goes its own way between touch-down and lift: no need to plan.
         if self._direct is not None and self.follower.phase is not Phase.APPROACH:
@@ -250,7 +250,12 @@ class ForceTask:
         self._stop.command(t, q_d)
         return q_d
 
-    def look(self, t: float) -> None:
+    def fuse(self, t: float) -> None:
+        """Fuses the forces and the fields that have arrived by ``t`` [s]."""
+        self.fuse_forces(t)
+        self.fuse_fields(t)
+
+    def fuse_fields(self, t: float) -> None:
         """Fuses the fields that have arrived by ``t`` [s]."""
         if self.vision is not None and self._camera is not None:
             self.vision.sense(t, self._camera.arrived(t))
@@ -293,8 +298,11 @@ class ForceTask:
         arrived = self._sensor.arrived(t)
         if arrived:
             self._felt.append(self._contact(t, arrived))
+
+    def fuse_forces(self, t: float) -> bool:
+        """Fuses the forces that were gathered by ``t`` [s]; whether there was anything to fuse."""
         if not self._felt or (self._direct is None and t - self._fused_at < GATHERED):
-            return
+            return False
         self._fused_at = t
         t_felt, contact = (np.concatenate(part) for part in zip(*self._felt, strict=True))
         self._felt = []
@@ -309,6 +317,7 @@ class ForceTask:
         self.log.samples.append((float(t_felt[-1]), self.follower.force, nis))
         if self._direct is not None:
             self._direct.update(self.follower.force)
+        return True
 
     def _contact(self, t: float, arrived: Sequence[WrenchSample]) -> tuple[Array, Array]:
         """Instants ``(m,)`` [s] and contact forces ``(m, 3)`` [N, tool frame] of samples; ends on a force too large."""

@@ -28,6 +28,8 @@ _FINER = 4
 """Pixels of the tool's outline in one of the picture, each way."""
 _SPACING = 4
 """Pixels between the places that are computed."""
+_STILL = 0.05
+"""Pixels by which a picture may move within its exposure and still be drawn once."""
 _STEPS = 3
 """Steps in which a ray finds the height of a surface that is not flat."""
 
@@ -50,7 +52,7 @@ class LiveCamera:
         self.model, self._plane, self._relief, self._settings, self._rng = model, surface.plane, relief, settings, rng
         self._texture = texture = paint(surface, settings.resolution)
         # A pixel sees the mean over its footprint: of the same standard deviation as a box of that width.
-        height = -float(model.T_tool_camera.translation[2])
+        self._distance = height = -float(model.T_tool_camera.translation[2])
         sigma = max(height / model.K[0, 0] / settings.resolution / np.sqrt(12.0), 0.3)
         self._image = cv2.GaussianBlur(texture.image, (0, 0), sigma)
         self._background = float(surface.background)
@@ -73,6 +75,8 @@ class LiveCamera:
             shape: what may stand in the lamp's way: ends of capsules ``(M, 2, 3)`` [m] and their radii ``(M,)`` [m].
         """
         total = np.zeros((self.model.height, self.model.width), dtype=np.float32)
+        if self._still(poses):
+            poses = poses[len(poses) // 2 :][:1]
         for pose in poses:
             x, y, _ = self._met(pose)
             scale = self._texture.resolution
@@ -87,6 +91,13 @@ class LiveCamera:
         if self._settings.noise > 0:
             total += np.float32(self._settings.noise) * self._rng.standard_normal(total.shape, dtype=np.float32)
         return np.asarray(np.clip(np.rint(total), 0, 255), dtype=np.uint8)
+
+    def _still(self, poses: Sequence[pin.SE3]) -> bool:
+        """Whether the picture moves so little within its exposure that one pose shows as much as all."""
+        first, last = (pose * self.model.T_tool_camera for pose in (poses[0], poses[-1]))
+        way = first.actInv(last)
+        moved = np.linalg.norm(way.translation) / self._distance + np.linalg.norm(pin.log3(way.rotation))
+        return bool(self.model.K[0, 0] * moved < _STILL)
 
     def _lit(self, lamp: Lamp, gray: NDArray[np.float32], pose: pin.SE3, t: float, shape: tuple[Array, Array]
              ) -> NDArray[np.float32]:

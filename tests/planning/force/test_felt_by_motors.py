@@ -29,6 +29,7 @@ def heard(way: Array, unfelt: float, currents: bool = True) -> float:
         tau = model.inverse_dynamics(q[k - late], v[k - late], a[k - late])[0] - torque * (20.0 + unfelt)
         tau = tau + model.noise_std * rng.standard_normal(robot.n)
         motors.hear(RobotState(T * k, q[k - late], tau if currents else np.full(robot.n, np.nan)), torque, 20.0)
+        motors.weigh()
     return motors.excess
 
 
