@@ -23,7 +23,8 @@ from scenes.methods import DIRECT, IDEAL, NONE, SceneMethod, following_methods, 
 from scenes.metrics import PathErrors, path_errors
 from scenes.models import model_for
 from scenes.online.cycle import CycleSettings, play_cycles
-from scenes.online.line_task import SETTLING, LineLog, LineTask, field_columns, plan_error
+from scenes.online.line_log import SETTLING, LineLog, field_columns, plan_error
+from scenes.online.line_task import LineTask
 from scenes.result import Progress, silent
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError

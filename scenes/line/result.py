@@ -13,7 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.row_log import let_go
 from ideal_robot.signals.recording import Recording
 from scenes.metrics import PathErrors
-from scenes.online.line_task import FieldShown
+from scenes.online.line_log import FieldShown
 from scenes.result import ShownRun, step
 from scenes.scene_files.drawn_line import Geometry
 from scenes.scene_files.line_scene import LineScene

@@ -19,7 +19,8 @@ from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
 from scenes.online.line_known import START, CalibrationView, Known, calibration_postures, line_follower, span_of
-from scenes.online.line_task import AT_ONCE, LineLog, LiveLineTask, plan_error
+from scenes.online.line_log import LineLog, plan_error
+from scenes.online.line_task import AT_ONCE, LiveLineTask
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera, LiveForce, rehearse
 from scenes.scene_files.drawn_line import reference_points

@@ -21,7 +21,7 @@ from scenes.online.force_job import ForceJob
 from scenes.online.journal import Journal, Later
 from scenes.online.line_job import LineJob, Piece, calibrated_by_moving
 from scenes.online.line_known import START, line_follower, span_of
-from scenes.online.line_task import LineLog
+from scenes.online.line_log import LineLog
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import EvaluatedField, ImaginedCamera, ImaginedForce
 from scenes.online.run import _job, load_cell
