@@ -319,18 +319,25 @@ def ablation(seeds: str = "993100-993123", sizes: str = "3,10", lines: Path = Pa
 
 def _table(played: list[dict[str, Score]]) -> None:
     """What the trials say of each rule."""
-    head("rule", "means", "acted in", "changed", "right", "false names", "empty left alone")
+    head("rule", "means", "acted in", "changed", "right", "false names", "empty left alone",
+         "intervals that hold")
     whole = [one[""] for one in played]
     empty = [k for k, s in enumerate(whole) if s.kind == "none"]
     row("with all", f"{len(whole)} recordings, {len(empty)} of them empty", "", "", sum(s.right for s in whole),
-        sum(len(s.false) for s in whole), sum(whole[k].right for k in empty))
+        sum(len(s.false) for s in whole), sum(whole[k].right for k in empty),
+        f"{sum(map(_held, whole))} of {sum(len(s.covered) for s in whole)}")
     for rule in RULES:
         other = [one.get(rule, one[""]) for one in played]
         changed = sum((a.named, a.unknown) != (b.named, b.unknown) for a, b in zip(whole, other, strict=True))
-        right, false = (np.array([f(b) - f(a) for a, b in zip(whole, other, strict=True)], dtype=float)
-                        for f in (lambda s: s.right, lambda s: len(s.false)))
+        right, false, held = (np.array([f(b) - f(a) for a, b in zip(whole, other, strict=True)], dtype=float)
+                              for f in (lambda s: s.right, lambda s: len(s.false), _held))
         row(f"`{rule}`", meaning(rule), sum(rule in one for one in played), changed, _summed(right), _summed(false),
-            _summed(right[empty]))
+            _summed(right[empty]), _summed(held))
+
+
+def _held(s: Score) -> int:
+    """How many 95 % intervals hold the truth."""
+    return sum(abs(error) <= 1.96 for _, error in s.covered)
 
 
 def _summed(differences: np.ndarray) -> str:

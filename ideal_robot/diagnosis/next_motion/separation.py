@@ -22,13 +22,13 @@ from scipy import linalg
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.search.choice import Options
+from ideal_robot.diagnosis.statistics.least_squares import RIDGE
 from ideal_robot.diagnosis.statistics.problem import Candidate
 
 SIGMAS = 4.0
 """Separation from which two causes count as told apart: the fits differ by twice what their difference scatters."""
 OWN = 0.2
 """Share of a cause that its rival must not be able to imitate: a rival that reaches more of it stays one."""
-_RIDGE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -192,6 +192,6 @@ def _left(matrix: Array, prior: Array | None) -> float:
     diagonal = np.diag(A)
     used = diagonal > 0.0
     scale = 1.0 / np.sqrt(diagonal[used])
-    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + _RIDGE * np.eye(int(used.sum()))
+    inner = A[np.ix_(used, used)] * np.outer(scale, scale) + RIDGE * np.eye(int(used.sum()))
     right = scale * across[used]
     return square - float(right @ linalg.solve(inner, right, assume_a="pos"))

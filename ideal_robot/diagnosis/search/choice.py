@@ -111,10 +111,6 @@ class Scored:
     dependence: Dependence | None = field(default=None)
 
 
-_ROUNDS = 2
-"""Refits after which the channels' weights have settled."""
-
-
 class PresentModel:
     """Selected effects, the weights of the channels that follow from what they leave, and fits with them.
 
@@ -208,7 +204,7 @@ class PresentModel:
         return float(np.exp(np.mean(np.log(np.maximum(squares[kept], 1e-300) / samples[kept]))))
 
     def _weights(self) -> Array:
-        return weights_of_channels(self.design, self.keys(), self.problem.prior, _ROUNDS)
+        return weights_of_channels(self.design, self.keys(), self.problem.prior)
 
 
 _NEARLY = 0.9
@@ -216,7 +212,8 @@ _NEARLY = 0.9
 _NOT_TOLD = 0.8
 """The same where the difference is no more than what scatters from block to block."""
 SIMPLER = 0.95
-"""Share of a reduction from which on a law with fewer parameters may stand for one with more."""
+"""Share of a reduction from which on a law with fewer parameters may stand for one with more, and a wave of a few
+periods, three numbers, for a curve's twelve."""
 
 
 def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import Choice, Scored
+from ideal_robot.diagnosis.search.choice import SIMPLER, Choice, Scored
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
@@ -15,8 +15,6 @@ from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import TCP_POSITION, Effect, Signals
 from ideal_robot.effects.fitted import Unknown
 
-_AS_GOOD = 0.95
-"""Share of a curve's reduction with which a wave of a few periods, three numbers for a curve's twelve, is taken."""
 _TESTED = 6
 """Curves of a channel that are tested on blocks left out, at most."""
 
@@ -103,7 +101,7 @@ class LearnedCurves:
         """How many times as much a curve has to take away as the best effect of the library."""
         if best.candidate.effect.flexible:
             return 1.0
-        return 1.0 / _AS_GOOD if self.scoring.is_short(best.candidate) else self.options.unknown_margin
+        return 1.0 / SIMPLER if self.scoring.is_short(best.candidate) else self.options.unknown_margin
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
                     least: float) -> list[Scored]:

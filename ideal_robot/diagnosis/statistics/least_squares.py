@@ -12,7 +12,7 @@ from scipy import linalg, stats
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Columns
 
-_RIDGE = 1e-9
+RIDGE = 1e-9
 """Relative to the size of each column, towards the model as it is: decides what a fold leaves open."""
 _SMOOTH = 3e-3
 """The same for the pieces of a curve, some of which a fold may hardly show. A body's ten columns are in units of their
@@ -125,7 +125,7 @@ class Fit:
             training = np.where(self.fold == k, LEFT_OUT, 1.0) * (self.fold >= 0)
             H = np.tensordot(training, weighted, 1)
             A = H[: self.P, : self.P] + precision
-            A = A + _RIDGE * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
+            A = A + RIDGE * np.diag(np.maximum(np.diag(A), 1e-12 * (np.max(np.diag(A)) + 1e-300)))
             # Zero throughout where no sample is left to train on: nothing is known then, and nothing found.
             scale = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
             inverse = _inverse(A * np.outer(scale, scale)) * np.outer(scale, scale)
@@ -327,7 +327,7 @@ def _one_sided(score: Array, left: Array) -> float:
     return float(stats.t.sf(float(values.sum()) / spread, B - 1))
 
 
-def weights_of_channels(design: Design, keys: list[str], prior: Array | None, rounds: int) -> Array:
+def weights_of_channels(design: Design, keys: list[str], prior: Array | None, rounds: int = 2) -> Array:
     """1/σ² of each channel ``(c,)`` from the residual of a fit, found by refitting.
 
     The first weights are those that the model's own parameters leave, so that no channel's misfit weighs on another.
@@ -336,7 +336,7 @@ def weights_of_channels(design: Design, keys: list[str], prior: Array | None, ro
         design: groups and cross-products.
         keys: the groups of the fit, ``W`` first.
         prior: precision of the parameters ``(P, P)``, or None.
-        rounds: refits with ``keys``.
+        rounds: refits with ``keys``; after two the weights have settled.
     """
     weights = Fit(design, ["W"], np.ones(design.data.c), prior).refitted_weights()
     for _ in range(rounds):

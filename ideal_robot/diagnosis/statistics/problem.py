@@ -158,8 +158,6 @@ def with_possible_inertias(model: Model, near: Array) -> Model:
     return dataclasses.replace(model, consistent=possible.full)
 
 
-_ROUNDS = 2
-"""Refits after which the channels' weights of the final fit have settled."""
 _FEWEST = 64
 """Rows from which on a part of the band can be told from the rest."""
 _ROUNDING = 1e-9
@@ -268,7 +266,7 @@ class Problem:
         """
         design = self.design(effects)
         keys = ["W", *[c.key for c in effects]]
-        weights = weights_of_channels(design, keys, self.prior, _ROUNDS)
+        weights = weights_of_channels(design, keys, self.prior)
         fit = Fit(design, keys, weights, self.prior)
         p = self.products.W.m
         sizes = [design.groups[c.key].m for c in effects]

@@ -22,9 +22,10 @@ from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, 
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION
 
-_CLEAR = 3.0
-"""Standard deviations by which a change of a model's parameter has to differ from none, in one coefficient at least;
-of the difference of two recordings, as the one that the model was made of bent its parameters no less than this one."""
+CLEAR = 3.0
+"""Standard deviations by which a lag of all channels has to differ from none, and a change of a model's parameter in
+one coefficient at least; of the difference of two recordings, as the one that the model was made of bent its parameters
+no less than this one."""
 _DISTINGUISHED = 2.0
 """Reported standard deviations by which a single coefficient has to differ from none: what may as well be nothing is
 not claimed. Several coefficients, or one and its theta, may each be loose and all of them together certain; but not
@@ -124,7 +125,7 @@ class DomainDiagnosis:
             if candidate.effect.absorbed_by_base:
                 # What the model's own recording told is in the prior; only what bends parameters counts once for each.
                 bent = np.maximum(wide[k] ** 2 - self.final.std[k] ** 2, 0.0)
-                large = np.abs(own) > _CLEAR * np.sqrt(wide[k] ** 2 + bent)
+                large = np.abs(own) > CLEAR * np.sqrt(wide[k] ** 2 + bent)
                 needed = list(candidate.effect.without_which_none)
                 clear = (bool(np.any(large[needed] if np.any(own[needed]) else large))
                          or (bool(np.any(large[list(candidate.effect.enough_of_most)]))

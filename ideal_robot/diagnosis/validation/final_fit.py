@@ -13,7 +13,7 @@ from ideal_robot.diagnosis.channels.blocks import time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import about_model
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.statistics.problem import Candidate, Estimate, Problem, prior_precision, with_parameters
-from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
+from ideal_robot.diagnosis.validation.domain_diagnosis import CLEAR, DomainDiagnosis
 from ideal_robot.effects import FittedEffect
 from ideal_robot.effects.drive import CommonDelay
 from ideal_robot.model.model import Model
@@ -147,8 +147,6 @@ def _held(found: Findings, index: np.ndarray) -> Findings:
 
 _ITERATIONS = 3
 """Fits after which the chord of the delay has become the delay."""
-_CLEAR = 3.0
-"""Standard deviations by which the lag has to differ from none."""
 _START = 1e-3
 """Chord to begin with [s]."""
 
@@ -172,6 +170,6 @@ def beside_lag(torque: DomainDiagnosis) -> Estimate:
         theta = lag.consistent_theta(found.coefficients[-1], candidate.theta)
         candidate = Candidate(lag, 0, theta)
     own, std = found.coefficients[-1], found.std[-1]
-    if not abs(own[0]) > _CLEAR * std[0] or not lag.plausible(own, candidate.theta, signals, 0):
+    if not abs(own[0]) > CLEAR * std[0] or not lag.plausible(own, candidate.theta, signals, 0):
         return torque.final
     return found
