@@ -83,7 +83,8 @@ def whole_files(*paths: str | Path | None) -> Iterator[list[Any]]:
                 if is_device(place):
                     raise OutputError(f"{place}: is a device or a pipe; expected the name of a file")
                 made += make_folder(place.parent)
-                moves.append((partial_name(place), place))
+                # pandas takes a leading ~ for a home.
+                moves.append((partial_name(place).absolute(), place))
             partials.append(None if place is None else moves[-1][0])
         yield partials
         for partial, _ in moves:

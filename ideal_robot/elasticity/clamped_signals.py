@@ -19,6 +19,8 @@ WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 FILTER_HZ = 10.0
 """Cut-off of the Butterworth filter, [J] 4.3."""
+FEWEST = 16
+"""Rows that a filter of fourth order, forward and backward, needs."""
 DECIMATE_HZ = 5.0
 """Cut-off of the decimation filter, [J] 4.3; samples are kept at twice that."""
 
@@ -79,9 +81,9 @@ def clamped_signals(recording: Recording, robot: Robot) -> ClampedSignals:
         raise InputError("neither current_i nor tau_i nor a wrench (fx fy fz mx my mz) is recorded",
                          file=recording.source, field="current_i")
     lasts = float(t[-1] - t[0]) if len(t) else 0.0
-    if lasts < 5.0:
-        raise InputError("a clamped recording needs at least 5 s of force levels", file=recording.source, field="t",
-                         value=lasts)
+    if lasts < 5.0 or len(t) < FEWEST:
+        raise InputError(f"a clamped recording needs at least 5 s of force levels in {FEWEST} rows",
+                         file=recording.source, field="t", value=f"{lasts:g} s in {len(t)} rows")
     rate = 1 / float(np.median(np.diff(t)))
     keep = np.arange(0, len(t), max(1, round(rate / (2 * DECIMATE_HZ))))
     q_m = lowpass(q_raw, rate)[keep]

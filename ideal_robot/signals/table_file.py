@@ -89,7 +89,8 @@ def _csv(path: Path) -> tuple[dict[str, Array], dict[str, Any]]:
     with warnings.catch_warnings():
         # Rows of more values than there are names, which pandas would cut.
         warnings.simplefilter("error", pd.errors.ParserWarning)
-        with pd.read_csv(path, index_col=False, low_memory=False, chunksize=_rows_of_a_piece(len(names))) as pieces:
+        with pd.read_csv(path.absolute(), index_col=False, low_memory=False,
+                         chunksize=_rows_of_a_piece(len(names))) as pieces:
             return _filled(pieces, None, rows, path), {}
 
 

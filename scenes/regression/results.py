@@ -174,7 +174,7 @@ def _of_table(path: Path) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        frame = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+        frame = (pd.read_parquet if path.suffix == ".parquet" else pd.read_csv)(path.absolute())
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read as a table of runs ({str(error)[:200]})", file=path) from error
     frame = frame.rename(columns={title: name for name, title in FIGURES.items()})

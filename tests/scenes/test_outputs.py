@@ -322,3 +322,10 @@ def test_a_verb_whose_disk_is_full_keeps_the_previous_result_and_says_so_in_one_
     assert "No space left on device" in said
     assert (tmp_path / "o" / "report.html").read_text() == (tmp_path / "j.json").read_text() == "previous"
     assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+def test_a_folder_called_like_a_home_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with whole_file("~/a.parquet") as partial:
+        pd.DataFrame({"a": [1]}).to_parquet(partial)
+    assert (tmp_path / "~" / "a.parquet").is_file()

@@ -49,6 +49,9 @@ def test_what_cannot_be_used_is_said() -> None:
         clamped_signals(Recording.from_arrays(t, q=q[:, :5], tau=q[:, :5]), robot)
     with pytest.raises(InputError, match="at least 5 s"):
         clamped_signals(Recording.from_arrays(t[:500], q=q[:500], tau=q[:500]), robot)
+    few = slice(None, None, len(t) // 8)
+    with pytest.raises(InputError, match="in 16 rows"):
+        clamped_signals(Recording.from_arrays(t[few], q=q[few], tau=q[few]), robot)
     with pytest.raises(InputError, match="at least 5 s"):
         clamped_signals(Recording.from_arrays(t[:0], q=q[:0], tau=q[:0]), robot)
 

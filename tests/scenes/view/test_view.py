@@ -85,6 +85,7 @@ def near(picture: np.ndarray, colour: tuple[int, int, int], within: int = 60) ->
     return np.asarray(np.abs(picture - np.array(colour)).max(axis=2) < within)
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_arm_line_force_picture_and_error_are_seen_and_the_slider_moves_them(tmp_path: Path) -> None:
     from scenes.view.viewer import Player, Viewer
