@@ -45,7 +45,7 @@ GROUPS = {
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
-        "check-suite": "suites",
+        "check-suite": "suites", "mutants": "mutants",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,35 +36,6 @@ def controller_parameters(world: World, n: int, torque_limit: Array, gear_ratio:
     if world.quantisation:
         p[C_INCREMENT] = 2.0 * math.pi / (world.per_joint("encoder_increments", n) * gear_ratio)
     return p
-
-
-@dataclass(frozen=True)
-class EquivalentController:
-    """The truth that an identification of [G] (15)–(17) at the interpolation cycle should find, each ``(n,)``.
-
-    Attributes:
-        k_p: [N m/rad], k_d: [N m s/rad] on the control error and its derivative.
-        k_1: [N m s/rad], k_2: [N m s²/rad] on velocity and acceleration.
-        k_i: share of the integrated output per interpolation cycle.
-    """
-
-    k_p: Array
-    k_d: Array
-    k_1: Array
-    k_2: Array
-    k_i: Array
-
-
-def equivalent_controller(world: World, n: int) -> EquivalentController:
-    """The cascade of this world written as [G] (16), (17).
-
-    With v_des = K_v e + f q̇_d, the P part K_p (v_des - q̇) is K_p K_v e + K_p f ė - K_p (1 - f) q̇; the velocity
-    filter adds its time constant times K_p on the acceleration. For scripts that compare an identified controller with
-    the true one; no scene uses it, for the model side must not see the truth.
-    """
-    k_v, f, k_p = (world.per_joint(name, n) for name in ("position_gain", "velocity_feedforward", "velocity_gain"))
-    return EquivalentController(k_p=k_p * k_v, k_d=k_p * f, k_1=-k_p * (1.0 - f), k_2=k_p * world.velocity_filter,
-                                k_i=world.t_ipo / world.per_joint("integral_time", n))
 
 
 def motor_torque_limit(robot: Robot) -> Array:

@@ -85,3 +85,90 @@ def test_stamps_that_wander_more_than_their_messages_are_a_fault(width: float) -
     for t in 0.02 * np.arange(30):
         signs.stamped(float(t) + width * rng.uniform(-0.5, 0.5), float(t) + 0.04 + rng.exponential(0.0005))
     assert "time stamps wander" in str(signs.fault)
+
+
+def test_a_sensor_that_repeats_itself_is_stuck_and_one_whose_other_channels_move_is_not() -> None:
+    """Without its noise known: 25 readings in a row that are the same, bit by bit, are one too many."""
+    rng, signs = np.random.default_rng(3), LifeSigns(1e5, ["a", "b"])
+    same = np.array([1.0, 2.0])
+    assert [signs.check(same) for _ in range(30)] == [True] * 25 + [False] * 5
+    assert signs.stuck == 5
+    assert signs.missing == ["5 stuck"]
+    # It comes back by one change, however small; a channel that never changes is no reason while another does.
+    assert all(signs.check(same + np.array([1e-9 * rng.standard_normal(), 0.0])) for _ in range(100))
+    assert signs.fault is None
+
+
+def test_what_is_left_out_is_told_by_its_cause() -> None:
+    signs, rng = alive()
+    # Eight changes of nothing are too few of a channel's noise.
+    assert [signs.check(np.zeros(6)) for _ in range(12)] == [True] * 8 + [False] * 4
+    signs.check(np.full(6, np.nan))
+    assert signs.missing == ["1 impossible", "4 without noise"]
+    leaping, rng = alive(1)
+    for k in range(20):
+        leaping.check(NOISE * rng.standard_normal(6) + 50.0 * (k == 10), 1.0)
+    assert leaping.missing == ["1 leapt"]
+
+
+@pytest.mark.parametrize("reach", [0.0, 4.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_leap_is_what_goes_beyond_the_reach_by_more_than_noise(reach: float, sign: float) -> None:
+    """One channel changes by what it may and 7 of its standard deviations, or 9: eight of them are the bound."""
+    for channel in range(6):
+        for deviations, sound in ((7.0, True), (9.0, False)):
+            signs, _ = alive()
+            assert signs.noise is not None
+            assert signs.check(np.zeros(6), reach)
+            step = sign * (reach + deviations * signs.noise[channel]) * np.eye(6)[channel]
+            assert signs.check(step, reach) == sound
+            # Compared is with the last sound one.
+            assert signs.check(np.zeros(6), reach)
+
+
+def test_a_new_beginning_forgets_what_was_felt_and_keeps_what_was_learned() -> None:
+    signs, rng = alive()
+    assert signs.check(NOISE * rng.standard_normal(6), 1.0)
+    signs.begin()
+    assert signs.check(NOISE * rng.standard_normal(6) + 500.0, 1.0)
+    np.testing.assert_allclose(signs.noise, NOISE, rtol=0.15)
+
+
+@pytest.mark.parametrize(("mean", "fault"), [(2.4, False), (2.6, True)])
+def test_innovations_contradict_from_two_and_a_half_times_their_variance_on(mean: float, fault: bool) -> None:
+    signs, _ = alive()
+    for _ in range(16):
+        assert signs.fault is None
+        signs.fits(mean)
+    assert (signs.fault is not None) == fault
+    # One that was refused counts as ten, however far off it was: 15 of 2 and it are 2.5.
+    for lot, wrong in ((2.0 - 0.01, False), (2.0 + 0.01, True)):
+        refused, _ = alive()
+        for value in [lot] * 15 + [float("nan")]:
+            refused.fits(value)
+        assert (refused.fault is not None) == wrong
+        huge, _ = alive()
+        for value in [lot] * 15 + [1e9]:
+            huge.fits(value)
+        assert (huge.fault is not None) == wrong
+
+
+def _stamped(seed: int, wander: float, lost: float, count: int = 50) -> LifeSigns:
+    rng, (signs, _) = np.random.default_rng(seed), alive()
+    for t in 0.02 * np.flatnonzero(rng.random(round(count / (1.0 - lost))) >= lost):
+        signs.stamped(float(t) + wander * rng.standard_normal(), float(t) + 0.04 + rng.exponential(0.0003))
+    return signs
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.1])
+def test_of_stamps_that_wander_by_some_milliseconds_nearly_all_are_found(lost: float) -> None:
+    """Standard deviation 0.7 ms is allowed; four times the bound is found where fields are lost as well."""
+    assert sum(_stamped(seed, 0.0007, lost).fault is None for seed in range(40)) >= 38
+    assert sum(_stamped(seed, 0.004, lost).fault is not None for seed in range(40)) >= 38
+
+
+def test_stamps_are_judged_from_twenty_messages_on_and_by_how_far_they_wander() -> None:
+    assert _stamped(1, 0.02, 0.0, 19).fault is None
+    found = str(_stamped(1, 0.02, 0.0, 20).fault)
+    told = float(found.partition("wander by ")[2].partition(" ms")[0])
+    assert told == pytest.approx(20.0, rel=0.4)

@@ -116,12 +116,6 @@ class BlockProducts:
         self.count = np.array([[float(use[a:b, j].sum()) for j in range(self.c)]
                                for a, b in zip(blocks.edges[:-1], blocks.edges[1:], strict=True)])
 
-    def masked(self, columns: Array) -> Columns:
-        """Columns ``(N, c, m)`` with unused samples set to zero and empty channels dropped."""
-        channels = tuple(int(j) for j in np.flatnonzero(np.any(columns != 0.0, axis=(0, 2))))
-        kept = columns[:, list(channels)] * self.use[:, list(channels), None]
-        return Columns(np.ascontiguousarray(kept), channels)
-
     def cross(self, a: Columns, b: Columns) -> Array:
         """``a_b' b_b`` for each block and channel, ``(B, c, m_a, m_b)``."""
         result = np.zeros((self.blocks.count, self.c, a.m, b.m))

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, time_blocks
+from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
 from ideal_robot.diagnosis.search.choice import adds_little
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
@@ -36,7 +36,7 @@ def test_p_values_of_coloured_noise_are_honest():
         y = coloured(rng, count)[:, None]
         data = BlockProducts(y, W, np.ones((count, 1), bool), time_blocks(count, 0.01, held_out=False))
         design = Design(data)
-        design.add("c", data.masked(extra[:, None, None]))
+        design.add("c", Columns(extra[:, None, None], (0,)))
         p_values.append(Fit(design, ["W"], np.ones(1)).held_out_test("c").p_value)
     assert np.mean(np.array(p_values) < 0.05) < 0.12
     assert np.mean(np.array(p_values) < 0.001) < 0.02
@@ -50,7 +50,7 @@ def test_the_trial_is_what_refitting_without_each_fold_gives():
     blocks = time_blocks(count, 0.02, held_out=True)
     data = BlockProducts(y, W, np.ones((count, 2), bool), blocks)
     design, weights = Design(data), np.array([1.0, 2.0])
-    design.add("c", data.masked(C))
+    design.add("c", Columns(C, (0, 1)))
     trial = Fit(design, ["W"], weights).held_out_test("c")
     of_sample = blocks.fold[blocks.of_samples()]
     scale = np.sqrt(weights)[None, :, None]
@@ -127,7 +127,7 @@ def test_a_group_that_the_prior_allows_is_not_significant_and_one_beyond_it_is()
     def p_value(change: float) -> float:
         data = BlockProducts((change * x + rng.normal(size=count))[:, None], W, np.ones((count, 1), bool), blocks)
         design = Design(data)
-        design.add("c", data.masked(x[:, None, None]))
+        design.add("c", Columns(x[:, None, None], (0,)))
         # The second parameter is known to 0.1; the group changes the same.
         return Fit(design, ["W"], np.ones(1), np.diag([0.0, 1.0 / 0.1**2])).p_value("c")
 
@@ -144,7 +144,7 @@ def test_parameters_that_leave_what_was_known_of_them_leave_squares_as_well():
         data = BlockProducts((x + rng.normal(size=len(x)))[:, None], x[:, None, None], np.ones((len(x), 1), bool),
                              blocks)
         design = Design(data)
-        design.add("c", data.masked(x[:, None, None]))
+        design.add("c", Columns(x[:, None, None], (0,)))
         fit = Fit(design, ["W"], np.ones(1), np.array([1.0 / known**2]))
         return fit.share_with_prior("c"), fit.gain("c")[0] / float(fit.squares().sum())
 

@@ -29,6 +29,7 @@ from planning.force.contact import (
     StopLimits,
     Tare,
     dry_run,
+    most_force,
 )
 from planning.force.surface_forecast import FeltArm
 from planning.path.kinematics import InverseKinematics
@@ -57,6 +58,10 @@ def test_the_stiffer_a_tip_the_less_its_damping_delays_the_force() -> None:
     soft, stiff = (ContactSettings(elasticity=k).lateness for k in (4e3, 5e4))
     assert soft == FORCE_ERRORS[1]
     assert STAMPS < stiff < 0.6e-3
+
+
+def test_the_largest_force_is_half_as_much_again_as_wanted_and_what_a_hand_bears_below() -> None:
+    assert [most_force(wanted) for wanted in (1.0, 20.0, 26.0, 30.0, 50.0)] == [40.0, 40.0, 40.0, 45.0, 75.0]
 
 
 # The motion above a path before the job: it keeps away, rests at both ends, and keeps the joints' speeds.

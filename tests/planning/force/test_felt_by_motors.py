@@ -7,7 +7,7 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
-from planning.force.felt_by_motors import BEHIND, BeyondSensor
+from planning.force.felt_by_motors import BEHIND, BeyondSensor, FeltByMotors
 from planning.path.kinematics import InverseKinematics
 from scenes.force.cell import set_up
 from scenes.scene_file import load_scene
@@ -41,3 +41,25 @@ def test_a_force_that_the_sensor_does_not_tell_is_found(unfelt: float) -> None:
 def test_joints_at_rest_and_controllers_without_currents_say_nothing() -> None:
     assert abs(heard(np.zeros(6), 10.0)) < 1.0
     assert heard(np.full(6, 0.1), 10.0, currents=False) == 0.0
+
+
+@pytest.mark.parametrize("force", [0.0, 15.0, -8.0])
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_a_force_since_the_air_is_found_whatever_friction_the_model_has_wrong(force: float, offset: float) -> None:
+    """A straight slow motion: in the air first, then touching; the torque that no model knows stays the same."""
+    known = set_up(load_scene("force_wave")).known
+    robot, model, rng = known.robot, known.model, np.random.default_rng(2)
+    kinematics = InverseKinematics(robot)
+    felt = FeltByMotors(model, robot, kinematics, UP, settle=0.4)
+    T, late = robot.t_ipo, round(BEHIND / robot.t_ipo)
+    way = 0.1 * np.array([0.02, 0.05, -0.04, 0.03, 0.06, -0.02])
+    t = T * np.arange(round(2.0 / T))[:, None]
+    q, v, a = robot.home + way * t * t, 2.0 * way * t, np.tile(2.0 * way, (len(t), 1))
+    for k in range(late, len(t)):
+        tau = model.inverse_dynamics(q[k - late], v[k - late], a[k - late])[0] + offset
+        if t[k, 0] > 1.2:
+            tau = tau - force * kinematics.torque(q[k - late], UP)
+        felt.add(q[k], q[k - late], tau + 0.1 * model.noise_std * rng.standard_normal(robot.n))
+        # Known once the air was averaged: 0.4 s after friction has settled.
+        assert np.isnan(felt.force) == (k - late < round(0.4 / T) + round(0.4 / T) - 2)
+    assert felt.force == pytest.approx(force, abs=0.7)

@@ -12,7 +12,6 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.robots.robot import Robot
 from sim.arm.arm import SimulatedArm
-from sim.arm.drive import equivalent_controller
 from sim.arm.world import STEP, TABLE_KEYS, World
 
 ROBOT = Robot.load("kr6")
@@ -123,11 +122,13 @@ def test_cascade_written_as_pid_gives_the_cascades_torque() -> None:
                                        log_cycle=STEP)
     path = ROBOT.home + (np.sin(np.pi * np.linspace(0, 1, 4000)) ** 4)[:, None] * MOVE
     log = play(world, path)
-    c = equivalent_controller(world, 6)
+    # With v_des = K_v e + f q̇_d the P part K_p (v_des - q̇) is K_p K_v e + K_p f ė - K_p (1 - f) q̇.
+    k_v, f, k_p = (world.per_joint(name, 6) for name in ("position_gain", "velocity_feedforward", "velocity_gain"))
+    k_i = world.t_ipo / world.per_joint("integral_time", 6)
     e = log["q_c"] - log["q"]
     rate = lambda x: np.vstack([np.zeros((1, 6)), np.diff(x, axis=0)]) / STEP  # noqa: E731
-    u = c.k_p * e + c.k_d * rate(e) + c.k_1 * rate(log["q"])
-    torque = log["tau"][0] + np.cumsum(np.vstack([np.zeros((1, 6)), (1 + c.k_i) * u[1:] - u[:-1]]), axis=0)
+    u = k_p * k_v * e + k_p * f * rate(e) - k_p * (1.0 - f) * rate(log["q"])
+    torque = log["tau"][0] + np.cumsum(np.vstack([np.zeros((1, 6)), (1 + k_i) * u[1:] - u[:-1]]), axis=0)
     np.testing.assert_allclose(torque, log["tau"], atol=2e-3 * np.abs(log["tau"]).max(axis=0).max())
 
 

@@ -1,0 +1,276 @@
+"""Limits lie where they are said to lie: a thousandth less passes, a thousandth more is refused; braking is quick."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ideal_robot as ir
+from ideal_robot.arrays import Array, eased
+from ideal_robot.errors import InputError, LimitError
+from ideal_robot.execution.command_governor import (
+    ACCELERATION,
+    CommandGovernor,
+    check_limits,
+    require_within_limits,
+    stopping_rows,
+    stops_at_once,
+)
+from ideal_robot.execution.precorrect import path_at_cycles, precorrect
+from ideal_robot.feedforward.base import Feedforward
+from tests.ideal_robot.execution.test_play import MODEL, ROBOT, Follower, path
+
+T = ROBOT.t_ipo
+Moved = Callable[[int, float], Array]
+
+
+def _positions(joint: int, share: float) -> Array:
+    q = np.tile(0.5 * (ROBOT.q_min + ROBOT.q_max), (6, 1))
+    q[3, joint] += share * 0.5 * (ROBOT.q_max - ROBOT.q_min)[joint]
+    return q
+
+
+def _speeds(joint: int, share: float) -> Array:
+    q = np.tile(ROBOT.home, (6, 1))
+    q[:, joint] += share * ROBOT.v_max[joint] * T * np.arange(6)
+    return q
+
+
+def _accelerations(joint: int, share: float) -> Array:
+    """Rest, then one step of speed, which lasts."""
+    q = np.tile(ROBOT.home, (6, 1))
+    q[:, joint] += share * ACCELERATION * ROBOT.a_max[joint] * T**2 * np.maximum(np.arange(6) - 3, 0)
+    return q
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("joint", range(6))
+@pytest.mark.parametrize(("quantity", "moved", "row", "largest"), [
+    ("velocity", _speeds, 0, lambda j: ROBOT.v_max[j]),
+    ("acceleration", _accelerations, 2, lambda j: ACCELERATION * ROBOT.a_max[j])])
+def test_a_thousandth_beyond_a_limit_is_refused(quantity: str, moved: Moved, row: int, largest: Callable[[int], float],
+                                                joint: int, sign: float) -> None:
+    check_limits(moved(joint, 0.999 * sign), ROBOT, T)
+    with pytest.raises(LimitError, match=f"{quantity} .* at {2.0 + row * T:.3f} s") as caught:
+        check_limits(moved(joint, 1.001 * sign), ROBOT, T, start=2.0)
+    assert caught.value.joint == joint + 1
+    np.testing.assert_allclose([caught.value.value, caught.value.limit], sign * largest(joint) * np.array([1.001, 1.0]))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("joint", range(6))
+def test_a_position_beyond_its_limit_is_refused_and_named(joint: int, sign: float) -> None:
+    # So slowly that no speed is in the way.
+    check_limits(_positions(joint, 0.999 * sign), ROBOT, 1e3)
+    limit = (ROBOT.q_max if sign > 0 else ROBOT.q_min)[joint]
+    with pytest.raises(LimitError, match=r"position .* at 0\.036 s") as caught:
+        check_limits(_positions(joint, 1.001 * sign), ROBOT, T)
+    assert (caught.value.joint, caught.value.limit) == (joint + 1, limit)
+    with pytest.raises(InputError, match=r"at -0\.964 s") as refused:
+        require_within_limits(_positions(joint, 1.001 * sign), ROBOT, start=-1.0, file="my.csv", column="q_c")
+    assert refused.value.field == f"q_c_{joint + 1}"
+
+
+def test_the_shortest_paths_are_looked_at_as_well() -> None:
+    for rows in (1, 2):
+        check_limits(np.tile(ROBOT.home, (rows, 1)), ROBOT, T)
+    with pytest.raises(LimitError, match="position"):
+        check_limits(2.0 * ROBOT.q_max[None], ROBOT, T)
+    with pytest.raises(LimitError, match="velocity"):
+        check_limits(_speeds(2, 1.001)[:2], ROBOT, T)
+    with pytest.raises(LimitError, match="acceleration"):
+        check_limits(_accelerations(2, 1.001)[2:5], ROBOT, T)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("joint", range(6))
+def test_a_command_can_be_held_where_holding_keeps_the_acceleration(joint: int, sign: float) -> None:
+    for share in (0.999, 1.001):
+        moving = _accelerations(joint, share * sign)[:5]
+        step = moving[-1] - moving[-2]
+        held = np.vstack([moving[-2:], moving[-1:]])
+        try:
+            check_limits(held, ROBOT, T)
+            allowed = True
+        except LimitError:
+            allowed = False
+        assert stops_at_once(step, ROBOT, T) == allowed == (share < 1.0)
+    # One joint that cannot is enough.
+    assert not stops_at_once(2.0 * ACCELERATION * ROBOT.a_max * T**2 * np.eye(6)[joint], ROBOT, T)
+
+
+def test_a_command_without_room_to_brake_is_refused_and_the_one_before_was_not() -> None:
+    """At full speed towards a limit, joint 2: braking takes v²/2a, and the message says when, what and how far."""
+    joint, governor = 1, CommandGovernor(ROBOT, ROBOT.home)
+    v, a = ROBOT.v_max[joint], ACCELERATION * ROBOT.a_max[joint]
+    speeds = np.minimum(a * T * np.arange(1.0, 5000.0), v)
+    ahead = iter(ROBOT.home + np.outer(np.cumsum(speeds * T), np.eye(6)[joint]))
+
+    def go_on() -> None:
+        for q in ahead:
+            governor.require_room(q, start=7.0)
+            governor.passed(q)
+
+    with pytest.raises(LimitError, match=r"position at 7\.000 s after which") as caught:
+        go_on()
+    assert caught.value.joint == joint + 1
+    room = ROBOT.q_max[joint] - caught.value.value
+    # Of the way v²/2a a cycle or two are left out by rounding to cycles.
+    assert room < v**2 / (2.0 * a) < room + 2.5 * v * T
+    assert caught.value.limit < caught.value.value
+
+
+def test_the_governor_is_as_quick_as_the_limits_let_it() -> None:
+    """A far goal asked for at once: full acceleration, full speed, and as late a braking as can be."""
+    for joint in range(6):
+        for goal in (ROBOT.q_min[joint] + 0.01, ROBOT.q_max[joint] - 0.01):
+            q, governor = ROBOT.home.copy(), CommandGovernor(ROBOT, ROBOT.home)
+            q[joint] = goal
+            moved = [ROBOT.home]
+            while abs(moved[-1][joint] - goal) > 1e-4:
+                moved.append(governor.allowed(q))
+                assert len(moved) < 4000
+            v, a = ROBOT.v_max[joint], ACCELERATION * ROBOT.a_max[joint]
+            way = abs(goal - ROBOT.home[joint])
+            least = way / v + v / a if way > v * v / a else 2.0 * np.sqrt(way / a)
+            assert least - T < T * len(moved) < least + 6 * T
+            # The other joints were asked for nothing.
+            np.testing.assert_array_equal(np.delete(moved[-1] - ROBOT.home, joint), 0.0)
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_nothing_to_follow_means_braking_at_once(share: float) -> None:
+    """From full speed a command that is no number brings each joint to rest within v/a and a few cycles."""
+    governor, q = CommandGovernor(ROBOT, ROBOT.home), ROBOT.home
+    for k in range(200):
+        speed = np.minimum(ACCELERATION * ROBOT.a_max * T * k, share * ROBOT.v_max)
+        q = q + speed * T
+        if np.any(q > ROBOT.q_max - 0.8):
+            break
+        np.testing.assert_array_equal(governor.allowed(q), q)
+    steps = int(np.ceil(np.max(speed / (ACCELERATION * ROBOT.a_max)) / T)) + 4
+    last = [governor.allowed(np.full(6, np.nan)) for _ in range(steps)]
+    np.testing.assert_allclose(last[-1], last[-2], atol=1e-9)
+    # Least way: v²/2a.
+    least = speed**2 / (2.0 * ACCELERATION * ROBOT.a_max)
+    assert np.all(last[-1] - q < least + 2.5 * speed * T)
+    assert np.all(last[-1] - q > least - 2.5 * speed * T)
+
+
+# Stopping on the path.
+
+@pytest.mark.parametrize(("speed", "deceleration"), [(0.5, 2.0), (1.0, 2.5)])
+def test_braking_on_a_path_takes_the_deceleration_that_is_allowed(speed: float, deceleration: float) -> None:
+    """On a straight path: time 1.5 v/a, way half of it times v, largest deceleration a, and the path is not left."""
+    planned = speed * T * np.arange(400.0)[:, None] * np.array([1.0, -2.0])
+    rows = stopping_rows(planned, T, speed, deceleration)
+    walked = np.array([next(rows)[0] for _ in range(300)])
+    np.testing.assert_allclose(walked[:, 1], -2.0 * walked[:, 0], atol=1e-12)
+    v = np.diff(walked[:, 0]) / T
+    np.testing.assert_allclose(-np.diff(v).min() / T, deceleration, rtol=0.02)
+    length = 1.5 * speed / deceleration
+    np.testing.assert_allclose(walked[-1, 0], 0.5 * speed * length, rtol=1e-9)
+    assert np.all(v >= -1e-12)
+    stands = int(np.ceil(length / T))
+    np.testing.assert_array_equal(walked[stands:, 0], walked[-1, 0])
+    assert v[stands - 2] > 0.0
+
+
+def test_horizons_of_a_stop_go_on_one_into_the_next() -> None:
+    planned = 0.3 * np.sin(0.02 * np.arange(200.0))[:, None]
+    rows = stopping_rows(planned, T, 1.0, 3.0)
+    first, second, third = (next(rows) for _ in range(3))
+    np.testing.assert_allclose(first[1:], second[:-1], atol=1e-12)
+    np.testing.assert_allclose(second[1:], third[:-1], atol=1e-12)
+    np.testing.assert_allclose(first[0], planned[0], atol=1e-12)
+
+
+def test_a_plan_that_ends_before_is_not_left() -> None:
+    planned = np.linspace(0.0, 0.1, 11)[:, None]
+    rows = stopping_rows(planned, T, 10.0, 0.1)
+    walked = np.array([next(rows)[0, 0] for _ in range(60)])
+    np.testing.assert_allclose(walked.max(), 0.1, atol=1e-9)
+    np.testing.assert_allclose(walked[-1], 0.1, atol=1e-9)
+
+
+# What a play does at its ends.
+
+class _Plain(Feedforward):
+    """Hands over what is desired now."""
+
+    t_ipo, n_d = T, 3
+
+    def init(self, q0: Array) -> Array:
+        return q0
+
+    def step(self, state: Array, q_d: Array, tau_ext_d: Array | None = None) -> tuple[Array, Array]:
+        return q_d[0], state
+
+
+def test_a_path_that_ends_in_motion_is_braked_within_the_limits_and_comes_back_to_its_end() -> None:
+    speed = 0.8 * ROBOT.v_max
+    k = np.arange(70.0)[:, None]
+    inwards = np.sign(0.5 * (ROBOT.q_min + ROBOT.q_max) - ROBOT.home)
+    q_d = ROBOT.home + 0.3 * speed * T * inwards * np.where(k < 40, k * eased(k / 40.0), k)
+    played = ir.play(Follower(), _Plain(), q_d, robot=ROBOT)
+    assert played.failure is None
+    check_limits(played.q_c, ROBOT, T)
+    assert len(played.q_c) > len(q_d)
+    np.testing.assert_allclose(played.q_c[-1], q_d[-1], atol=1e-4)
+    np.testing.assert_allclose(played.q_c[-1], played.q_c[-2], atol=1e-6)
+
+
+def test_a_path_that_ends_at_rest_ends_with_its_last_row() -> None:
+    assert len(ir.play(Follower(), _Plain(), path(), robot=ROBOT).q_c) == len(path())
+
+
+def test_a_first_step_beyond_the_acceleration_is_not_handed_over() -> None:
+    for share, fine in ((0.9, True), (1.1, False)):
+        q_d = ROBOT.home + np.minimum(np.arange(40.0), 1.0)[:, None] * share * ACCELERATION * ROBOT.a_max * T**2
+        played = ir.play(Follower(), _Plain(), q_d, robot=ROBOT)
+        assert (played.failure is None) == fine
+        np.testing.assert_array_equal(played.q_c[0], q_d[0])
+        if not fine:
+            assert "acceleration" in str(played.failure)
+            check_limits(played.q_c, ROBOT, T)
+
+
+def test_computing_times_are_those_of_the_computing() -> None:
+    begun = time.perf_counter()
+    played = ir.play(Follower(), _Plain(), path(), robot=ROBOT)
+    assert played.compute_times.min() > 0.0
+    assert played.compute_times.sum() < time.perf_counter() - begun
+    told = played.to_dict()["compute_time_ms"]
+    assert told["median"] <= told["max"] == pytest.approx(1e3 * played.compute_times.max())
+
+
+# A path brought to the cycles.
+
+def test_samples_half_a_millisecond_off_the_cycles_are_brought_to_them() -> None:
+    def truth(t: Array) -> Array:
+        return ROBOT.home + 0.3 * np.sin(6.0 * t)[:, None]
+
+    even = T * np.arange(200.0)
+    late = even + np.where(np.arange(200) % 199 == 0, 0.0, 5e-4 * np.sin(np.arange(200.0)))
+    times, q = path_at_cycles(late, truth(late), ROBOT, rest=0.0)
+    np.testing.assert_allclose(q[:200], truth(times[:200]), atol=1e-6)
+    assert np.abs(truth(late) - truth(even)).max() > 3e-4
+    # At the cycles they pass as they are.
+    np.testing.assert_array_equal(path_at_cycles(even, truth(even), ROBOT, rest=0.0)[1][:200], truth(even))
+
+
+def test_a_spread_of_controllers_gives_a_range_joint_by_joint() -> None:
+    controller = MODEL.controller
+    assert controller is not None
+    spread = replace(controller, spread={"position_gain": [0.1] * 6, "velocity_gain": [0.1] * 6})
+    q_d = path(size=0.1)
+    told = precorrect(T * np.arange(len(q_d)), q_d, replace(MODEL, controller=spread), ROBOT
+                      ).to_dict()["expected_rms_error_mrad"]
+    low, mean, high = (np.array(told[key]) for key in ("corrected_from", "corrected", "corrected_to"))
+    assert low.shape == high.shape == mean.shape == (6,)
+    assert np.all(low < high)
+    assert np.all(low <= np.array(told["uncorrected"]))
