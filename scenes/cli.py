@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import math
 import os
 import signal
 import sys
 import warnings
 from collections.abc import Callable
-from functools import cache
+from dataclasses import MISSING, fields
+from functools import cache, wraps
 from importlib import metadata
-from typing import Annotated
+from typing import Annotated, Any, get_type_hints
 
 # The small matrices here lose more to thread start-up than BLAS threads win; must be set before NumPy loads.
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -110,7 +112,29 @@ def function_of(verb: str) -> Callable[..., None]:
     """The function that a verb calls."""
     module, _, name = VERBS[verb].partition(":")
     found: Callable[..., None] = getattr(importlib.import_module(f"scenes.commands.{module}"), name)
-    return found
+    options = get_type_hints(found).get("options")
+    return found if options is None else one_by_one(found, options)
+
+
+def one_by_one(verb: Callable[..., None], options: type[Any]) -> Callable[..., None]:
+    """A verb with a parameter for each option, as typer reads it, of one that takes them as one object.
+
+    Args:
+        verb: function of ``options`` alone.
+        options: dataclass whose fields are declared as typer's parameters are.
+    """
+    hints = get_type_hints(options, include_extras=True)
+
+    @wraps(verb)
+    def called(**given: Any) -> None:
+        verb(options(**given))
+
+    called.__signature__ = inspect.Signature([  # type: ignore[attr-defined]
+        inspect.Parameter(field.name, inspect.Parameter.KEYWORD_ONLY, annotation=hints[field.name],
+                          default=inspect.Parameter.empty if field.default is MISSING else field.default)
+        for field in fields(options)])
+    called.__annotations__ = hints
+    return called
 
 
 def main() -> None:

@@ -121,6 +121,20 @@ def _show_blocks(console: Console, title: str, names: list[str], cells: list[lis
             console.print(Text(f"  {name}: {cell}"), overflow="fold")
 
 
+def write_signed(path: Path | None, content: dict[str, Any]) -> None:
+    """Writes the figures as JSON with the version that made them.
+
+    Args:
+        path: file to write; None for none.
+        content: what it says.
+    """
+    from scenes.program import signed
+    from scenes.report.page import write_json
+
+    if path is not None:
+        write_json(path, signed(content))
+
+
 def closed(run: result.RunResult) -> None:
     """Prints the result of a run; exit code 1 where it ended early."""
     show_table("", ["figure", "value"], [list(pair) for pair in run.summary()])

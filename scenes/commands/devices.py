@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,40 +24,61 @@ from scenes.commands.common import (
     method_help,
     progress_bar,
     show_table,
+    write_signed,
 )
 
+if TYPE_CHECKING:
+    from ideal_robot.rsi.message import RsiFormat
+    from scenes.online.devices import Devices
+    from scenes.serve.cell import Places
+    from sim.devices.stream_server import Unkindness
 
-def follow(
+
+@dataclass(kw_only=True)
+class FollowOptions:
+    """Options of ``follow``."""
+
     scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml); of "
-                                         "its tables those of the world are not looked at.")],
+                                         "its tables those of the world are not looked at.")]
     arm: Annotated[str, typer.Option(help="rsi://host:port where this computer listens for the controller, or "
-                                     "rtde://host:port of the controller.")] = "rsi://127.0.0.1:49152",
+                                     "rtde://host:port of the controller.")] = "rsi://127.0.0.1:49152"
     camera: Annotated[str | None, typer.Option(help="usb:0, rtsp://…, http://… (MJPEG), genicam:producer.cti#serial, "
-                                               "stream://host:port or file:film.mp4.")] = None,
+                                               "stream://host:port or file:film.mp4.")] = None
     force: Annotated[str | None, typer.Option(help="netft://host?rate=7000&counts_force=1e6&counts_torque=1e6 or "
-                                              "stream://host:port.")] = None,
+                                              "stream://host:port.")] = None
     camera_delay: Annotated[float, typer.Option(help="From mid-exposure to arrival, at least [ms]; stream:// needs "
-                                                "none.", min=0.0, max=1000.0)] = 0.0,
+                                                "none.", min=0.0, max=1000.0)] = 0.0
     force_delay: Annotated[float, typer.Option(help="From measurement to arrival, at least [ms].", min=0.0,
-                                               max=1000.0)] = 0.0,
+                                               max=1000.0)] = 0.0
     calibration: Annotated[Path | None, typer.Option(help="File of the camera's calibration (JSON); where it is not "
-                                                     "there, the camera is calibrated by moving first.")] = None,
-    method: Annotated[str | None, typer.Option(help="ideal, sensor_path …; default: the scene's.")] = None,
-    speed: Speed = None,
+                                                     "there, the camera is calibrated by moving first.")] = None
+    method: Annotated[str | None, typer.Option(help="ideal, sensor_path …; default: the scene's.")] = None
+    speed: Speed = None
     relative: Annotated[bool, typer.Option("--relative/--absolute", help="How an RSI controller takes corrections; "
-                                           "relative ones go on without an answer (HOLDON 1).")] = False,
-    rsi_config: Annotated[Path | None, typer.Option(help="The controller's RSI ethernet XML.")] = None,
-    controller: ControllerAddress = None,
-    cycle: Cycle = None,
-    delay: PlannerDelay = False,
-    bridge: Bridge = 0.1,
-    wait: Annotated[float, typer.Option(help="How long to wait for the arm [s].", min=0.1, max=86_400.0)] = 60.0,
-    core: Core = None,
+                                           "relative ones go on without an answer (HOLDON 1).")] = False
+    rsi_config: Annotated[Path | None, typer.Option(help="The controller's RSI ethernet XML.")] = None
+    controller: ControllerAddress = None
+    cycle: Cycle = None
+    delay: PlannerDelay = False
+    bridge: Bridge = 0.1
+    wait: Annotated[float, typer.Option(help="How long to wait for the arm [s].", min=0.1, max=86_400.0)] = 60.0
+    core: Core = None
     check: Annotated[bool, typer.Option("--check/--no-check", help="Look at the line from two poses above it before "
-                                        "the job, where the camera is calibrated.")] = True,
-    json: JsonFigures = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None,
-) -> None:
+                                        "the job, where the camera is calibrated.")] = True
+    json: JsonFigures = None
+    out: Annotated[Path | None, typer.Option(help="Folder of recording and page; default out/follow/SCENE.")] = None
+
+    def devices(self) -> Devices:
+        """What the addresses and delays say of the devices."""
+        from scenes.online.devices import Devices
+
+        same = ("arm", "camera", "force", "relative", "rsi_config", "controller", "cycle", "delay", "bridge", "core",
+                "check")
+        return Devices(camera_delay=1e-3 * self.camera_delay, force_delay=1e-3 * self.force_delay, patience=self.wait,
+                       **{name: getattr(self, name) for name in same})
+
+
+def follow(options: FollowOptions) -> None:
     """Follows a scene's line or surface with an arm, a camera and a force sensor that are behind their interfaces.
 
     The arm has to stand at the start of the path. Ctrl-C, SIGTERM, any limit, a device that falls silent and an arm
@@ -66,51 +87,75 @@ def follow(
     Example: `ideal-robot simulate line --serve` and, in another terminal,
     `ideal-robot follow line --arm rsi://127.0.0.1:49152 --camera stream://127.0.0.1:50001`
     """
-    from scenes.online.devices import Devices
     from scenes.online.run import follow, load_cell
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.scene_files.scene import chosen
 
-    loaded = chosen(load_cell(scene), speed=speed)
-    folder = out or Path("out") / "follow" / loaded.name
-    check_outputs({"--out": folder}, json=json, calibration=calibration)
-    devices = Devices(arm=arm, camera=camera, force=force, camera_delay=1e-3 * camera_delay,
-                      force_delay=1e-3 * force_delay, relative=relative, rsi_config=rsi_config, controller=controller,
-                      cycle=cycle, delay=delay, bridge=bridge, patience=wait, core=core, check=check)
+    loaded = chosen(load_cell(options.scene), speed=options.speed)
+    folder = options.out or Path("out") / "follow" / loaded.name
+    check_outputs({"--out": folder}, json=options.json, calibration=options.calibration)
     # Drawing takes Python's lock away from the answers now and then.
     with progress_bar(loaded.name, rate=2.0) as progress:
-        result = follow(loaded, devices, method=method, calibration=calibration, out=folder, progress=progress)
-    if json is not None:
-        write_json(json, signed(result.json()))
+        result = follow(loaded, options.devices(), method=options.method, calibration=options.calibration, out=folder,
+                        progress=progress)
+    write_signed(options.json, result.json())
     closed(result)
 
 
-def simulate(
-    scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).")],
-    serve: Annotated[bool, typer.Option("--serve", help="Play the cell in real time behind its devices.")] = False,
+@dataclass(kw_only=True)
+class SimulateOptions:
+    """Options of ``simulate``."""
+
+    scene: Annotated[str, typer.Argument(help="Scene of kind line or force: name of a shipped one, or path (.toml).")]
+    serve: Annotated[bool, typer.Option("--serve", help="Play the cell in real time behind its devices.")] = False
     arm: Annotated[str, typer.Option(help="rsi://host:port where the follower listens for the controller, "
                                      "or rtde://127.0.0.1:port where this controller listens.")
-                   ] = "rsi://127.0.0.1:49152",
+                   ] = "rsi://127.0.0.1:49152"
     host: Annotated[str, typer.Option(help="Address of this computer on which camera and force sensor listen.")
-                    ] = "127.0.0.1",
-    camera_port: Annotated[int, typer.Option(help="TCP port of the camera's stream.", min=0, max=65535)] = 50001,
-    force_port: Annotated[int, typer.Option(help="UDP port of the force sensor (NetFT).", min=0, max=65535)] = 49151,
+                    ] = "127.0.0.1"
+    camera_port: Annotated[int, typer.Option(help="TCP port of the camera's stream.", min=0, max=65535)] = 50001
+    force_port: Annotated[int, typer.Option(help="UDP port of the force sensor (NetFT).", min=0, max=65535)] = 49151
     relative: Annotated[bool, typer.Option("--relative/--absolute", help="How the controller takes corrections; "
-                                           "relative ones go on without an answer (HOLDON 1).")] = False,
-    cycle: Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004.")] = None,
-    seed: Seed = None,
-    drift: Annotated[float, typer.Option(help="Drift of the devices' clocks [ppm].")] = 20.0,
-    offset: Annotated[float, typer.Option(help="Offset between their clocks [ms].", min=0.0)] = 30.0,
-    loss: Annotated[float, typer.Option(help="Share of packets that are lost, each way.", min=0.0, max=0.9)] = 0.0,
-    doubled: Annotated[float, typer.Option(help="Share of packets that come twice.", min=0.0, max=0.9)] = 0.0,
-    late: Annotated[float, typer.Option(help="Share of packets that come late.", min=0.0, max=0.9)] = 0.0,
-    late_by: Annotated[float, typer.Option(help="By how much they are late [ms].", min=0.0, max=5000.0)] = 30.0,
-    sessions: Annotated[int, typer.Option(help="End after so many sessions; 0: go on until Ctrl-C.", min=0)] = 0,
+                                           "relative ones go on without an answer (HOLDON 1).")] = False
+    cycle: Annotated[float | None, typer.Option(help="Interpolation cycle [s], e.g. 0.004.")] = None
+    seed: Seed = None
+    drift: Annotated[float, typer.Option(help="Drift of the devices' clocks [ppm].")] = 20.0
+    offset: Annotated[float, typer.Option(help="Offset between their clocks [ms].", min=0.0)] = 30.0
+    loss: Annotated[float, typer.Option(help="Share of packets that are lost, each way.", min=0.0, max=0.9)] = 0.0
+    doubled: Annotated[float, typer.Option(help="Share of packets that come twice.", min=0.0, max=0.9)] = 0.0
+    late: Annotated[float, typer.Option(help="Share of packets that come late.", min=0.0, max=0.9)] = 0.0
+    late_by: Annotated[float, typer.Option(help="By how much they are late [ms].", min=0.0, max=5000.0)] = 30.0
+    sessions: Annotated[int, typer.Option(help="End after so many sessions; 0: go on until Ctrl-C.", min=0)] = 0
     json: Annotated[Path | None, typer.Option(help="Write what really happened in the last session to this file.")
-                    ] = None,
-) -> None:
+                    ] = None
+
+    def places(self) -> Places:
+        """Where the devices listen.
+
+        Raises:
+            InputError: an arm behind neither RSI nor RTDE.
+        """
+        from ideal_robot.errors import InputError
+        from scenes.serve.cell import Places
+        from sensing.stream import host_and_port
+
+        scheme, _, rest = self.arm.partition(":")
+        ports = {"rsi": 49152, "rtde": 30004}
+        if scheme not in ports:
+            raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://127.0.0.1:30004",
+                             field="--arm", value=self.arm)
+        return Places(host_and_port(rest, "--arm", ports[scheme]), self.host, self.camera_port, self.force_port,
+                      self.relative, scheme == "rtde")
+
+    def unkindness(self) -> Unkindness:
+        """What becomes of the devices' packets."""
+        from sim.devices.stream_server import Unkindness
+
+        return Unkindness(drift=1e-6 * self.drift, offset=1e-3 * self.offset, loss=self.loss, doubled=self.doubled,
+                          late=1e-3 * self.late_by, late_share=self.late)
+
+
+def simulate(options: SimulateOptions) -> None:
     """Plays a scene's cell in real time: a controller behind RSI, a camera behind our stream, a NetFT force sensor.
 
     The arm waits at the start of the scene's path until a follower answers. When the answers stop it is braked, rests,
@@ -123,27 +168,17 @@ def simulate(
     from scenes.outputs import check_outputs
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
-    from scenes.serve.cell import Places, serve_scene
-    from sensing.stream import host_and_port
-    from sim.devices.stream_server import Unkindness
+    from scenes.serve.cell import serve_scene
 
-    if not serve:
+    if not options.serve:
         raise InputError("simulate plays the cell behind devices: give --serve (to play a scene in one process, use "
                          "run)", field="--serve")
-    check_outputs(json=json)
-    loaded = chosen(load_scene(scene), seed=seed)
-    if cycle is not None:
-        loaded = loaded.changed(world={"t_ipo": cycle})
-    scheme, _, rest = arm.partition(":")
-    ports = {"rsi": 49152, "rtde": 30004}
-    if scheme not in ports:
-        raise InputError("expected an address such as rsi://127.0.0.1:49152 or rtde://127.0.0.1:30004", field="--arm",
-                         value=arm)
-    places = Places(host_and_port(rest, "--arm", ports[scheme]), host, camera_port, force_port, relative,
-                    scheme == "rtde")
-    unkind = Unkindness(drift=1e-6 * drift, offset=1e-3 * offset, loss=loss, doubled=doubled, late=1e-3 * late_by,
-                        late_share=late)
-    serve_scene(loaded, places, unkind, sessions, json, lambda text: typer.echo(text, err=True))
+    check_outputs(json=options.json)
+    loaded = chosen(load_scene(options.scene), seed=options.seed)
+    if options.cycle is not None:
+        loaded = loaded.changed(world={"t_ipo": options.cycle})
+    serve_scene(loaded, options.places(), options.unkindness(), options.sessions, options.json,
+                lambda text: typer.echo(text, err=True))
 
 
 def detect(
@@ -165,8 +200,6 @@ def detect(
     from ideal_robot.whole_file import whole_files
     from scenes.detection import detection_page, figures, pictures, table
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from sensing.camera.camera_device import Gray
     from sensing.camera.detector import DETECTORS
     from sensing.camera.picture_line import PictureLine, detect_in_picture
@@ -182,9 +215,8 @@ def detect(
         report = out / "report.html"
         with whole_files(report, json) as (page_file, json_file):
             detection_page(source, detector, results).write(page_file)
-            if json_file is not None:
-                write_json(json_file, signed({"source": source, "detector": detector,
-                                              "pictures": [figures(name, found) for name, _, found in results]}))
+            write_signed(json_file, {"source": source, "detector": detector,
+                                     "pictures": [figures(name, found) for name, _, found in results]})
     show_table("detect", *table(results))
     typer.echo(f"report: {report}")
     if not any(found.found for _, _, found in results):
@@ -192,37 +224,57 @@ def detect(
         raise typer.Exit(1)
 
 
-def rsi(
+@dataclass(kw_only=True)
+class RsiOptions:
+    """Options of ``rsi``."""
+
     path: Annotated[Path | None, typer.Argument(
-        help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n) [rad].")] = None,
-    robot: ModelsRobot = None,
-    model: Annotated[Path | None, typer.Option(help="Identified model (JSON); default: the shipped one.")] = None,
+        help="CSV or Parquet with t [s] and q_d_1 … q_d_n (or q_1 … q_n) [rad].")] = None
+    robot: ModelsRobot = None
+    model: Annotated[Path | None, typer.Option(help="Identified model (JSON); default: the shipped one.")] = None
     method: Annotated[str, typer.Option(help=method_help("rsi"), autocompletion=lambda incomplete: completed(
-        "rsi", incomplete))] = "ideal",
-    host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = "127.0.0.1",
+        "rsi", incomplete))] = "ideal"
+    host: Annotated[str, typer.Option(help="Address of this computer to listen on.")] = "127.0.0.1"
     port: Annotated[int | None, typer.Option(help="UDP port to listen on; 0 for any free one. Default: that of "
-                                             "--rsi-config, else 49152.", min=0, max=65535)] = None,
-    controller: ControllerAddress = None,
+                                             "--rsi-config, else 49152.", min=0, max=65535)] = None
+    controller: ControllerAddress = None
     relative: Annotated[bool, typer.Option("--relative/--absolute",
                                            help="How the controller takes corrections: added up, or from the start."
-                                           )] = False,
+                                           )] = False
     rsi_config: Annotated[Path | None, typer.Option(help="The controller's RSI ethernet XML: tag, sender type, port "
-                                                    "and HOLDON are read from it.")] = None,
-    tag: Annotated[str | None, typer.Option(help="Element with the corrections, e.g. AK (default) or AKorr.")] = None,
-    sender: Annotated[str | None, typer.Option(help="Type of the answer: SENTYPE, default ImFree.")] = None,
-    decimals: Annotated[int, typer.Option(help="Decimals of a correction in degrees.", min=1, max=9)] = 6,
-    cycle: Cycle = None,
-    delay: PlannerDelay = False,
-    rest: Rest = 0.6,
+                                                    "and HOLDON are read from it.")] = None
+    tag: Annotated[str | None, typer.Option(help="Element with the corrections, e.g. AK (default) or AKorr.")] = None
+    sender: Annotated[str | None, typer.Option(help="Type of the answer: SENTYPE, default ImFree.")] = None
+    decimals: Annotated[int, typer.Option(help="Decimals of a correction in degrees.", min=1, max=9)] = 6
+    cycle: Cycle = None
+    delay: PlannerDelay = False
+    rest: Rest = 0.6
     wait: Annotated[float, typer.Option(help="How long to wait for the controller [s].", min=0.1,
-                                        max=86_400.0)] = 60.0,
-    bridge: Bridge = 0.1,
-    core: Core = None,
+                                        max=86_400.0)] = 60.0
+    bridge: Bridge = 0.1
+    core: Core = None
     self_test: Annotated[bool, typer.Option("--self-test", help="Tell which cycle this computer holds, and why.")
-                         ] = False,
-    record: Annotated[Path, typer.Option(help="Recording (CSV or Parquet).")] = Path("out/rsi/recording.parquet"),
-    json: JsonFigures = None,
-) -> None:
+                         ] = False
+    record: Annotated[Path, typer.Option(help="Recording (CSV or Parquet).")] = Path("out/rsi/recording.parquet")
+    json: JsonFigures = None
+
+    def form(self) -> RsiFormat:
+        """How the controller calls the parts of its messages.
+
+        Raises:
+            InputError: its configuration cannot be used.
+        """
+        from ideal_robot.robots.robot import Robot
+        from ideal_robot.rsi.message import RsiFormat
+
+        if self.rsi_config is None:
+            return RsiFormat(self.tag or "AK", self.sender or "ImFree", self.decimals)
+        axes = Robot.load(self.robot).n if self.robot is not None else 6
+        read = RsiFormat.read(self.rsi_config, axes, self.tag)
+        return replace(read, sender=self.sender or read.sender, decimals=self.decimals)
+
+
+def rsi(options: RsiOptions) -> None:
     """Answers a KUKA controller's RSI packets so that the arm, not the command, follows a joint path.
 
     The arm has to stand at the start of the path. Ctrl-C, SIGTERM, any limit and an arm that does not follow bring it
@@ -233,60 +285,51 @@ def rsi(
     Example, with a controller that sends: `ideal-robot rsi path.csv --robot kr6 --record moved.parquet`
     """
     from ideal_robot.errors import InputError
-    from ideal_robot.robots.robot import Robot
-    from ideal_robot.rsi.message import RsiFormat
     from ideal_robot.signals.recording import WRITTEN
     from ideal_robot.whole_file import whole_files
     from scenes.online.processes import stopping_on_signals
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.rsi.setup import rsi_server
 
-    check_outputs(record=record, json=json)
-    if record.suffix not in WRITTEN:
-        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--record", value=str(record))
-    if self_test:
-        _self_test(robot, model, method, core, json)
+    check_outputs(record=options.record, json=options.json)
+    if options.record.suffix not in WRITTEN:
+        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--record",
+                         value=str(options.record))
+    if options.self_test:
+        _self_test(options)
         return
-    if path is None:
+    if options.path is None:
         raise InputError("give the path to be played", field="PATH")
-    form = RsiFormat(tag or "AK", sender or "ImFree", decimals)
-    if rsi_config is not None:
-        axes = Robot.load(robot).n if robot is not None else 6
-        read = RsiFormat.read(rsi_config, axes, tag)
-        form = replace(read, sender=sender or read.sender, decimals=decimals)
-    with rsi_server(path, robot=robot, model=model, method=method, cycle=cycle, delay=delay, rest=rest, host=host,
-                    port=form.port or 49152 if port is None else port, relative=relative, form=form,
-                    controller=controller, bridge=bridge) as server:
+    form = options.form()
+    with rsi_server(options.path, robot=options.robot, model=options.model, method=options.method, cycle=options.cycle,
+                    delay=options.delay, rest=options.rest, host=options.host, relative=options.relative, form=form,
+                    port=form.port or 49152 if options.port is None else options.port,
+                    controller=options.controller, bridge=options.bridge) as server:
         if not server.link.axes.known:
             typer.echo("ideal-robot: the robot's data has no table [rsi]: axes are taken to count as in the URDF; "
                        "see docs/rsi.md", err=True)
         typer.echo("waiting for the controller on {}:{}".format(*server.link.address), err=True)
         with (stopping_on_signals(server.stop, lambda: server.link.counts.cycles > 0),
               progress_bar("rsi") as progress):
-            run = server.play(patience=wait, core=core, progress=progress)
+            run = server.play(patience=options.wait, core=options.core, progress=progress)
     # Shown first: the arm has moved, and what no disk takes is read at least.
     show_table("", *run.table())
-    with whole_files(record, json) as (record_file, json_file):
+    with whole_files(options.record, options.json) as (record_file, json_file):
         run.recording.write(record_file)
-        if json_file is not None:
-            write_json(json_file, signed({**run.json(), "recording": record}))
-    typer.echo(f"recording: {record}")
+        write_signed(json_file, {**run.json(), "recording": options.record})
+    typer.echo(f"recording: {options.record}")
     if run.failure is not None:
         typer.echo(f"ideal-robot: {run.failure}", err=True)
         raise typer.Exit(1)
 
 
-def _self_test(robot: str | None, model: Path | None, method: str, core: int | None, json: Path | None) -> None:
-    from scenes.program import signed
-    from scenes.report.page import write_json
+def _self_test(options: RsiOptions) -> None:
     from scenes.rsi.self_test import held_cycles
 
     with progress_bar("self-test") as progress:
-        held = held_cycles(robot=robot, model=model, method=method, core=core, progress=progress)
-    if json is not None:
-        write_json(json, signed(held.json()))
+        held = held_cycles(robot=options.robot, model=options.model, method=options.method, core=options.core,
+                           progress=progress)
+    write_signed(options.json, held.json())
     show_table("", *held.table())
     for line in held.reasons():
         typer.echo(line)

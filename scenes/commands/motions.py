@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from scenes.commands.common import (
     SearchSeed,
     progress_bar,
     show_table,
+    write_signed,
 )
 
 if TYPE_CHECKING:
@@ -32,18 +34,23 @@ LeastHeight = Annotated[float | None, typer.Option(help="Lowest height of tool a
                                                         "arms that reach less than 1 m or stand low.")]
 
 
-def plan_identification(
-    robot: RobotName,
-    drive_data: DriveData = None,
-    method: HowIdentified = "joint",
-    period: Annotated[float, typer.Option(help="Period of the Fourier motion [s].", min=1.0)] = 20.0,
-    points: Annotated[int, typer.Option(help="Operating points of the two-step method.", min=2)] = 10,
-    seed: SearchSeed = 1,
-    z_min: LeastHeight = None,
-    play: Annotated[bool, typer.Option("--play", help="Play it on the simulated arm and record it.")] = False,
-    json: JsonPlan = None,
-    out: Annotated[Path, typer.Option(help="Folder of program, commands and recording.")] = Path("out/plan"),
-) -> None:
+@dataclass(kw_only=True)
+class IdentificationMotion:
+    """Options of ``plan-identification``."""
+
+    robot: RobotName
+    drive_data: DriveData = None
+    method: HowIdentified = "joint"
+    period: Annotated[float, typer.Option(help="Period of the Fourier motion [s].", min=1.0)] = 20.0
+    points: Annotated[int, typer.Option(help="Operating points of the two-step method.", min=2)] = 10
+    seed: SearchSeed = 1
+    z_min: LeastHeight = None
+    play: Annotated[bool, typer.Option("--play", help="Play it on the simulated arm and record it.")] = False
+    json: JsonPlan = None
+    out: Annotated[Path, typer.Option(help="Folder of program, commands and recording.")] = Path("out/plan")
+
+
+def plan_identification(options: IdentificationMotion) -> None:
     """Plans an identification motion within the limits, writes it out, and on request plays it in simulation.
 
     Writes `commands.csv` (joint angles every interpolation cycle) and, for the two-step method, the program of moves as
@@ -55,26 +62,24 @@ def plan_identification(
     from ideal_robot.robots.robot import Robot
     from scenes.identification.plan import plan, play_plan
     from scenes.outputs import check_outputs, folders_held, whole_folder
-    from scenes.program import signed
-    from scenes.report.page import write_json
 
-    check_outputs({"--out": out}, json=json)
-    arm = Robot.load(robot, drive_data)
-    workspace = _workspace(arm, z_min)
+    check_outputs({"--out": options.out}, json=options.json)
+    arm = Robot.load(options.robot, options.drive_data)
+    workspace = _workspace(arm, options.z_min)
     with progress_bar("plan") as progress:
-        planned = plan(arm, method, seed=seed, period=period, points=points, workspace=workspace)
-        progress(0.2, "playing" if play else "")
+        planned = plan(arm, options.method, seed=options.seed, period=options.period, points=options.points,
+                       workspace=workspace)
+        progress(0.2, "playing" if options.play else "")
         content = planned.json()
-        recording = play_plan(planned, arm, seed,
-                              lambda share: progress(0.2 + 0.8 * share, "playing")) if play else None
+        recording = play_plan(planned, arm, options.seed,
+                              lambda share: progress(0.2 + 0.8 * share, "playing")) if options.play else None
         with folders_held():
-            with whole_folder(out) as new:
-                files = [out / file.name for file in planned.write(new)]
+            with whole_folder(options.out) as new:
+                files = [options.out / file.name for file in planned.write(new)]
                 if recording is not None:
-                    files.append(out / recording.write(new / "recording.parquet").name)
+                    files.append(options.out / recording.write(new / "recording.parquet").name)
                     content["recording"] = str(files[-1])
-            if json is not None:
-                write_json(json, signed(content))
+            write_signed(options.json, content)
     show_table(f"identification motion of {arm.name}", ["figure", "value"],
                [[key, value] for key, value in content.items() if isinstance(value, (int, float, str))])
     for path in files:
@@ -87,18 +92,23 @@ HeightBeside = Annotated[float | None, typer.Option(help="Lowest height of tool 
                                                          "has been is allowed too; default: by the arm's size.")]
 
 
-def plan_diagnosis(
-    recording: Annotated[Path, typer.Argument(help="Recording that was diagnosed (Parquet, CSV, ROS 2 bag or MCAP).")],
-    robot: RobotName,
-    result: Diagnosed = None,
-    model: Annotated[Path | None, typer.Option(help="Model that the diagnosis was given.")] = None,
-    drive_data: DriveData = None,
-    length: Annotated[float, typer.Option(help="Longest motion [s], 4 to 600.")] = 30.0,
-    z_min: HeightBeside = None,
-    seed: SearchSeed = 1,
-    json: JsonPlan = None,
-    out: Annotated[Path, typer.Option(help="File of the motion (CSV or Parquet).")] = Path("out/plan-diagnosis.csv"),
-) -> None:
+@dataclass(kw_only=True)
+class DiagnosticMotion:
+    """Options of ``plan-diagnosis``."""
+
+    recording: Annotated[Path, typer.Argument(help="Recording that was diagnosed (Parquet, CSV, ROS 2 bag or MCAP).")]
+    robot: RobotName
+    result: Diagnosed = None
+    model: Annotated[Path | None, typer.Option(help="Model that the diagnosis was given.")] = None
+    drive_data: DriveData = None
+    length: Annotated[float, typer.Option(help="Longest motion [s], 4 to 600.")] = 30.0
+    z_min: HeightBeside = None
+    seed: SearchSeed = 1
+    json: JsonPlan = None
+    out: Annotated[Path, typer.Option(help="File of the motion (CSV or Parquet).")] = Path("out/plan-diagnosis.csv")
+
+
+def plan_diagnosis(options: DiagnosticMotion) -> None:
     """Plans the motion that separates causes which a recording could not tell apart, or says what else would.
 
     The motion has `t` and the joint angles `q_d_i` (as commands `q_c_i`) at the interpolation cycle, from rest to rest,
@@ -115,28 +125,25 @@ def plan_diagnosis(
     from ideal_robot.signals.recording import WRITTEN, Recording
     from ideal_robot.whole_file import whole_files
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.result import part_of
 
-    check_outputs(out=out, json=json)
-    if out.suffix not in WRITTEN:
-        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(out))
-    arm = Robot.load(robot, drive_data)
-    taken = Recording.read(recording)
-    workspace = _workspace(arm, z_min)
-    known = None if model is None else Model.load(model)
+    check_outputs(out=options.out, json=options.json)
+    if options.out.suffix not in WRITTEN:
+        raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(options.out))
+    arm = Robot.load(options.robot, options.drive_data)
+    taken = Recording.read(options.recording)
+    workspace = _workspace(arm, options.z_min)
+    known = None if options.model is None else Model.load(options.model)
     with progress_bar("plan-diagnosis") as progress:
-        questions = _questions(result, taken, arm, known, progress)
-        begun = 0.0 if result is not None else 0.5
-        plan = plan_diagnosis(taken, arm, questions, model=known, longest=length, workspace=workspace,
-                              seed=seed, progress=part_of(progress, begun, 1.0 - begun))
-        with whole_files(out if plan.useful else None, json) as (motion_file, json_file):
+        questions = _questions(options.result, taken, arm, known, progress)
+        begun = 0.0 if options.result is not None else 0.5
+        plan = plan_diagnosis(taken, arm, questions, model=known, longest=options.length, workspace=workspace,
+                              seed=options.seed, progress=part_of(progress, begun, 1.0 - begun))
+        with whole_files(options.out if plan.useful else None, options.json) as (motion_file, json_file):
             if motion_file is not None:
                 plan.path().write(motion_file)
-            if json_file is not None:
-                write_json(json_file, signed({**plan.to_dict(), "motion": str(out) if plan.useful else None}))
-    _show_planned(plan, out)
+            write_signed(json_file, {**plan.to_dict(), "motion": str(options.out) if plan.useful else None})
+    _show_planned(plan, options.out)
 
 
 def _workspace(arm: Robot, z_min: float | None) -> Workspace:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,27 +23,68 @@ from scenes.commands.common import (
     progress_bar,
     show_table,
     whole_numbers,
+    write_signed,
 )
 from scenes.workers import TIME_LIMIT
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from scenes.scene_files.scene import Scene
 
-def run(
-    scene: SceneName,
-    speed: Speed = None,
-    seed: Seed = None,
-    individual: Individual = None,
-    world: WorldName = None,
-    n_d: Horizon = None,
+
+@dataclass(kw_only=True)
+class PlayedScene:
+    """A scene, and what the command line says in place of its own values."""
+
+    scene: SceneName
+    speed: Speed = None
+    seed: Seed = None
+    individual: Individual = None
+    world: WorldName = None
+    n_d: Horizon = None
+
+    def load(self) -> Scene:
+        """The scene with these values."""
+        from scenes.scene_file import load_scene
+        from scenes.scene_files.scene import chosen
+
+        return chosen(load_scene(self.scene), speed=self.speed, seed=self.seed, individual=self.individual,
+                      n_d=self.n_d, world=self.world)
+
+
+@dataclass(kw_only=True)
+class RunOptions(PlayedScene):
+    """Options of ``run``."""
+
     tolerance: Annotated[str | None, typer.Option(help="Of a line: play at the fastest speed at which 95 % of the way "
-                                                       "lie within this, e.g. 0.2mm.")] = None,
-    method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none or ideal.")] = None,
-    video: Annotated[Path | None, typer.Option(help="Write a film of the run to this file (.mp4 or .gif).")] = None,
-    json: JsonFigures = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None,
-) -> None:
+                                                       "lie within this, e.g. 0.2mm.")] = None
+    method: Annotated[str | None, typer.Option(help="How the path is corrected, e.g. none or ideal.")] = None
+    video: Annotated[Path | None, typer.Option(help="Write a film of the run to this file (.mp4 or .gif).")] = None
+    json: JsonFigures = None
+    out: Annotated[Path | None, typer.Option(help="Folder for recording and report; default out/SCENE.")] = None
+
+    def allowed(self, scene: Scene) -> float | None:
+        """The error at which 95 % of the way lie [m]; None where the speed is given.
+
+        Raises:
+            InputError: no length, no line, or a speed beside it.
+        """
+        from ideal_robot.errors import InputError
+        from scenes.scene_files.line_scene import LineScene
+
+        if self.tolerance is None:
+            return None
+        error = length(self.tolerance, "--tolerance")
+        if not isinstance(scene, LineScene):
+            raise InputError(f"scenes of kind {scene.kind} have no tolerance", field="--tolerance",
+                             value=self.tolerance)
+        if self.speed is not None:
+            raise InputError("gives the speed itself: leave --speed away", field="--tolerance", value=self.tolerance)
+        return error
+
+
+def run(options: RunOptions) -> None:
     """Plays a scene and writes its recording and a report.
 
     Example: `ideal-robot run line --speed 0.7 --seed 3 --json line.json --video line.gif`
@@ -55,106 +97,95 @@ def run(
     from scenes.line.compare import fastest
     from scenes.line.result import LineResult
     from scenes.outputs import check_outputs, folders_held
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.report.video import check_video, write_video
     from scenes.result import part_of
-    from scenes.scene_file import load_scene
     from scenes.scene_files.line_scene import LineScene
     from scenes.scene_files.scene import chosen
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
-                    world=world)
-    allowed = None if tolerance is None else length(tolerance, "--tolerance")
-    if allowed is not None and not isinstance(loaded, LineScene):
-        raise InputError(f"scenes of kind {loaded.kind} have no tolerance", field="--tolerance", value=tolerance)
-    if allowed is not None and speed is not None:
-        raise InputError("gives the speed itself: leave --speed away", field="--tolerance", value=tolerance)
-    folder = out or Path("out") / loaded.name
-    check_outputs({"--out": folder}, json=json, video=video)
-    kind = kind_of(loaded)
-    if video is not None:
-        check_video(video)
+    loaded = options.load()
+    allowed, kind = options.allowed(loaded), kind_of(loaded)
+    folder = options.out or Path("out") / loaded.name
+    check_outputs({"--out": folder}, json=options.json, video=options.video)
+    if options.video is not None:
+        check_video(options.video)
         if kind.replay is None:
-            raise InputError(f"scenes of kind {loaded.kind} have nothing that moves", field="--video", value=str(video))
+            raise InputError(f"scenes of kind {loaded.kind} have nothing that moves", field="--video",
+                             value=str(options.video))
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
         found = None
         if allowed is not None and isinstance(loaded, LineScene):
-            found = fastest(loaded, allowed, method=method, progress=part_of(progress, 0.0, 0.5))
+            found = fastest(loaded, allowed, method=options.method, progress=part_of(progress, 0.0, 0.5))
             loaded = chosen(loaded, speed=found.speed)
-        played = part_of(progress, 0.0, 1.0 if video is None else 0.5)
-        result = kind.run(loaded, method=method, out=folder, progress=played)
-        replay = None if video is None or kind.replay is None else kind.replay(result)
-        with whole_files(video, json) as (film, figures):
+        played = part_of(progress, 0.0, 1.0 if options.video is None else 0.5)
+        result = kind.run(loaded, method=options.method, out=folder, progress=played)
+        replay = None if options.video is None or kind.replay is None else kind.replay(result)
+        with whole_files(options.video, options.json) as (film, figures):
             if replay is not None:
                 write_video(replay, film, progress=part_of(progress, 0.5, 0.5))
-            if figures is not None:
-                write_json(figures, signed({**result.json(),
-                                            **({} if found is None else {"fastest": found.json()})}))
+            write_signed(figures, {**result.json(),
+                                   **({} if found is None else {"fastest": found.json()})})
     if found is not None and isinstance(result, LineResult):
         typer.echo(f"fastest speed within {1e3 * found.tolerance:g} mm: {found.speed:.2f} m/s; 95 % predicted "
                    f"{1e3 * found.predicted:.3f} mm, reached {1e3 * result.control_error.p95:.3f} mm")
     closed(result)
     if replay is not None:
-        typer.echo(f"film: {video}")
+        typer.echo(f"film: {options.video}")
 
 
-def compare(
-    scene: SceneName,
-    speed: Speed = None,
-    seed: Seed = None,
-    individual: Individual = None,
-    world: WorldName = None,
-    n_d: Horizon = None,
-    json: JsonFigures = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/compare_SCENE.")] = None,
-) -> None:
+@dataclass(kw_only=True)
+class CompareOptions(PlayedScene):
+    """Options of ``compare``."""
+
+    json: JsonFigures = None
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/compare_SCENE.")] = None
+
+
+def compare(options: CompareOptions) -> None:
     """Plays a scene with every method that applies and compares them: one table, one picture.
 
     Example: `ideal-robot compare line --speed 0.7`
     """
     from scenes.kind import kind_of
     from scenes.outputs import check_outputs, folders_held
-    from scenes.program import signed
-    from scenes.report.page import write_json
-    from scenes.scene_file import load_scene
-    from scenes.scene_files.scene import chosen
 
-    loaded = chosen(load_scene(scene), speed=speed, seed=seed, individual=individual, n_d=n_d,
-                    world=world)
-    folder = out or Path("out") / f"compare_{loaded.name}"
-    check_outputs({"--out": folder}, json=json)
+    loaded = options.load()
+    folder = options.out or Path("out") / f"compare_{loaded.name}"
+    check_outputs({"--out": folder}, json=options.json)
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
         result = kind_of(loaded).compare(loaded, out=folder, progress=progress)
-        if json is not None:
-            write_json(json, signed(result.json()))
+        write_signed(options.json, result.json())
     columns, rows = result.table()
     show_table(f"{loaded.title}", columns, rows)
     if result.report is not None:
         typer.echo(f"report: {result.report}")
 
 
-def sweep(
-    scenes: Annotated[list[str], typer.Argument(help="Scenes, by name or path.")],
-    speeds: Annotated[str, typer.Option(help="Speeds [m/s], separated by commas.")] = "",
-    seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = "",
+@dataclass(kw_only=True)
+class SweepOptions:
+    """Options of ``sweep``."""
+
+    scenes: Annotated[list[str], typer.Argument(help="Scenes, by name or path.")]
+    speeds: Annotated[str, typer.Option(help="Speeds [m/s], separated by commas.")] = ""
+    seeds: Annotated[str, typer.Option(help="Seeds: a list 1,2,5 or a range 1-10.")] = ""
     individuals: Annotated[str, typer.Option("--individuals", "--individual", help="Arms of the type, each with a "
-                                             "model of its own (see prepare): a list 1,2,5 or a range 1-10.")] = "",
+                                             "model of its own (see prepare): a list 1,2,5 or a range 1-10.")] = ""
     world: Annotated[str | None, typer.Option(help="Where they play instead of the scenes' worlds: workshop or "
-                                                   "bench.")] = None,
-    methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = "",
-    processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
-    dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
+                                                   "bench.")] = None
+    methods: Annotated[str, typer.Option(help="Methods, separated by commas.")] = ""
+    processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2
+    dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None
     lines: Annotated[Path | None, typer.Option(help="Append each answer to this file as it comes (JSON "
-                                                    "lines).")] = None,
+                                                    "lines).")] = None
     runs: Annotated[Path | None, typer.Option(help="Folder of a Parquet data set of the answers, partitioned by scene, "
-                                                   "which grows as they come and can be queried meanwhile.")] = None,
+                                                   "which grows as they come and can be queried meanwhile.")] = None
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what --lines or --runs hold: such runs of this "
-                                                          "version are not played again.")] = False,
-    time_limit: TimeLimit = TIME_LIMIT,
-    json: Annotated[Path | None, typer.Option(help="Write all answers as JSON to this file.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Write the table as CSV to this file.")] = None,
-) -> None:
+                                                          "version are not played again.")] = False
+    time_limit: TimeLimit = TIME_LIMIT
+    json: Annotated[Path | None, typer.Option(help="Write all answers as JSON to this file.")] = None
+    csv: Annotated[Path | None, typer.Option(help="Write the table as CSV to this file.")] = None
+
+
+def sweep(options: SweepOptions) -> None:
     """Plays many runs and prints one table of their errors; a run that fails is a row, not the end.
 
     A run whose process or worker was lost is not played: it stands in the table, not in what `--lines` or `--runs`
@@ -165,29 +196,26 @@ def sweep(
     from ideal_robot.errors import InputError
     from ideal_robot.whole_file import inert, whole_files
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.run_set import RunSet
     from scenes.sweep import Kept, SweepFile, jobs, sweep
 
-    work = jobs(scenes, [key.strip() for key in methods.split(",") if key.strip()],
-                numbers(speeds, "--speeds"), whole_numbers(seeds, "--seeds"),
-                whole_numbers(individuals, "--individuals"), world)
-    check_outputs({"--runs": runs}, json=json, csv=csv, lines=lines)
-    if resume and lines is None and runs is None:
+    work = jobs(options.scenes, [key.strip() for key in options.methods.split(",") if key.strip()],
+                numbers(options.speeds, "--speeds"), whole_numbers(options.seeds, "--seeds"),
+                whole_numbers(options.individuals, "--individuals"), options.world)
+    check_outputs({"--runs": options.runs}, json=options.json, csv=options.csv, lines=options.lines)
+    if options.resume and options.lines is None and options.runs is None:
         raise InputError("needs --lines FILE or --runs FOLDER, what to go on with", field="--resume")
-    if lines is not None and runs is not None:
-        raise InputError("keeps the same answers as --lines; give one of them", field="--runs", value=str(runs))
-    file: Kept | None = None if lines is None else SweepFile(lines, resume=resume)
-    file = file if runs is None else RunSet(runs, resume=resume)
+    if options.lines is not None and options.runs is not None:
+        raise InputError("keeps the same answers as --lines; give one of them", field="--runs", value=str(options.runs))
+    file: Kept | None = None if options.lines is None else SweepFile(options.lines, resume=options.resume)
+    file = file if options.runs is None else RunSet(options.runs, resume=options.resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = sweep(work, processes=processes, dask=dask, file=file, limit=time_limit,
+        answers = sweep(work, processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
-    table = _show_swept(answers, with_arm=bool(individuals))
+    table = _show_swept(answers, with_arm=bool(options.individuals))
     # Shown first: what no disk takes is read at least.
-    with whole_files(json, csv) as (json_file, csv_file):
-        if json_file is not None:
-            write_json(json_file, signed({"runs": answers}))
+    with whole_files(options.json, options.csv) as (json_file, csv_file):
+        write_signed(json_file, {"runs": answers})
         if csv_file is not None:
             table.map(lambda value: inert(value) if isinstance(value, str) else value).to_csv(csv_file, index=False)
     missing = sum("not_played" in answer for answer in answers)
@@ -237,8 +265,6 @@ def close_loop(
     from scenes.diagnosis.page import summary
     from scenes.outputs import check_outputs, folders_held
     from scenes.play import close_scene
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
 
@@ -247,8 +273,7 @@ def close_loop(
     check_outputs({"--out": folder}, json=json)
     with folders_held(), progress_bar(f"{loaded.name}") as progress:
         result = close_scene(loaded, measured=measured, out=folder, progress=progress)
-        if json is not None:
-            write_json(json, signed(result.json()))
+        write_signed(json, result.json())
     for title, (columns, rows) in (("what was tried", result.ladder()), ("before and after", result.rows())):
         show_table(title, list(columns), rows)
     if (asked := result.json().get("plan")) is not None:
@@ -281,8 +306,6 @@ def prepare(
     from scenes.arms import arm_of
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.scene_file import load_scene
     from scenes.scene_files.scene import chosen
     from sim.arm.world import World
@@ -294,9 +317,8 @@ def prepare(
         prepared = prepared_model(arm_of(loaded.robot), world, progress)
     model = Model.load(prepared.path)
     path = prepared.path if out is None else model.save(out)
-    if json is not None:
-        write_json(json, signed({"robot": loaded.robot, "individual": world.individual, "model": path,
-                          "identified_now": prepared.fresh, "noise_std_N_m": model.noise_std}))
+    write_signed(json, {"robot": loaded.robot, "individual": world.individual, "model": path,
+                 "identified_now": prepared.fresh, "noise_std_N_m": model.noise_std})
     show_table("", ["figure", "value"], [
         ["arm", f"{loaded.robot}, individual {world.individual}"],
         ["identified", "now" if prepared.fresh else "before"],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -20,6 +21,7 @@ from scenes.commands.common import (
     method_help,
     progress_bar,
     show_table,
+    write_signed,
 )
 
 if TYPE_CHECKING:
@@ -54,22 +56,27 @@ UrdfOut = Annotated[Path | None, typer.Option(help="Write a URDF with the identi
                                                    "inertias.")]
 
 
-def identify(
-    recordings: Identified,
-    robot: RobotName,
-    validate: Unseen = None,
-    method: HowIdentified = "joint",
-    drive_data: DriveData = None,
-    friction: FrictionLaw = "auto",
-    cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None,
-    decimate_to: Decimation = None,
-    without_integrator: WithoutIntegrator = None,
-    controller: Controller = None,
-    model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None,
-    export_urdf: UrdfOut = None,
-    json: JsonResults = None,
-    out: ReportFolder = Path("out/identify"),
-) -> None:
+@dataclass(kw_only=True)
+class IdentifyOptions:
+    """Options of ``identify``."""
+
+    recordings: Identified
+    robot: RobotName
+    validate: Unseen = None
+    method: HowIdentified = "joint"
+    drive_data: DriveData = None
+    friction: FrictionLaw = "auto"
+    cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: chosen from the data.")] = None
+    decimate_to: Decimation = None
+    without_integrator: WithoutIntegrator = None
+    controller: Controller = None
+    model: Annotated[Path | None, typer.Option(help="Write the model to this file.")] = None
+    export_urdf: UrdfOut = None
+    json: JsonResults = None
+    out: ReportFolder = Path("out/identify")
+
+
+def identify(options: IdentifyOptions) -> None:
     """Friction, base parameters, rotor inertias, offsets and controllers of an arm, each with its uncertainty.
 
     Example, after that of `plan-identification`:
@@ -82,26 +89,25 @@ def identify(
     from ideal_robot.whole_file import whole_files
     from scenes.identification.page import identification_page
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
 
-    check_outputs({"--out": out}, json=json, model=model, export_urdf=export_urdf)
+    check_outputs({"--out": options.out}, json=options.json, model=options.model, export_urdf=options.export_urdf)
     with progress_bar("identify") as progress:
-        steps = Steps(progress, SHARES if model is None else SHARES_WITH_CASCADE)
-        arm = Robot.load(robot, drive_data)
+        steps = Steps(progress, SHARES if options.model is None else SHARES_WITH_CASCADE)
+        arm = Robot.load(options.robot, options.drive_data)
         loaded, unseen, pd_only = ([Recording.read(path) for path in paths or []]
-                                   for paths in (recordings, validate, without_integrator))
-        analysis = identify_model(loaded, arm, validation=unseen, method=method, friction=friction, cutoff=cutoff,
-                           cutoff_decimation=decimate_to, without_integrator=pd_only,
-                           cascade=model is not None, progress=steps.begin("reading"))
-        if controller is not None:
-            analysis = with_given_controller(analysis, controller, arm)
+                                   for paths in (options.recordings, options.validate, options.without_integrator))
+        analysis = identify_model(loaded, arm, validation=unseen, method=options.method, friction=options.friction,
+                                  cutoff=options.cutoff, cutoff_decimation=options.decimate_to,
+                                  without_integrator=pd_only, cascade=options.model is not None,
+                                  progress=steps.begin("reading"))
+        if options.controller is not None:
+            analysis = with_given_controller(analysis, options.controller, arm)
         steps.begin("drawing")
-        content, page = analysis.to_dict(), out / "report.html"
-        with whole_files(page, json, model, export_urdf) as (page_file, json_file, model_file, urdf_file):
+        content, page = analysis.to_dict(), options.out / "report.html"
+        outputs = (page, options.json, options.model, options.export_urdf)
+        with whole_files(*outputs) as (page_file, json_file, model_file, urdf_file):
             identification_page(analysis).write(page_file)
-            if json_file is not None:
-                write_json(json_file, signed(content))
+            write_signed(json_file, content)
             if model_file is not None:
                 analysis.model.save(model_file)
             if urdf_file is not None:
@@ -136,25 +142,30 @@ SHARES_OF_DIAGNOSIS = {"reading": 0.7, "drawing": 0.3}
 """Measured shares of the time: the diagnosis itself, and its page."""
 
 
-def diagnose(
-    recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")],
-    robot: RobotName,
+@dataclass(kw_only=True)
+class DiagnoseOptions:
+    """Options of ``diagnose``."""
+
+    recording: Annotated[Path, typer.Argument(help="Recording to diagnose (Parquet, CSV, ROS 2 bag or MCAP).")]
+    robot: RobotName
     model: Annotated[Path | None, typer.Option(help="Model to diagnose; without it a baseline (rigid body, Coulomb and "
-                                                    "viscous friction, rotors, offsets) is identified first.")] = None,
+                                                    "viscous friction, rotors, offsets) is identified first.")] = None
     validate: Annotated[Path | None, typer.Option(help="Another recording of the same arm, for the errors that are "
                                                        "reported; else every fourth block of time is kept "
-                                                       "apart.")] = None,
-    drive_data: DriveData = None,
-    model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None,
+                                                       "apart.")] = None
+    drive_data: DriveData = None
+    model_out: Annotated[Path | None, typer.Option(help="Write the extended model to this file.")] = None
     cutoff: Annotated[float | None, typer.Option(help="Position filter [Hz]; default: 20. The band of the torques and "
-                                                      "the time left out around reversals follow it.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0,
+                                                      "the time left out around reversals follow it.")] = None
+    seed: Annotated[int, typer.Option(help="Seed of the null distributions.")] = 0
     explain: Annotated[bool, typer.Option("--explain", help="Say why each cause was named: what else could stand in "
                                                             "its place, by how much it is worse, and where in the "
-                                                            "recording that shows.")] = False,
-    json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None,
-    out: ReportFolder = Path("out/diagnose"),
-) -> None:
+                                                            "recording that shows.")] = False
+    json: Annotated[Path | None, typer.Option(help="Write the result as JSON to this file.")] = None
+    out: ReportFolder = Path("out/diagnose")
+
+
+def diagnose(options: DiagnoseOptions) -> None:
     """Finds the effect behind a model's residual, adds it, and reports the error before and after on held-out data.
 
     Example, after that of `identify`:
@@ -168,23 +179,22 @@ def diagnose(
     from ideal_robot.whole_file import whole_files
     from scenes.diagnosis.page import diagnosis_page, summary
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
 
-    check_outputs({"--out": out}, json=json, model_out=model_out)
+    check_outputs({"--out": options.out}, json=options.json, model_out=options.model_out)
     with progress_bar("diagnose") as progress:
         steps = Steps(progress, SHARES_OF_DIAGNOSIS)
-        arm = Robot.load(robot, drive_data)
-        found = diagnose(Recording.read(recording), arm, model=None if model is None else Model.load(model),
-                         validate=None if validate is None else Recording.read(validate), seed=seed, cutoff=cutoff,
-                         progress=steps.begin("reading"), explain=explain)
+        arm = Robot.load(options.robot, options.drive_data)
+        found = diagnose(Recording.read(options.recording), arm,
+                         model=None if options.model is None else Model.load(options.model),
+                         validate=None if options.validate is None else Recording.read(options.validate),
+                         seed=options.seed, cutoff=options.cutoff, progress=steps.begin("reading"),
+                         explain=options.explain)
         steps.begin("drawing")
-        page = out / "report.html"
-        better = None if found.model is None else model_out
-        with whole_files(page, json, better) as (page_file, json_file, model_file):
-            diagnosis_page(found, f"Diagnosis of {recording.name}").write(page_file)
-            if json_file is not None:
-                write_json(json_file, signed(found.to_dict()))
+        page = options.out / "report.html"
+        better = None if found.model is None else options.model_out
+        with whole_files(page, options.json, better) as (page_file, json_file, model_file):
+            diagnosis_page(found, f"Diagnosis of {options.recording.name}").write(page_file)
+            write_signed(json_file, found.to_dict())
             if model_file is not None and found.model is not None:
                 found.model.save(model_file)
     _show_diagnosed(found)
@@ -244,8 +254,6 @@ def stiffness(
     from ideal_robot.whole_file import whole_files
     from scenes.clamped.page import stiffness_page
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
 
     check_outputs({"--out": out}, json=json)
     with progress_bar("stiffness") as progress:
@@ -257,8 +265,7 @@ def stiffness(
         page = out / "report.html"
         with whole_files(page, json) as (page_file, json_file):
             stiffness_page(analysis, title=f"Joint stiffness of {arm.name}").write(page_file)
-            if json_file is not None:
-                write_json(json_file, signed(analysis.to_dict()))
+            write_signed(json_file, analysis.to_dict())
     show_table("stiffness", ["joint", "method", "k [N m/rad]", "offset [N m]", "%σ", "‖Wχ−Y‖/‖Y‖ [%]"],
                [[one.joint, one.method, one.stiffness, one.offset, one.std_percent, one.relative_error_percent]
                 for one in analysis.joints])
@@ -273,21 +280,26 @@ Played = Annotated[bool, typer.Option("--play", help="Play both paths on the sim
                                                      "them.")]
 
 
-def precorrect(
-    path: JointPath,
-    model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")],
-    robot: ModelsRobot = None,
+@dataclass(kw_only=True)
+class PrecorrectOptions:
+    """Options of ``precorrect``."""
+
+    path: JointPath
+    model: Annotated[Path, typer.Option("--model", help="Identified model (JSON).")]
+    output: Annotated[Path, typer.Option("-o", "--output", help="Where the corrected path goes (CSV or Parquet).")]
+    robot: ModelsRobot = None
     method: Annotated[str, typer.Option(help=method_help("precorrect"), autocompletion=lambda incomplete: completed(
-        "precorrect", incomplete))] = "ideal",
-    delay: PlannerDelay = False,
-    rest: Rest = 0.6,
-    controller: Controller = None,
-    play: Played = False,
-    seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1,
-    json: JsonFigures = None,
-    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/precorrect.")] = None,
-) -> None:
+        "precorrect", incomplete))] = "ideal"
+    delay: PlannerDelay = False
+    rest: Rest = 0.6
+    controller: Controller = None
+    play: Played = False
+    seed: Annotated[int, typer.Option(help="Seed of the simulated arm's noise.", min=0)] = 1
+    json: JsonFigures = None
+    out: Annotated[Path | None, typer.Option(help="Folder of the report; default out/precorrect.")] = None
+
+
+def precorrect(options: PrecorrectOptions) -> None:
     """Corrects a joint path so that the arm, not the command, follows it.
 
     The output has `t`, the commands `q_c_i` and the desired `q_d_i` at the interpolation cycle. Limits of position,
@@ -300,33 +312,31 @@ def precorrect(
     from ideal_robot.whole_file import whole_files
     from scenes.outputs import check_outputs
     from scenes.path.precorrect import played, precorrected_path, robot_of, table, write_page
-    from scenes.program import signed
-    from scenes.report.page import write_json
 
-    folder = out or Path("out") / "precorrect"
-    check_outputs({"--out": folder}, output=output, json=json)
+    folder = options.out or Path("out") / "precorrect"
+    check_outputs({"--out": folder}, output=options.output, json=options.json)
     with progress_bar("precorrect") as progress:
         progress(0.1, "")
-        result = precorrected_path(path, model, robot=robot, method=method, delay=delay, rest=rest,
-                                   controller=controller)
+        result = precorrected_path(options.path, options.model, robot=options.robot, method=options.method,
+                                   delay=options.delay, rest=options.rest, controller=options.controller)
         measured = None
-        if play:
+        if options.play:
             progress(0.6, "playing")
-            measured = played(result, robot_of(Model.load(model), robot, model), seed, delay=delay)
+            arm = robot_of(Model.load(options.model), options.robot, options.model)
+            measured = played(result, arm, options.seed, delay=options.delay)
         progress(0.9, "report")
         report = folder / "report.html"
-        with whole_files(output, report, json) as (path_file, page_file, json_file):
+        with whole_files(options.output, report, options.json) as (path_file, page_file, json_file):
             result.recording.write(path_file)
             write_page(result, page_file, measured)
-            if json_file is not None:
-                write_json(json_file, signed({**result.to_dict(), **_played_errors(measured), "output": output,
-                                              "report": report}))
+            write_signed(json_file, {**result.to_dict(), **_played_errors(measured), "output": options.output,
+                                     "report": report})
     show_table("Correction per joint", *table(result, measured))
     if beyond := result.beyond_uncorrected:
         typer.echo(f"warning: within the spread of the controller the corrected path may miss by more than the path "
                    f"itself does in joint {', '.join(map(str, beyond))}; a recording with commands (q_c_i) tells the "
                    "controller", err=True)
-    typer.echo(f"corrected path: {output}")
+    typer.echo(f"corrected path: {options.output}")
     typer.echo(f"report: {report}")
 
 

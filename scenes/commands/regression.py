@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,23 +13,30 @@ from scenes.workers import TIME_LIMIT
 
 if TYPE_CHECKING:
     from scenes.regression.comparison import Comparison
+    from scenes.regression.results import Results
+    from scenes.regression.suite import Suite
 
 
-def check(
-    suite: Annotated[Path, typer.Argument(help="Suite file (.toml): what is played, and its bounds.")],
+@dataclass(kw_only=True)
+class CheckOptions:
+    """Options of ``check``."""
+
+    suite: Annotated[Path, typer.Argument(help="Suite file (.toml): what is played, and its bounds.")]
     update_baseline: Annotated[bool, typer.Option("--update-baseline", help="Write the results as the new "
-                                                                             "baseline.")] = False,
+                                                                             "baseline.")] = False
     baseline: Annotated[Path | None, typer.Option(help="Baseline file; default: the suite's, or NAME.baseline.json "
-                                                       "here.")] = None,
-    processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2,
-    dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None,
+                                                       "here.")] = None
+    processes: Annotated[int, typer.Option(help="Local processes.", min=1)] = 2
+    dask: Annotated[str | None, typer.Option(help="Address of a running Dask scheduler instead.")] = None
     runs: Annotated[Path | None, typer.Option(help="Folder of a Parquet data set of the runs, which grows as they "
-                                                   "come and can be queried meanwhile.")] = None,
+                                                   "come and can be queried meanwhile.")] = None
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what --runs holds: such runs of this version are "
-                                                          "not played again.")] = False,
-    time_limit: TimeLimit = TIME_LIMIT,
-    out: Annotated[Path | None, typer.Option(help="Folder of the reports; default out/check_SUITE.")] = None,
-) -> None:
+                                                          "not played again.")] = False
+    time_limit: TimeLimit = TIME_LIMIT
+    out: Annotated[Path | None, typer.Option(help="Folder of the reports; default out/check_SUITE.")] = None
+
+
+def check(options: CheckOptions) -> None:
     """Plays a suite and says whether it is better, the same or worse than its baseline, and within its bounds.
 
     Runs are paired by seed. The folder holds a page, Markdown for a pull request, JUnit XML, JSON, JSON Lines and
@@ -39,50 +47,70 @@ def check(
 
     Example: `ideal-robot check examples/nightly.toml`
     """
-    from ideal_robot.errors import InputError
     from scenes.commands.common import progress_bar
     from scenes.outputs import check_outputs
-    from scenes.regression.comparison import bounds_of, check_arms, comparison_of
-    from scenes.regression.results import Results, read_results, times_of
+    from scenes.regression.comparison import check_arms
+    from scenes.regression.results import Results, times_of
     from scenes.regression.suite import Suite
     from scenes.report.page import write_json
     from scenes.run_set import RunSet
     from scenes.scene_files.scene import Scene
     from scenes.sweep import sweep
 
-    asked = Suite(suite)
-    place = baseline or asked.baseline
-    folder = out or Path("out") / f"check_{suite.stem}"
-    check_outputs({"--out": folder, "--runs": runs}, **({"baseline": place} if update_baseline else {}))
-    if not place.is_file() and not update_baseline and (baseline or not any(bounds for _, bounds in asked.work)):
-        raise InputError("no such baseline; --update-baseline makes it", file=place)
-    if resume and runs is None:
-        raise InputError("needs --runs FOLDER, what to go on with", field="--resume")
-    earlier = read_results(place) if place.is_file() else None
+    asked = Suite(options.suite)
+    place = options.baseline or asked.baseline
+    folder = options.out or Path("out") / f"check_{options.suite.stem}"
+    check_outputs({"--out": folder, "--runs": options.runs}, **({"baseline": place} if options.update_baseline else {}))
+    earlier = _baseline(options, asked, place)
     work = [job for job, _ in asked.work]
-    if earlier is not None and not update_baseline:
+    if earlier is not None and not options.update_baseline:
         check_arms(earlier, {job.scene.robot for job in work if isinstance(job.scene, Scene)})
-    file = None if runs is None else RunSet(runs, resume=resume)
+    file = None if options.runs is None else RunSet(options.runs, resume=options.resume)
     with progress_bar(f"{len(work)} runs") as progress:
-        answers = sweep(work, processes=processes, dask=dask, file=file, limit=time_limit,
+        answers = sweep(work, processes=options.processes, dask=options.dask, file=file, limit=options.time_limit,
                         done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))
-    results = Results.of(answers, str(suite))
-    bounds = bounds_of(results, [bounds for _, bounds in asked.work])
-    rules = {"figures": asked.file.figures, "rules": asked.rules, "title": asked.file.title}
-    try:
-        found = comparison_of(results, earlier, bounds, **rules)
-    except InputError:
-        if not update_baseline:
-            raise
-        found = comparison_of(results, None, bounds, **rules)
+    results = Results.of(answers, str(options.suite))
+    found = _compared(results, earlier, asked, anyway=options.update_baseline)
     _report(found, folder)
     write_json(folder / "times.json", {"runs": times_of(answers)})
-    if update_baseline and not found.not_played:
+    if options.update_baseline and not found.not_played:
         typer.echo(f"baseline: {results.write(place)}")
     elif earlier is None:
         typer.echo(f"no baseline at {place}; --update-baseline makes it", err=bool(found.not_played))
-    if found.not_played or not found.bounds_kept or (found.verdict == "worse" and not update_baseline):
+    if found.not_played or not found.bounds_kept or (found.verdict == "worse" and not options.update_baseline):
         raise typer.Exit(1)
+
+
+def _baseline(options: CheckOptions, asked: Suite, place: Path) -> Results | None:
+    """The results that a suite is compared with; None where there are none, and need not be.
+
+    Raises:
+        InputError: no such file where it is needed, or nothing to resume.
+    """
+    from ideal_robot.errors import InputError
+    from scenes.regression.results import read_results
+
+    needed = options.baseline or not any(bounds for _, bounds in asked.work)
+    if not place.is_file() and not options.update_baseline and needed:
+        raise InputError("no such baseline; --update-baseline makes it", file=place)
+    if options.resume and options.runs is None:
+        raise InputError("needs --runs FOLDER, what to go on with", field="--resume")
+    return read_results(place) if place.is_file() else None
+
+
+def _compared(results: Results, earlier: Results | None, asked: Suite, *, anyway: bool) -> Comparison:
+    """Results beside the baseline's; ``anyway`` without it where the two cannot be compared."""
+    from ideal_robot.errors import InputError
+    from scenes.regression.comparison import bounds_of, comparison_of
+
+    bounds = bounds_of(results, [bounds for _, bounds in asked.work])
+    rules = {"figures": asked.file.figures, "rules": asked.rules, "title": asked.file.title}
+    try:
+        return comparison_of(results, earlier, bounds, **rules)
+    except InputError:
+        if not anyway:
+            raise
+        return comparison_of(results, None, bounds, **rules)
 
 
 def compare_results(

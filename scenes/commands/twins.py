@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from scenes.commands.common import JsonResults, RobotName, Seed, progress_bar, show_table
+from scenes.commands.common import JsonResults, RobotName, Seed, progress_bar, show_table, write_signed
 from scenes.commands.recordings import Controller
 
 Recorded = Annotated[list[Path], typer.Argument(help="Recordings of free motion (Parquet, CSV, ROS 2 bag or MCAP).")]
@@ -42,8 +42,6 @@ def twin(
     from scenes.arms import arm_of
     from scenes.identification.twin_play import COLUMNS, make_twin, twin_text
     from scenes.outputs import check_outputs
-    from scenes.program import signed
-    from scenes.report.page import write_json
     from scenes.scene_files.scene import NAME
 
     if output.suffix != ".toml" or not NAME.fullmatch(output.stem):
@@ -60,19 +58,12 @@ def twin(
         with whole_files(output, json) as (scene_file, json_file):
             if scene_file is not None:
                 scene_file.write_text(twin_text(found.twin, robot, output.stem), encoding="utf-8")
-            if json_file is not None:
-                write_json(json_file, signed({**found.to_dict(), "output": output}))
+            write_signed(json_file, {**found.to_dict(), "output": output})
     show_table("the twin along the recorded motion", COLUMNS, found.rows())
-    for told, words in (("told", found.twin.seen), ("assumed", found.twin.assumed)):
-        for one in words:
-            typer.echo(f"{told}: {one}")
+    for line in (*(f"told: {one}" for one in found.twin.seen), *(f"assumed: {one}" for one in found.twin.assumed)):
+        typer.echo(line)
     typer.echo(f"twin: {output}")
-    if arm.n < 5:
-        typer.echo("an arm of fewer than five joints follows no line: the file holds its world alone")
-    elif draws:
-        _expected(output, draws)
-    else:
-        typer.echo(f"what accuracy to expect: ideal-robot sweep {_place(output)} --individuals 1-10")
+    _expected(output, arm.n, draws)
 
 
 def _place(scene: Path) -> str:
@@ -80,12 +71,18 @@ def _place(scene: Path) -> str:
     return str(scene) if scene.is_absolute() or scene.parent != Path() else f"./{scene}"
 
 
-def _expected(scene: Path, draws: int) -> None:
-    """Says what line error the twin's individuals make."""
+def _expected(scene: Path, joints: int, draws: int) -> None:
+    """Says what line error the twin's individuals make, or how to ask for it."""
     import numpy as np
 
     from scenes.sweep import jobs, sweep
 
+    if joints < 5:
+        typer.echo("an arm of fewer than five joints follows no line: the file holds its world alone")
+        return
+    if not draws:
+        typer.echo(f"what accuracy to expect: ideal-robot sweep {_place(scene)} --individuals 1-10")
+        return
     work: list[Any] = [one for k in range(1, draws + 1) for one in jobs([_place(scene)], [], [], [k], [k])]
     with progress_bar(f"{draws} individuals") as progress:
         answers = sweep(work, done=lambda count: progress(count / len(work), f"{count} of {len(work)}"))

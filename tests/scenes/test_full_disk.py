@@ -220,11 +220,11 @@ def test_a_cache_folder_that_cannot_be_written_is_told_before_the_arm_moves(tmp_
 
 
 def test_a_recording_s_ending_is_refused_before_the_arm_moves(monkeypatch: pytest.MonkeyPatch) -> None:
-    from scenes.commands.devices import rsi
+    from scenes.commands.devices import RsiOptions, rsi
 
     monkeypatch.setattr("scenes.rsi.setup.rsi_server", lambda *_, **__: pytest.fail("moved"))
     with pytest.raises(InputError, match=r"\.parquet or \.csv"):
-        rsi(Path("p.csv"), record=Path("moved.txt"))
+        rsi(RsiOptions(path=Path("p.csv"), record=Path("moved.txt")))
 
 
 def test_a_full_folder_for_temporary_files_is_named_with_what_helps() -> None:
