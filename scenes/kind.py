@@ -57,7 +57,7 @@ class CloseLoop(Protocol):
 
         Args:
             scene: of the kind's class.
-            measured: what the arm measures, see ``scenes.closing.measured``.
+            measured: what the arm measures, see ``scenes.closing.result``.
             out: folder of recording and report; nothing is written if None.
             progress: called with the share that is done, and what is being done.
         """

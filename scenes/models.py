@@ -21,10 +21,11 @@ from ideal_robot.model.model import Model
 from ideal_robot.registry import imported
 from ideal_robot.results import Summarised
 from ideal_robot.robots.robot import Robot
+from scenes.arms import arm_of
 from scenes.model_files import model_at, shipped_model
 from scenes.outputs import check_outputs
 from scenes.result import Progress, silent
-from scenes.scene_files.scene import OWN, Scene
+from scenes.scene_files.scene import OWN, SHIPPED, Scene
 from sim.arm.world import World
 
 
@@ -136,3 +137,36 @@ if __name__ == "__main__":
 
     for path in write_models(sys.argv[1:] or ["kr6", "kr15", "manutec_r15"], Path(__file__).parents[1] / "models"):
         print(path)
+
+
+# What was played, as digests: task, world and model of a run.
+
+_WORDS = {"name", "title", "description", "paper"}
+"""Keys of a scene that say what it is called."""
+_HOW = {"seed", "method", "model", "n_d", "gains"}
+"""Keys of a scene that say how a task is done; runs that differ in nothing else can be compared."""
+
+
+def digest_of(content: Any) -> str:
+    """Sixteen hexadecimal digits of what JSON can hold."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def identity(scene: Scene) -> dict[str, str | None]:
+    """Digests of what a run depends on: its task, its world, its model.
+
+    Args:
+        scene: as it is played, its options applied.
+
+    Returns:
+        ``task_hash``: what is asked of the arm, whichever the seed, method and model; ``world_hash``: the simulated
+        arm; ``model_hash``: the model file, None where there is none.
+    """
+    asked = scene.model_dump(mode="json", exclude=_WORDS | _HOW, exclude_defaults=True)
+    world = World.from_table(scene.robot, scene.arm_world, scene.source)
+    if scene.model == OWN:
+        model: str | None = cache_name(arm_of(scene.robot), world)
+    else:
+        path = shipped_model(scene.robot) if scene.model == SHIPPED else Path(scene.model)
+        model = hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else None
+    return {"task_hash": digest_of(asked), "world_hash": digest_of(world.table()), "model_hash": model}

@@ -83,8 +83,8 @@ def path_error(request: pytest.FixtureRequest, ideal_scene: Scene) -> Callable[.
 def _answer(scene: Scene, method: str | None, folder: Path, fresh: bool) -> dict[str, Any]:
     """A run's answer, from the cache where one of the same content is kept."""
     from ideal_robot.bounded_values import read_json
+    from scenes.models import digest_of, identity
     from scenes.program import program
-    from scenes.provenance import digest_of, identity
     from scenes.report.page import plain, write_json
     from scenes.sweep import Job, play
 

@@ -19,8 +19,8 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.whole_file import OutputError
 from scenes.kind import KINDS, kind_of
 from scenes.methods import method_of
+from scenes.models import digest_of, identity
 from scenes.program import program
-from scenes.provenance import digest_of, identity
 from scenes.report.page import plain
 from scenes.result import silent
 from scenes.scene_file import load_scene

@@ -26,26 +26,26 @@ from ideal_robot.errors import IdealRobotError, InputError  # noqa: E402
 GROUPS = {
     "speed and memory": {
         "speed": "speed", "line-cycles": "cycles", "cycle": "cycles", "planning": "cycles", "growth": "speed",
-        "fusion-cost": "fusion", "walks": "walks",
+        "fusion-cost": "fusion", "walks": "speed",
     },
     "accuracy": {
         "arms": "arms", "arms-models": "arms", "arms-adapted": "arms", "knew": "arms", "urdfs": "arms",
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
-        "world": "world", "heating": "world", "camera": "camera", "calibration": "camera", "detectors": "camera",
+        "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "fusion": "fusion", "fusion-banks": "fusion",
-        "force": "force", "force-parts": "force", "stability": "stability", "surface-shapes": "shapes",
-        "measured": "measured", "measured-adapted": "measured", "twins": "twins", "twin-arms": "twins",
+        "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
+        "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
     "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses",
                   "ablation": "ablation", "rules": "ablation"},
-    "closings": {"closings": "closings", "outside": "outside", "true-friction": "outside"},
+    "closings": {"closings": "closings", "outside": "closings", "true-friction": "closings"},
     "robustness": {
         "findings": "findings", "limits": "limits", "fuzz": "broken", "kill": "broken",
         "rsi-packets": "packets", "packets": "packets", "mutations": "mutations",
         "faults": "faults", "camera-faults": "faults", "arm-faults": "faults",
         "sweep-kills": "sweeps", "sweep-efficiency": "sweeps", "sweep-plan": "sweeps",
-        "check-suite": "suites", "mutants": "mutants",
+        "check-suite": "sweeps", "mutants": "mutants",
         "rsi-hour": "rsi", "rsi-simulators": "rsi", "loopback": "loopback", "follow-hour": "loopback",
     },
 }

@@ -9,14 +9,21 @@ focal length (1 to 4 %), height (1 to 5 mm), yaw and pitch (0.3° to 1.5°), and
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 
+from ideal_robot.arrays import Array
+from ideal_robot.effects import FittedEffect, Signals
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.feedforward.ideal import IdealRobot
+from ideal_robot.loop.loop_model import LoopModel
 from ideal_robot.results import plain
 from ideal_robot.robots.robot import Robot
 from scenes import load_scene
@@ -29,8 +36,10 @@ from scenes.path.close_loop import closed
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene
 from scenes.undeclared import undeclared_effects
+from sim.arm.drive import steady_friction
+from sim.arm.specimen import draw_specimen
 from sim.arm.world import World
-from studies.outside import causes_along, close_outside
+from studies.report import head, row
 
 FIRST_INDIVIDUAL = 1
 """The one whose model is shipped."""
@@ -220,3 +229,153 @@ def _table(lines: list[dict[str, Any]]) -> str:
     if len(played) < len(lines):
         rows.append(f"\n{len(lines) - len(played)} could not be played.")
     return "\n".join(rows)
+
+
+# Causes outside the effect library closed by learned curves, and floors: paths whose robot is told the truth.
+
+Formula = Callable[[Array, Array, Array], Array]
+"""``(q, qd, direction) -> torque (N,)`` [N m] that the motor has to give besides; ``q``, ``qd`` are ``(N, n)``."""
+TURNING = 3e-4
+"""Way over which a cause's direction of sliding turns [rad]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outside:
+    """One cause: its name, the joint on whose motor it acts (from 1), and what the motor has to give."""
+
+    name: str
+    joint: int
+    formula: Formula
+
+
+@dataclasses.dataclass(frozen=True)
+class Told(FittedEffect):
+    """The true cause as an oracle knows it."""
+
+    cause: Outside | None = None
+
+    def contribution(self, signals: Signals) -> Array:
+        """See ``FittedEffect.contribution``."""
+        assert self.cause is not None
+        direction = signals.sliding_direction(self.joint)
+        return signals.on_joint(self.joint, self.cause.formula(signals.q, signals.qd, direction))[:, :, 0]
+
+
+def causes_along(cell: PathCell, drag: float, pull: float, surplus: float) -> tuple[Outside, Outside, Outside]:
+    """Drag of joint 2 by the angle of joint 3 up to ``drag``, a hose at joint 3, friction of joint 1 by place.
+
+    Args:
+        cell: whose path they change along: the hose is slack where it begins and taut on half of the way.
+        drag: largest drag [N m].
+        pull: stiffness of the taut hose [N m/rad].
+        surplus: of friction at its place [N m].
+    """
+    q = cell.path.q_d
+    low, high = np.min(q, axis=0), np.max(q, axis=0)
+    span, middle = high - low, 0.5 * (low + high)
+    far = q[np.argmax(np.abs(q[:, 2] - q[0, 2])), 2]
+    side, bend = float(np.sign(far - q[0, 2])), float(0.5 * (q[0, 2] + far))
+
+    def dragged(q: Array, qd: Array, direction: Array) -> Array:
+        return np.asarray(drag * np.clip(0.5 + (q[:, 2] - middle[2]) / span[2], 0.0, 1.0) * direction)
+
+    def pulled(q: Array, qd: Array, direction: Array) -> Array:
+        return side * pull * np.maximum(side * (q[:, 2] - bend), 0.0)
+
+    def rubbed(q: Array, qd: Array, direction: Array) -> Array:
+        return surplus * np.exp(-0.5 * ((q[:, 0] - high[0]) / (0.35 * span[0])) ** 2) * direction
+
+    return (Outside("drag of joint 2 by the angle of joint 3", 2, dragged), Outside("hose at joint 3", 3, pulled),
+            Outside("friction of joint 1 by place", 1, rubbed))
+
+
+def _with_cause(cell: PathCell, cause: Outside) -> PathCell:
+    """The cell with an arm that has the cause."""
+    bent, last, j = np.zeros(1), np.zeros(1), cause.joint - 1
+
+    def extra(t: float, q: Array, qd: Array, q_a: Array) -> Array:
+        if t == 0.0:
+            bent[0], last[0] = 0.0, q[j]
+        side = np.sign(q[j] - last[0])
+        bent[0] = side + (bent[0] - side) * np.exp(-abs(q[j] - last[0]) / TURNING)
+        last[0] = q[j]
+        result = np.zeros(len(q))
+        result[j] = -cause.formula(q[None], qd[None], bent)[0]
+        return result
+
+    return dataclasses.replace(cell, world=cell.world.replace(extra_torque=extra))
+
+
+def close_outside(scene: PathScene, cell: PathCell, cause: Outside, *, measured: str, rounds: int) -> Closing:
+    """Closes a cell whose arm has the cause, beside an oracle that is told its formula.
+
+    Args:
+        scene: whose path it is.
+        cell: with the arm as the model knows it.
+        cause: outside the library.
+        measured: what the arm measures.
+        rounds: at most.
+    """
+    loop = cell.loop()
+    oracle = IdealRobot(loop.replace(terms=(*loop.terms, Told("told", cause.joint, "tau", (), cause=cause))))
+    return closed(scene, _with_cause(cell, cause), ((cause.name, cause.joint),), measured=measured, oracle=oracle,
+                  rounds_at_most=rounds)
+
+
+def outside(size_mm: float = 250.0, rounds: int = 2, measured: str = "tcp") -> None:
+    """Three causes outside the library, each closed on a KR 15 along a circle of --size-mm, beside an oracle.
+
+    Drag in joint 2 that grows with the angle of joint 3, a hose that pulls joint 3 back behind a bend, friction of
+    joint 1 that differs by place. --measured is what the arm measures: motor, arm or tcp.
+    """
+    scene = load_scene("close_stribeck").changed(path={"size_mm": size_mm}, speed=0.5)
+    assert isinstance(scene, PathScene)
+    scene = scene.model_copy(update={"world": {}})
+    cell = set_up(scene, delay=False)
+    head("cause", "E_car before", "after", "oracle", "taken", "CPU s")
+    for cause in causes_along(cell, 120.0, 600.0, 120.0):
+        begun = time.process_time()
+        result = close_outside(scene, cell, cause, measured=measured, rounds=rounds)
+        row(cause.name, *(f"{1e3 * e.aligned.E_car:.3f} mm" for e in result.errors.values()),
+            "; ".join(step.tried for step in result.steps if step.taken) or "nothing",
+            f"{time.process_time() - begun:.0f}")
+
+
+def with_true_friction(loop: LoopModel, robot: Robot, world: World, joints: list[int]) -> LoopModel:
+    """The identified loop with the true friction of some joints (from 1), in the units of the measured torque.
+
+    Args:
+        loop: identified.
+        robot: the arm.
+        world: the arm as it is.
+        joints: from 1.
+    """
+    gain = draw_specimen(robot, world).drive_gain
+    speeds = np.maximum(loop.friction_velocity, 1e-9)
+    warm = float(world.per_joint("start_temperature", robot.n)[0])
+    sides = [sign * steady_friction(world, robot.n, sign * speeds, temperature=warm) / gain for sign in (1.0, -1.0)]
+    at = np.isin(np.arange(robot.n) + 1, joints)
+    load = world.per_joint("coulomb", robot.n) * world.per_joint("load_friction", robot.n) / robot.tau_max
+    return loop.replace(friction_torque=np.where(at, np.stack(sides), loop.friction_torque),
+                        friction_load=np.where(at, load, loop.friction_load),
+                        friction_bend=np.where(at, world.per_joint("presliding", robot.n), loop.friction_bend))
+
+
+def true_friction(scene: str = "close_stribeck", world: str = "{}") -> None:
+    """The floor of a friction scene: its path by an ideal robot that is told the true friction of the joints.
+
+    --world holds keys of the world to change, as JSON. Rows: the model as it was; the true steady friction (its curve
+    over speed, its growth with load, the way over which it turns) of the joints whose friction the scene changed; and
+    of all joints. What is then left is what no better number of friction takes away.
+    """
+    played = load_scene(scene).changed(world=json.loads(world))
+    if not isinstance(played, PathScene):
+        raise typer.BadParameter("expected a scene of kind path")
+    cell = set_up(played, delay=False)
+    changed = sorted({joint for _, joint in undeclared_effects(played, cell.robot.n)})
+    head("friction told", "E_car aligned", "E_max aligned")
+    for name, joints in (("none: the model as it was", []), (f"true in joint {', '.join(map(str, changed))}", changed),
+                         ("true in all joints", list(range(1, cell.robot.n + 1)))):
+        loop = with_true_friction(cell.loop(), cell.robot, cell.world, joints) if joints else cell.loop()
+        error = cell.play(IdealRobot(loop)).errors.aligned
+        row(name, f"{1e3 * error.E_car:.3f} mm", f"{1e3 * error.E_max:.3f} mm")

@@ -30,7 +30,7 @@ from ideal_robot.signals.recording import Recording
 from scenes.commands.common import numbers, whole_numbers
 from studies.report import head, row, write_tables
 from studies.sensors.force import draw_force_trial
-from studies.sensors.line import KINDS, draw_line_trial, gantry
+from studies.sensors.scene import KINDS, draw_line_trial, gantry
 from studies.sensors.tcp import draw_tcp_trial
 from studies.strangers.arm import STEP, Arm, Motion, draw_arm, draw_motion, robot_of
 from studies.strangers.effects import INSIDE, Setup

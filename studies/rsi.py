@@ -22,8 +22,7 @@ from ideal_robot.rsi import RsiRobot
 from ideal_robot.rsi.message import RsiFormat
 from scenes.models import shipped_model
 from scenes.online.processes import undisturbed
-from scenes.rsi.server import RsiRun
-from scenes.rsi.setup import rsi_server
+from scenes.rsi.server import RsiRun, rsi_server
 from studies.report import head, resident, row
 from tests.sim.devices.controllers import LaggingController
 

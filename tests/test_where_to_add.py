@@ -12,7 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from studies.sensors.line import gantry
+from studies.sensors.scene import gantry
 from tests.sources import ROOT
 
 LAW = '''

@@ -23,8 +23,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from planning import LineLostError, LineNeverSeenError, PlanningError
 from planning.force.force_follower import SurfaceFollower
-from planning.line.line_view import LineAhead, SeenLine
-from planning.line.measurement import Fused, Measurement
+from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine
 from planning.path.path_kernels import unit
 
 OBLIQUE = 0.1

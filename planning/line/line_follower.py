@@ -13,8 +13,7 @@ from ideal_robot.robots.robot import Robot
 from planning import LineLostError, LineNeverSeenError, PlanningError
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter
-from planning.line.line_view import LineAhead, SeenLine, polynomial_measurement
-from planning.line.measurement import Fused, Measurement
+from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine, polynomial_measurement
 from planning.path.desired_path import DesiredPath
 from planning.path.path_kernels import displaced_frames, sensor_errors
 from planning.path.pose_history import PoseHistory

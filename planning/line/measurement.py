@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from sensing.camera.camera_model import CameraModel
+from sensing.camera.line_detection import PoseAt, PredictedLine, predicted_by_rows
+from sensing.camera.line_polynomial import LinePolynomial, fit_of_lowest_order
 
 
 @dataclass(frozen=True)
@@ -77,3 +83,90 @@ def check(measurement: Measurement, directions: int) -> None:
             raise InputError(f"expected shape {expected}", field=f"measurement.{key}", value=given)
     if not (np.isfinite(measurement.value).all() and np.isfinite(measurement.covariance).all()):
         raise InputError("expected finite numbers", field=f"measurement of {measurement.sensor}")
+
+
+# What passes between the line follower and the camera: points seen, and where to look for the next ones.
+
+class SeenLine(Protocol):
+    """What the follower needs of a camera field; ``sensing.camera.line_detection.LineField`` is one."""
+
+    @property
+    def t(self) -> float:
+        """Instant of exposure [s]."""
+
+    @property
+    def points_tcp(self) -> Array:
+        """Line points in the tool frame ``(m, 3)`` [m]."""
+
+    @property
+    def sigma(self) -> Array:
+        """Their lateral standard deviation ``(m,)`` [m]."""
+
+    @property
+    def used(self) -> NDArray[np.bool_]:
+        """Which of them are good ``(m,)``."""
+
+    @property
+    def seen(self) -> bool:
+        """Whether there is a measurement at all."""
+
+
+@dataclass(frozen=True)
+class LineAhead:
+    """Where the line should be at some places ahead.
+
+    Attributes:
+        s: arc lengths of the reference ``(m,)`` [m].
+        points: line points in the base frame ``(m, 3)`` [m].
+        tangents: unit tangents ``(m, 3)``.
+        up: unit surface normals ``(m, 3)``.
+        sigma: lateral standard deviations ``(m,)`` [m].
+    """
+
+    s: Array
+    points: Array
+    tangents: Array
+    up: Array
+    sigma: Array
+
+    def seen_by(self, camera: CameraModel, t: float, pose_at: PoseAt) -> PredictedLine:
+        """The same as a picture of a time shows it, each point in the tool frame at its own row's instant.
+
+        Args:
+            camera: as it is calibrated.
+            t: mid-exposure of the picture's middle row [s].
+            pose_at: pose of the TCP in the base frame at a time [s].
+        """
+        return predicted_by_rows(self.seen_from(pose_at(t)), camera, t, pose_at)
+
+    def seen_from(self, pose: pin.SE3) -> PredictedLine:
+        """The same in the tool frame, for the line detection."""
+        return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose, float(self.sigma.max()))
+
+
+# One field as one measurement: the polynomial through its points, by its value and slope in their middle ([L] 5).
+
+def polynomial_measurement(points: Measurement) -> tuple[Measurement, LinePolynomial]:
+    r"""Value and slope of the deviation in the middle of a field, with their covariance.
+
+    [L] 5: the line is "represented by a polynomial which is computed from 5 detected line points". Its coefficients
+    are a linear combination of the points' deviations, c = A Δ, so everything that holds of the points carries over
+    without approximation, also what the points have in common:
+
+    .. math:: z = A \Delta,\quad H = A H_\Delta,\quad R = A R_\Delta A^T,\quad B = A B_\Delta
+
+    with the first two rows of A, the value and the slope. The filter so compares the field's polynomial with the one
+    that the same fit makes of its map: an order too low for the line leaves no bias in the map.
+
+    Args:
+        points: deviations of the single points, at least two, with the sensor's errors.
+
+    Raises:
+        SensingError: fewer than two usable points.
+    """
+    polynomial = fit_of_lowest_order(points.s, points.value, np.sqrt(np.diag(points.covariance)))
+    A = polynomial.combination[:2] / np.array([1.0, polynomial.scale])[:, None]
+    bias = None if points.bias is None else A @ points.bias
+    measurement = replace(points, value=A @ points.value, covariance=A @ points.covariance @ A.T, bias=bias,
+                          combination=A)
+    return measurement, polynomial

@@ -289,7 +289,7 @@ def rsi(options: RsiOptions) -> None:
     from ideal_robot.whole_file import whole_files
     from scenes.online.processes import stopping_on_signals
     from scenes.outputs import check_outputs
-    from scenes.rsi.setup import rsi_server
+    from scenes.rsi.server import rsi_server
 
     check_outputs(record=options.record, json=options.json)
     if options.record.suffix not in WRITTEN:

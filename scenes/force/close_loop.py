@@ -29,8 +29,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.closing.loop import Found, Group, Subject, close
-from scenes.closing.measured import Measured, checked_measured, visible
-from scenes.closing.result import SHARES, Closing, Played, Words
+from scenes.closing.result import SHARES, Closing, Measured, Played, Words, checked_measured, visible
 from scenes.force.play import ForceResult, play
 from scenes.methods import IDEAL
 from scenes.models import model_for
@@ -51,7 +50,7 @@ def close_loop(scene: ForceScene, *, measured: str = "tcp", out: Path | None = N
 
     Args:
         scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.measured``).
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.result``).
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
 

@@ -31,7 +31,7 @@ from ideal_robot.signals.recording import Recording
 from sim.arm.arm import SimulatedArm
 from sim.arm.drive import motor_torque_limit
 from sim.arm.generic import generic_world, growth, too_fast
-from sim.arm.residual import LOWEST, octave_edges
+from sim.arm.specimen import LOWEST, octave_edges
 from sim.arm.world import RIGID, World
 
 DRAWS = 10

@@ -38,8 +38,17 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.closing.loop import Form, Found, Group, Place, Subject, close
-from scenes.closing.measured import Measured, at_speeds, checked_measured, tool_deviation, visible
-from scenes.closing.result import SHARES, Closing, Played, Words
+from scenes.closing.result import (
+    SHARES,
+    Closing,
+    Measured,
+    Played,
+    Words,
+    at_speeds,
+    checked_measured,
+    tool_deviation,
+    visible,
+)
 from scenes.line.cell import Cell, Prepared, prepared, set_up
 from scenes.line.play import play
 from scenes.line.result import LineResult
@@ -72,7 +81,7 @@ def close_loop(scene: LineScene, *, measured: str = "tcp", out: Path | None = No
 
     Args:
         scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.measured``).
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.result``).
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.
 

@@ -26,8 +26,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye, Observation
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
-from sensing.force.sensors import WrenchSource
-from sensing.force.wrench import WrenchSample
+from sensing.force.wrench import WrenchSample, WrenchSource
 from sensing.life_signs import LifeSigns
 
 OLDEST = 0.4

@@ -15,7 +15,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.closing.loop import Form, Forms, Group, Step, places_of, said
-from scenes.closing.measured import Measured
+from scenes.closing.result import Measured
 
 _ONLY_BEHIND = ("only a device on the arm's side, or a clamped flange ([J]), shows a gear's give or a joint's zero; "
                 "motor angles and currents do not")

@@ -24,8 +24,17 @@ from ideal_robot.progress import Steps
 from ideal_robot.signals.recording import Recording
 from scenes.arms import arm_of
 from scenes.closing.loop import ROUNDS, Comparison, Forms, Found, Place, Subject, close
-from scenes.closing.measured import Measured, checked_measured, tool, tool_deviation, visible
-from scenes.closing.result import SHARES, Closing, Played, Words
+from scenes.closing.result import (
+    SHARES,
+    Closing,
+    Measured,
+    Played,
+    Words,
+    checked_measured,
+    tool,
+    tool_deviation,
+    visible,
+)
 from scenes.methods import IDEAL
 from scenes.metrics import PathErrors
 from scenes.models import model_for
@@ -57,7 +66,7 @@ def close_loop(scene: PathScene, *, measured: str = "tcp", ask: bool = True, out
 
     Args:
         scene: what to play.
-        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.measured``).
+        measured: what the arm measures: ``motor``, ``arm`` or ``tcp`` (``scenes.closing.result``).
         ask: whether the motion that a diagnosis asks for is played before the loop gives up.
         out: folder for recording, model and report; nothing is written without.
         progress: called with the fraction done.

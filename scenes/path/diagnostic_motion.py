@@ -13,7 +13,7 @@ from ideal_robot.errors import InputError
 from ideal_robot.feedforward.base import PassThrough
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from scenes.closing.measured import Measured, at_speeds, visible
+from scenes.closing.result import Measured, at_speeds, visible
 from scenes.path.cell import PathCell, about, training_path
 from scenes.result import Progress, part_of, silent
 from scenes.scene_files.path_scene import JointPath

@@ -45,7 +45,7 @@ class Results:
 
     Attributes:
         runs: one row a run: ``CASE``, ``seed``, ``failure``, ``HASHES``, and figures by their dotted names.
-        program, machine: what computed them, as ``scenes.provenance`` says it; empty where a file does not tell.
+        program, machine: what computed them, as ``scenes.models`` says it; empty where a file does not tell.
         source: the file, table or folder.
     """
 

@@ -19,8 +19,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.rsi import RsiRobot
 from scenes.result import Progress, silent
-from scenes.rsi.server import RsiServer
-from scenes.rsi.setup import prepared
+from scenes.rsi.server import RsiServer, prepared
 
 CYCLES_MS = (12, 8, 4, 2, 1)
 """Cycles that are tried [ms]."""
@@ -120,7 +119,7 @@ def held_cycles(*, robot: str | None = None, model: Path | None = None, method: 
     Args:
         robot: shipped robot or URDF; the one the model names if None, the kr6 where no model is given either.
         model: file of an identified model; None for the shipped one of the robot.
-        method: one of ``scenes.rsi.setup.methods()``.
+        method: one of ``scenes.rsi.server.methods()``.
         core: processor core to keep to; None for any.
         seconds: how long each cycle is tried [s].
         cycles_ms: cycles that are tried, longest first [ms].

@@ -3,21 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ideal_robot.arrays import Array, eased, held
-from ideal_robot.errors import IdealRobotError, LimitError
-from ideal_robot.execution.command_governor import CommandGovernor, check_limits, stopping_rows, stops_at_once
+from ideal_robot.errors import IdealRobotError, InputError, LimitError
+from ideal_robot.execution.command_governor import (
+    CommandGovernor,
+    check_limits,
+    require_within_limits,
+    stopping_rows,
+    stops_at_once,
+)
 from ideal_robot.feedforward.base import Feedforward
+from ideal_robot.feedforward.corrected_arm import ForCorrectedArm
+from ideal_robot.feedforward.method import Needs
+from ideal_robot.feedforward.registry import feedforward
+from ideal_robot.feedforward.registry import method as described
+from ideal_robot.feedforward.registry import methods as known
+from ideal_robot.loop.from_model import loop_model
+from ideal_robot.loop.loop_model import LoopModel
+from ideal_robot.loop.simulation import simulate
+from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised, shown_cell
 from ideal_robot.robots.interface import RobotState
+from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.signals.recording import Recording
+from scenes.model_files import shipped_model
+from scenes.online.live_arm import answers_within, at_cycle
 from scenes.online.processes import undisturbed
+from scenes.path.precorrect import desired_path, robot_of
 from scenes.result import Progress, silent
 from scenes.scene_files.scene import SceneError
 
@@ -270,3 +291,100 @@ class RsiServer:
         spread = {"median": float(np.median(times)), "p99": float(np.percentile(times, 99)), "max": float(times.max())}
         return RsiRun(recording, self._reason, counts, self.link.stamps.described(), spread, granted, self.rest,
                       len(self.q_d))
+
+
+# From what the command line gives to an RSI server: path, robot, model and feedforward that fit each other.
+
+_TRIED = 20.0
+"""How much of the path is tried on the identified loop [s]."""
+
+
+def methods() -> tuple[str, ...]:
+    """Methods that a server can play: those that need no more than a model, for nothing is rehearsed."""
+    return known(Needs.MODEL)
+
+
+@contextmanager
+def rsi_server(path: Path, *, robot: str | None = None, model: Path | None = None, method: str = "ideal",
+               cycle: float | None = None, delay: bool = False, rest: float = 0.6, **link_options: Any
+               ) -> Iterator[RsiServer]:
+    """A server that listens, and stops listening at the end of the block.
+
+    Args:
+        path: CSV or Parquet with ``t`` and ``q_d_i`` or ``q_i``.
+        robot: shipped robot or URDF; None for the one the model names.
+        model: identified model; None for the shipped one of the robot. Not needed for ``none``.
+        method: one of ``methods()``.
+        cycle: interpolation cycle in place of the robot's [s]; the identified loop is brought to it.
+        delay: whether the planner's delay of one cycle is in force.
+        rest: rest before the path [s].
+        link_options: see ``RsiRobot``.
+
+    Raises:
+        InputError: anything of this cannot be used, or the path leaves the robot's limits.
+    """
+    if not 0.0 <= rest <= 60.0:
+        raise InputError("expected 0 to 60 seconds", field="--rest", value=rest)
+    arm, law, loop, file = prepared(robot=robot, model=model, method=method, cycle=cycle, delay=delay)
+    _, q_d = desired_path(Recording.read(path), arm, path, rest)
+    require_within_limits(q_d, arm, start=-rest, file=path)
+    if loop is not None:
+        link_options.setdefault("answers_within", answers_within(loop, arm))
+        if cycle is not None:
+            _require_better(law, loop, q_d, file)
+    meta = {"method": method, "model": None if loop is None else str(file), "path": str(path)}
+    with RsiRobot(arm, **link_options) as link:
+        yield RsiServer(link, law, q_d, round(rest / arm.t_ipo), meta)
+
+
+def prepared(*, robot: str | None = None, model: Path | None = None, method: str = "ideal",
+             cycle: float | None = None, delay: bool = False) -> tuple[Robot, Feedforward, LoopModel | None, Path]:
+    """Arm, feedforward and identified loop at one cycle, and the file of the model.
+
+    Args:
+        robot: shipped robot or URDF; None for the one the model names.
+        model: identified model; None for the shipped one of the robot.
+        method: one of ``methods()``.
+        cycle: interpolation cycle in place of the robot's [s].
+        delay: whether the planner's delay of one cycle is in force.
+
+    Raises:
+        InputError: anything of this cannot be used.
+    """
+    if method not in methods():
+        raise InputError(f"expected one of {', '.join(methods())}", field="--method", value=method)
+    arm, file = _arm(robot, model, method)
+    if cycle is not None:
+        arm = at_cycle(arm, cycle)
+    identified = None if described(method).needs == Needs.NOTHING else Model.load(file)
+    law = feedforward(method, identified, arm, delay=int(delay))
+    return arm, law, None if identified is None else loop_model(identified, arm, delay=int(delay)), file
+
+
+def _require_better(law: Feedforward, loop: LoopModel, q_d: Array, file: Path) -> None:
+    """At another cycle than the robot's the identified loop has to be still of use.
+
+    Raises:
+        InputError: on the identified loop the correction makes the path worse.
+    """
+    part = q_d[: round(_TRIED / law.t_ipo)]
+    wanted = law.arm.from_rest(part, law.t_ipo) if isinstance(law, ForCorrectedArm) else part
+    errors = [float(np.sqrt(np.mean((wanted - simulate(loop, q_c).q_a[:-1]) ** 2))) for q_c in (law.along(part), part)]
+    if not errors[0] <= errors[1] + 1e-6:
+        raise InputError("at this cycle the identified loop cannot be inverted; identify the arm at it, or use "
+                         "--method none", file=file, field="--cycle", value=law.t_ipo)
+
+
+def _arm(robot: str | None, model: Path | None, method: str) -> tuple[Robot, Path]:
+    """The robot and the file of the model for it."""
+    if robot is None:
+        if model is None:
+            raise InputError("give --robot, or a model that names it", field="--robot")
+        return robot_of(Model.load(model), None, model), model
+    arm = Robot.load(robot)
+    file = model or shipped_model(arm.name)
+    if described(method).needs > Needs.NOTHING and not file.is_file():
+        raise InputError("no such model file" if model else
+                         f"no model is shipped for {arm.name}; identify one and give its path, or use --method none",
+                         field="--model", value=str(model or arm.name))
+    return arm, file

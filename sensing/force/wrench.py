@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import socket
+import struct
+import time
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.registry import Registry
+from sensing.clock_relation import ClockRelation
+from sensing.stream import Kind, StreamConnection, host_and_port, options
 
 
 @dataclass(frozen=True)
@@ -110,3 +117,263 @@ def force_deviation(force: Array, direction: Array, wanted: float, elasticity: f
     pressed = float(force @ along)
     deviation = -(wanted - pressed) / elasticity / float(along @ direction)
     return ForceDeviation(deviation, float(np.hypot(sigma / elasticity, elasticity_error * deviation)), pressed)
+
+
+# Force sensors by address, as one gives it on the command line.
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading.
+
+    Attributes:
+        stamp: instant of the measurement by the sensor's clock [s].
+        wrench: force [N] and moment [N m] ``(6,)``, in the sensor's frame.
+    """
+
+    stamp: float
+    wrench: Array
+
+
+@dataclass
+class ReadingCounts:
+    """What became of what the sensor sent.
+
+    Attributes:
+        readings: that were handed on.
+        lost: numbers that never came.
+        outdated: readings that came again, or behind a newer one.
+        refused: packets that are none of the sensor's, or readings with numbers that are not finite.
+        invalid: readings that the sensor itself says are wrong.
+        last_invalid: what it said.
+    """
+
+    readings: int = 0
+    lost: int = 0
+    outdated: int = 0
+    refused: int = 0
+    invalid: int = 0
+    last_invalid: str = field(default="")
+
+
+class WrenchSource(Protocol):
+    """A force/torque sensor, as long as it is open.
+
+    Attributes:
+        clock: how the stamps relate to this computer's clock; ``read`` adds to it.
+        counts: what became of what it sent.
+    """
+
+    clock: ClockRelation
+    counts: ReadingCounts
+
+    def read(self, timeout: float) -> list[Reading]:
+        """The readings of the next packet, none if none comes within ``timeout`` [s]; never raises."""
+        ...
+
+    def close(self) -> None:
+        """Gives the sensor back."""
+        ...
+
+
+# ATI's NetFT: raw data transfer over UDP, as its manual (9620-05-NET FT) describes it.
+#
+# A request is three big-endian numbers: uint16 0x1234, uint16 command (2: stream, 0: stop), uint32 samples (0: without
+# end). Answers are records of 36 bytes: uint32 rdt_sequence, ft_sequence, status, int32 × 6 counts Fx Fy Fz Tx Ty Tz;
+# some settings put up to 40 of them into a packet. Counts become newtons and newton metres by the calibration's counts
+# per unit. ``ft_sequence`` counts the sensor's own samples, at its own rate: it is the sensor's clock.
+
+PORT = 49152
+"""UDP port of a NetFT box."""
+_REQUEST, _RECORD = struct.Struct(">HHI"), struct.Struct(">IIIiiiiii")
+_HEADER, _STREAM, _STOP = 0x1234, 2, 0
+_MOST = 40
+"""Records of a packet."""
+_ERROR = 1 << 31
+"""Bit of the status that says that something is wrong."""
+_AGAIN = 0.5
+"""Silence after which the stream is asked for again [s]."""
+_FURTHEST = 100_000
+"""Numbers that may be missing between two records; more is another sensor, or one that began anew."""
+
+
+class NetFT:
+    """A ``WrenchSource`` over raw data transfer. Only packets of the sensor's own address count.
+
+    Args:
+        host: address of the sensor.
+        port: UDP port.
+        rate: samples a second of the sensor, which make its clock [Hz].
+        counts_force: counts per newton.
+        counts_torque: counts per newton metre.
+        least_delay: from the measurement to the packet's arrival, at least, the sensor's filter included [s].
+
+    Raises:
+        InputError: no such address.
+    """
+
+    def __init__(self, host: str, port: int = PORT, *, rate: float = 7000.0, counts_force: float = 1e6,
+                 counts_torque: float = 1e6, least_delay: float = 0.0) -> None:
+        for name, value in (("rate", rate), ("counts_force", counts_force), ("counts_torque", counts_torque)):
+            if not value > 0:
+                raise InputError("expected a positive number", field=f"force {name}", value=value)
+        self.clock, self.counts = ClockRelation(least_delay), ReadingCounts()
+        self._rate, self._scale = rate, 1.0 / np.repeat([counts_force, counts_torque], 3)
+        self._number: int | None = None
+        self._sample = self._begun = 0
+        self._asked = self._heard = 0.0
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((host, port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise InputError(f"no such address ({error})", field="force", value=f"{host}:{port}") from error
+        self._ask(_STREAM)
+
+    def read(self, timeout: float) -> list[Reading]:
+        """See ``WrenchSource.read``."""
+        now = time.perf_counter()
+        if now - max(self._asked, self._heard) > _AGAIN:
+            self._ask(_STREAM)
+        self._socket.settimeout(max(timeout, 1e-4))
+        try:
+            packet = self._socket.recv(_MOST * _RECORD.size + 1)
+        except OSError:
+            # Silence, or a sensor that is not there yet: it is asked again.
+            return []
+        arrived = time.perf_counter()
+        if not packet or len(packet) % _RECORD.size or len(packet) > _MOST * _RECORD.size:
+            self.counts.refused += 1
+            return []
+        self._heard = arrived
+        found = [self._record(record, arrived) for record in _RECORD.iter_unpack(packet)]
+        return [one for one in found if one is not None]
+
+    def close(self) -> None:
+        """Stops the stream."""
+        self._ask(_STOP)
+        self._socket.close()
+
+    def _ask(self, command: int) -> None:
+        self._asked = time.perf_counter()
+        try:
+            self._socket.send(_REQUEST.pack(_HEADER, command, 0))
+        except OSError:
+            return
+
+    def _record(self, record: tuple[int, ...], arrived: float) -> Reading | None:
+        number, sample, status, *counts = record
+        if self._number is not None:
+            since = (number - self._number + 2**31) % 2**32 - 2**31
+            if abs(since) > _FURTHEST:
+                self._number = None
+            elif since <= 0:
+                self.counts.outdated += 1
+                return None
+            else:
+                self.counts.lost += since - 1
+        if self._number is None:
+            self._begun, self._sample = sample, 0
+        self._number = number
+        # Unwrapped: the counter of samples begins anew after 2³².
+        ahead = (sample - self._begun - self._sample + 2**31) % 2**32 - 2**31
+        self._sample += ahead
+        stamp = self._sample / self._rate
+        if not self.clock.add(stamp, arrived):
+            self.counts.refused += 1
+            return None
+        if status & _ERROR:
+            self.counts.invalid += 1
+            self.counts.last_invalid = f"status {status:#010x}; see the list of status codes in the sensor's manual"
+            return None
+        self.counts.readings += 1
+        return Reading(stamp, self._scale * np.array(counts, dtype=float))
+
+
+_WRENCH = struct.Struct(">I6d")
+
+
+class StreamForce:
+    """A ``WrenchSource`` over a stream; stamps are of the sender's clock, which is asked for.
+
+    Args:
+        host: address of the sender.
+        port: TCP port.
+        patience: how long the sender is waited for [s].
+
+    Raises:
+        InputError: no one listens there.
+    """
+
+    def __init__(self, host: str, port: int, patience: float = 5.0) -> None:
+        self._connection = StreamConnection(host, port, patience)
+        self.clock, self.counts = self._connection.clock, ReadingCounts()
+        self._number: int | None = None
+        self._broken = 0
+
+    def read(self, timeout: float) -> list[Reading]:
+        """See ``WrenchSource.read``."""
+        found = self._connection.next(timeout)
+        if found is None:
+            return []
+        if found.kind != Kind.WRENCH or len(found.payload) != _WRENCH.size or not self.clock.known:
+            self.counts.refused += 1
+            return []
+        number, *values = _WRENCH.unpack(found.payload)
+        wrench = np.array(values)
+        if not (np.isfinite(wrench).all() and np.isfinite(found.stamp)):
+            self.counts.refused += 1
+            return []
+        if self._number is not None:
+            since = (number - self._number + 2**31) % 2**32 - 2**31
+            if since <= 0 and self._broken == self._connection.broken:
+                self.counts.outdated += 1
+                return []
+            self.counts.lost += max(since - 1, 0) if self._broken == self._connection.broken else 0
+        self._number, self._broken = number, self._connection.broken
+        self.counts.readings += 1
+        return [Reading(found.stamp, wrench)]
+
+    def close(self) -> None:
+        """Ends the connection."""
+        self._connection.close()
+
+
+Opener = Callable[[str, float], WrenchSource]
+"""Opens a sensor: what stands behind its scheme, and the least delay from measurement to arrival [s]."""
+_NETFT = {"rate": 7000.0, "counts_force": 1e6, "counts_torque": 1e6}
+
+
+def _netft(rest: str, least_delay: float) -> WrenchSource:
+    host, port = host_and_port(rest, "force", PORT)
+    return NetFT(host, port, least_delay=least_delay, **options(rest, _NETFT, "force"))
+
+
+def _stream(rest: str, least_delay: float) -> WrenchSource:
+    return StreamForce(*host_and_port(rest, "force"))
+
+
+FORCE_SENSORS: Registry[Opener] = Registry("force sensor", "ideal_robot.force_sensors", {
+    "netft": "sensing.force.wrench:_netft",
+    "stream": "sensing.force.wrench:_stream",
+})
+"""How force sensors are opened, by the scheme of their address."""
+
+
+def open_force(address: str, least_delay: float = 0.0) -> WrenchSource:
+    """Opens a force sensor by its address.
+
+    ``netft://host:port?rate=7000&counts_force=1e6&counts_torque=1e6`` or ``stream://host:port``.
+
+    Args:
+        address: as above.
+        least_delay: from the measurement to the packet's arrival, at least [s]; not needed for ``stream``.
+
+    Raises:
+        InputError: no such scheme, or the sensor cannot be opened.
+    """
+    scheme, colon, rest = address.partition(":")
+    if not colon or scheme not in FORCE_SENSORS.names():
+        raise InputError(f"expected an address that begins with "
+                         f"{', '.join(name + ':' for name in FORCE_SENSORS.names())}", field="force",
+                         value=address[:80])
+    return FORCE_SENSORS.get(scheme)(rest, least_delay)

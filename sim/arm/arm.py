@@ -21,8 +21,7 @@ from sim.arm.body import RigidRotors, load_links, start_physics
 from sim.arm.drive import drive_parameters, drive_start
 from sim.arm.history import History, recording_of
 from sim.arm.kernel import P_ELASTIC, P_ROTOR, P_STIFFNESS
-from sim.arm.residual import residual_torque
-from sim.arm.specimen import draw_specimen
+from sim.arm.specimen import draw_specimen, residual_torque
 from sim.arm.world import STEP, World
 from sim.bullet import pybullet
 

@@ -21,8 +21,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.robots.interface import RobotState
 from sim.arm.arm import SimulatedArm
-from sim.devices.rtde_client import ClientError, Inputs, RtdeClient, RtdeFaults
-from sim.devices.rtde_fields import CODES, count, output_type
+from sim.devices.rtde_client import CODES, ClientError, Inputs, RtdeClient, RtdeFaults, count, output_type
 
 _PROTECTIVE = 1 << 2 | 1 << 10
 _MOST = 8

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,3 +134,109 @@ def poses(model: pin.Model, tool: int, q: Array) -> tuple[Array, Array]:
         pose = pin.updateFramePlacement(model, data, tool)
         rotation[k], place[k] = pose.rotation, pose.translation
     return rotation, place
+
+
+# A camera that sees a line: a line, a moving camera, one effect of it or none, and noise.
+#
+# The camera hangs on a gantry with a wrist, whose joints are the tool's pose, so nothing has to be rendered or solved.
+# Its truth is geometry: points of the true line as they lie in the true pose of their exposure.
+
+SIZES = {"camera_latency": (0.001, 0.006), "camera_scale": (0.01, 0.04), "camera_offset": (0.002, 0.008),
+         "lens_distortion": (4.0, 16.0), "clock_drift": (0.0006, 0.003)}
+"""Smallest and largest size of each effect [s, 1, m or rad, 1/m², s/s]."""
+KINDS = (*SIZES, "none")
+AHEAD = np.linspace(0.02, 0.11, 5)
+AXIS = np.array([0.065, 0.0, 0.0])
+RATE, FIELDS = 250.0, 50.0
+NOISE = 2e-5
+
+
+def gantry() -> str:
+    """URDF of three slides and three revolute joints whose axes meet in the tool, which looks down."""
+    axes = ("1 0 0", "0 1 0", "0 0 1", "0 0 1", "0 1 0", "1 0 0")
+    parts = ['<robot name="gantry"><link name="base"/>']
+    parent = "base"
+    for i, axis in enumerate(axes, start=1):
+        kind = "prismatic" if i <= 3 else "revolute"
+        parts.append(
+            f'<joint name="joint_{i}" type="{kind}"><parent link="{parent}"/><child link="link_{i}"/>'
+            f'<axis xyz="{axis}"/><limit lower="-4" upper="4" effort="500" velocity="5"/></joint>'
+            f'<link name="link_{i}"><inertial><origin xyz="0.01 0.02 0.05"/><mass value="{8.0 / i:.3f}"/>'
+            '<inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>')
+        parent = f"link_{i}"
+    parts.append('<joint name="tool" type="fixed"><parent link="link_6"/><child link="tool0"/>'
+                 f'<origin rpy="{math.pi!r} 0 0"/></joint><link name="tool0"/></robot>')
+    return "".join(parts)
+
+
+def draw_line_trial(seed: int, kind: str | None = None, share: float = 1.0) -> tuple[str, float, Recording]:
+    """Kind, size (times ``share``) and recording of a trial; the recording bears no trace of either.
+
+    Args:
+        seed: of everything that is drawn.
+        kind: name of the effect; drawn if None.
+        share: factor on the size of the effect, 1.
+    """
+    rng = np.random.default_rng(seed)
+    kind = kind or str(rng.choice(KINDS))
+    size = 0.0 if kind == "none" else float(share * rng.uniform(*SIZES[kind]) * rng.choice([-1.0, 1.0]))
+    speed, length = rng.uniform(0.2, 0.5), 1.3
+    wave = [(rng.uniform(0.01, 0.03) / k, rng.uniform(0.5, 0.9) / k, rng.uniform(0.0, 6.28)) for k in (1, 2)]
+    x_line = np.arange(-0.3, length + 0.4, 0.0005)
+    line = np.column_stack([x_line, sum(a * np.sin(6.2832 * x_line / w + f) for a, w, f in wave),
+                            np.zeros(len(x_line))])
+    heading = np.gradient(line[:, 1], x_line)
+    wander = [[(rng.uniform(0.3, 1.0) * top, rng.uniform(0.4, 1.6), rng.uniform(0.0, 6.28)) for _ in range(2)]
+              for top in (0.008, 0.003, 0.12, 0.02, 0.02)]
+
+    def joints(t: Array) -> Array:
+        moves = [sum(a * np.sin(6.2832 * f * t + p) for a, f, p in part) for part in wander]
+        x = speed * t + 0.02 * np.sin(3.0 * t)
+        yaw = np.arctan(np.interp(x, x_line, heading)) + moves[2]
+        return np.column_stack([x, np.interp(x, x_line, line[:, 1]) + moves[0], 0.003 + moves[1], yaw, *moves[3:]])
+
+    t = np.arange(0.0, length / speed, 1.0 / RATE)
+    q = joints(t)
+    model = pin.buildModelFromXML(gantry())
+    data, tau = model.createData(), _torques(rng, model, t, q)
+    columns: dict[str, Array] = {"t": t}
+    columns |= {f"q_{i + 1}": q[:, i] + rng.normal(0.0, 2e-6, len(t)) for i in range(6)}
+    columns |= {f"tau_{i + 1}": tau[:, i] for i in range(6)}
+    stamps, points = np.full(len(t), np.nan), np.full((len(t), len(AHEAD), 3), np.nan)
+    tool = model.getFrameId("tool0")
+    for stamp in np.arange(0.1, t[-1] - 0.1, 1.0 / FIELDS):
+        row = int(np.searchsorted(t, stamp))
+        late = size if kind == "camera_latency" else size * stamp if kind == "clock_drift" else 0.0
+        pin.forwardKinematics(model, data, joints(np.array([stamp + late]))[0])
+        pose = pin.updateFramePlacement(model, data, tool)
+        seen = (line - pose.translation) @ pose.rotation
+        order = np.argsort(seen[:, 0])
+        u = np.column_stack([AHEAD, *(np.interp(AHEAD, seen[order, 0], seen[order, i]) for i in (1, 2))])
+        u[:, 1] += rng.normal(0.0, NOISE, len(u)) + rng.normal(0.0, 0.5 * NOISE)
+        stamps[row], points[row] = stamp, _displaced(u, kind, size)
+    columns["cam_t"] = stamps
+    columns |= {f"line_{axis}_{i + 1}": points[:, i, k] for i in range(len(AHEAD)) for k, axis in enumerate("xyz")}
+    meta = {"camera": {"axis": [float(v) for v in AXIS], "distance": 0.25}}
+    return kind, size, Recording(columns, meta)
+
+
+def _torques(rng: np.random.Generator, model: pin.Model, t: Array, q: Array) -> Array:
+    """Torques ``(N, n)`` [N m] of the gantry with dry friction and noise."""
+    qd, qdd = np.gradient(q, t, axis=0), np.gradient(np.gradient(q, t, axis=0), t, axis=0)
+    data = model.createData()
+    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+    return np.asarray(tau + (5.0 * np.tanh(qd / 0.01) + rng.normal(0.0, 0.3, tau.shape)))
+
+
+def _displaced(u: Array, kind: str, size: float) -> Array:
+    """Points ``(m, 3)`` as a camera reports them whose error is a function of what it reports."""
+    seen = u
+    for _ in range(8):
+        out = (seen - AXIS) * np.array([1.0, 1.0, 0.0])
+        if kind == "camera_scale":
+            seen = u + size * out
+        elif kind == "lens_distortion":
+            seen = u + size * np.sum(out**2, axis=1)[:, None] * out
+        elif kind == "camera_offset":
+            seen = u + size * np.column_stack([np.full(len(u), 0.5) - out[:, 1], out[:, 0], 0.0 * u[:, 0]])
+    return np.asarray(seen)

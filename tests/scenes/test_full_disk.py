@@ -36,7 +36,7 @@ from sim.arm.body import load_links, start_physics
 from sim.arm.world import World
 from sim.bullet import pybullet
 from tests.fuzz import mutate, originals
-from tests.scenes.report.test_replay import _replay
+from tests.scenes.report.test_page import _replay
 from tests.scenes.test_pinned_findings import Drifting
 
 
@@ -148,7 +148,7 @@ def test_a_verb_says_in_one_line_what_and_what_helps(verb: str, program, tmp_pat
     words = {"detect": ["a.png", "--out", "o"], "sweep": ["s.toml", "--seeds", "1-6", "--csv", "c.csv"],
              "rsi": ["p.csv", "--robot", "kr6", "--record", "c.csv"],
              "precorrect": ["p.csv", "--model", str(shipped_model("kr6")), "-o", "c.csv", "--out", "o"]}[verb]
-    monkeypatch.setattr("scenes.rsi.setup.rsi_server", _served)
+    monkeypatch.setattr("scenes.rsi.server.rsi_server", _served)
     # Once with room: what is compiled is kept then.
     program(verb, *words, "--json", "j.json")
     for name in ("o/report.html", "j.json", "c.csv"):
@@ -222,7 +222,7 @@ def test_a_cache_folder_that_cannot_be_written_is_told_before_the_arm_moves(tmp_
 def test_a_recording_s_ending_is_refused_before_the_arm_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     from scenes.commands.devices import RsiOptions, rsi
 
-    monkeypatch.setattr("scenes.rsi.setup.rsi_server", lambda *_, **__: pytest.fail("moved"))
+    monkeypatch.setattr("scenes.rsi.server.rsi_server", lambda *_, **__: pytest.fail("moved"))
     with pytest.raises(InputError, match=r"\.parquet or \.csv"):
         rsi(RsiOptions(path=Path("p.csv"), record=Path("moved.txt")))
 

@@ -24,7 +24,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes import load_scene, models, run_scene
-from scenes.closing.measured import Measured, visible
+from scenes.closing.result import Measured, visible
 from scenes.metrics import path_errors, reduction_percent
 from scenes.models import model_for, shipped_model
 from scenes.online.force_known import Known as KnownSurface

@@ -19,7 +19,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from studies.sensors.force import draw_force_trial
-from studies.sensors.line import AXIS, SIZES, draw_line_trial, gantry
+from studies.sensors.scene import AXIS, SIZES, draw_line_trial, gantry
 from studies.strangers.arm import written
 
 NOISE = 2e-5

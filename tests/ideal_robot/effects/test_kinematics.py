@@ -24,7 +24,7 @@ from ideal_robot.effects.force import CONTACT_FORCE, MOMENTS
 from ideal_robot.model.model import Model
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
-from studies.sensors.line import AXIS, draw_line_trial, gantry
+from studies.sensors.scene import AXIS, draw_line_trial, gantry
 
 ROBOT = Robot.load("kr6")
 TOOL = [e for e in library() if e.domain == "tcp_position" or e.name in ("force_bias", "force_compliance")]

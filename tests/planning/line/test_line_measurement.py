@@ -9,8 +9,7 @@ from scipy.stats import chi2
 from ideal_robot.errors import InputError
 from planning.line.deviation_model import PathDeviation
 from planning.line.fusion import DeviationFilter
-from planning.line.line_view import polynomial_measurement
-from planning.line.measurement import Measurement
+from planning.line.measurement import Measurement, polynomial_measurement
 from tests.planning.cell import reference
 
 NOISE, COMMON, YAW = 3e-5, 4e-5, 0.002

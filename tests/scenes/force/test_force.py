@@ -19,7 +19,7 @@ from scenes.force.page import forces_figure
 from scenes.force.play import ForceResult, friction_shown, play
 from sim.arm.drive import steady_friction
 from sim.arm.specimen import draw_specimen
-from studies.stability import StabilityRun, bounds, curve
+from studies.force import StabilityRun, bounds, curve
 
 
 @pytest.fixture(scope="module")

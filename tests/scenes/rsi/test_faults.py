@@ -20,8 +20,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import PacketError
 from ideal_robot.rsi.message import RsiFormat, parse_rob
 from scenes.online.processes import stopping_on_signals
-from scenes.rsi.server import RsiRun
-from scenes.rsi.setup import rsi_server
+from scenes.rsi.server import RsiRun, rsi_server
 from studies.rsi import rsi_hour
 from tests.ideal_robot.rsi.test_message import PACKET
 from tests.scenes.rsi.test_rsi import motion, written

@@ -26,8 +26,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from scenes.online.processes import undisturbed
 from scenes.rsi.self_test import held_cycles
-from scenes.rsi.server import RsiRun, RsiServer
-from scenes.rsi.setup import _require_better, answers_within, prepared, rsi_server
+from scenes.rsi.server import RsiRun, RsiServer, _require_better, answers_within, prepared, rsi_server
 from scenes.scene_files.scene import SceneError
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World

@@ -24,7 +24,7 @@ from scenes.online.journal import Journal, remove
 from scenes.report.replay import Replay, read_replay, replay_beside, write_replay
 from scenes.view.viewer import open_recording, recorded_replay, replay_of_columns
 from tests.browser import Page, chromium, needs_chromium
-from tests.scenes.report.test_replay import ROBOT, _replay
+from tests.scenes.report.test_page import ROBOT, _replay
 
 pytest.importorskip("viser")
 

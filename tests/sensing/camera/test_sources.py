@@ -15,7 +15,7 @@ from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.camera.cameras import Frame, GenICamCamera, StreamCamera, open_camera
 from sensing.camera.video_capture import VideoCapture
-from tests.sensing.stream.device import device, package
+from tests.sensing.stream.test_stream import device, package
 
 
 def picture(k: int) -> np.ndarray:

@@ -17,10 +17,18 @@ from ideal_robot.arrays import GRAVITY
 from ideal_robot.errors import InputError
 from sensing import SensingError
 from sensing.force.force_calibration import ToolLoad, identify_elasticity, identify_tool, require_gravity
-from sensing.force.sensors import NetFT, Reading, StreamForce, WrenchSource, open_force
-from sensing.force.wrench import WrenchFilter, WrenchSample, force_deviation
+from sensing.force.wrench import (
+    NetFT,
+    Reading,
+    StreamForce,
+    WrenchFilter,
+    WrenchSample,
+    WrenchSource,
+    force_deviation,
+    open_force,
+)
 from sim.contact.contact import ForceSensor, ForceSensorSettings
-from tests.sensing.stream.device import device, package
+from tests.sensing.stream.test_stream import device, package
 
 
 def test_bias_and_weight_are_told_apart() -> None:

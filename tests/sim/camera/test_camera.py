@@ -10,7 +10,7 @@ import pytest
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
-from planning.line.line_view import LineAhead
+from planning.line.measurement import LineAhead
 from sensing.camera.camera_device import Window
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import Observation, calibrate, calibration_poses
