@@ -69,8 +69,7 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
                     attempts[worker.index] += 1
                     worker.begin(tasks[worker.index], limit)
             for worker in [one for one in workers if one.index is None]:
-                workers.remove(worker)
-                worker.end()
+                _dismissed(workers, worker)
             if not workers:
                 continue
             soonest = min(worker.deadline.left for worker in workers)
@@ -83,11 +82,9 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
                     worker.index = None
                     worker.done += 1
                     if worker.done >= TASKS:
-                        workers.remove(worker)
-                        worker.end()
+                        _dismissed(workers, worker)
                 except (EOFError, OSError):
-                    workers.remove(worker)
-                    code = worker.end()
+                    code = _dismissed(workers, worker)
                     if attempts[index] < ATTEMPTS:
                         left.appendleft(index)
                     else:
@@ -96,6 +93,11 @@ def work_off(tasks: Sequence[Any], function: Callable[[Any], Any], processes: in
     finally:
         for worker in workers:
             worker.end()
+
+
+def _dismissed(workers: list[_Worker], worker: _Worker) -> int | None:
+    workers.remove(worker)
+    return worker.end()
 
 
 class _Worker:
@@ -206,8 +208,7 @@ def work_off_on(address: str, tasks: Sequence[Any], function: Callable[[Any], An
     except ImportError as error:
         raise InputError("needs the package dask[distributed] (pip install 'ideal-robot[cluster]')",
                          field="--dask") from error
-    work, begun = _Handed(tasks, function, limit), False
-    patience = Deadline.within(PATIENCE)
+    work, begun, patience = _Handed(tasks, function, limit), False, Deadline.within(PATIENCE)
     with _quiet():
         while work.left and not (begun and patience.passed):
             try:

@@ -276,8 +276,7 @@ def _calibrated_in(scene: str, seed: int, deflected: bool) -> tuple[float, float
     bending = GearDeflection(model_for(known.scene, known.robot), cell.world.t_ipo) if deflected else None
     with (SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, CameraSettings(), cell.camera_noise) as eye):
-        result = calibrate_by_moving(known.robot, known.reference, known.camera, arm, eye, bending,
-                                     0.5 * known.reference.length, DetectionSettings(), known.detector)
+        result = calibrate_by_moving(known, arm, eye, bending, 0.5 * known.reference.length, DetectionSettings())
     return _aside(known.camera, cell.true_camera), _aside(result.camera, cell.true_camera)
 
 

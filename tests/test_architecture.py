@@ -25,6 +25,39 @@ IMPORTED_LATE = {"rerun", "rosbags", "lz4", "matplotlib", "dask", "viser", "trim
 STARTS_FAST = ("scenes.commands.", "scenes.pytest_plugin")
 """The verbs import what they need when they are called: ``ideal-robot --help`` must not load the whole program, nor may
 every pytest of a user's."""
+MOST_LINES = {"file": 400, "function": 50}
+MOST_PARAMETERS = 7
+LONGER = {
+    "ideal_robot/feedforward/arm_of_its_type.py:arm_of_its_type",
+    "ideal_robot/feedforward/ideal.py:IdealRobot.step_with",
+    "ideal_robot/identification/excitation.py:design_excitation",
+    "planning/force/force_follower.py:SurfaceFollower.update_force", "scenes/line/calibration.py:calibrate_by_moving",
+    "scenes/online/cycle.py:_cycles",
+}
+"""Functions that are longer still; none may join them."""
+MORE_PARAMETERS = {
+    "ideal_robot/diagnosis/diagnose.py:diagnose", "ideal_robot/diagnosis/next_motion/plan.py:plan_diagnosis",
+    "ideal_robot/diagnosis/search/forward_selection.py:Search.__init__",
+    "ideal_robot/execution/command_governor.py:_can_rest", "ideal_robot/execution/command_governor.py:_governed",
+    "ideal_robot/execution/precorrect.py:precorrect", "ideal_robot/feedforward/ideal.py:_position_loop_signal",
+    "ideal_robot/feedforward/registry.py:feedforward", "ideal_robot/feedforward/training.py:Trained.__init__",
+    "ideal_robot/identification/excitation.py:design_excitation",
+    "ideal_robot/identification/weighted_least_squares.py:weighted_least_squares",
+    "ideal_robot/identification/whole_model.py:identify_model", "ideal_robot/rsi/robot.py:RsiRobot.__init__",
+    "planning/force/contour.py:ContourFollower.__init__", "planning/force/force_follower.py:SurfaceFollower.__init__",
+    "planning/line/deviation_model.py:PathDeviation.__init__", "planning/line/fusion.py:DeviationFilter.__init__",
+    "planning/line/line_follower.py:LineFollower.__init__", "planning/path/desired_path.py:DesiredPath.__init__",
+    "scenes/online/line_task.py:LineTask.__init__", "scenes/path/close_loop.py:closed",
+    "scenes/rsi/server.py:rsi_server", "scenes/scene_files/tool_path.py:tool_path",
+    "sensing/camera/camera_model.py:CameraModel.perturbed", "sensing/camera/line_detection.py:_evaluate",
+    "sensing/camera/line_detection.py:_sections", "sensing/camera/line_profile.py:find_sections",
+    "sim/arm/body.py:Stage.__init__", "sim/arm/body.py:_render", "sim/arm/kernel.py:drive_step",
+    "sim/camera/bullet_camera.py:BulletCamera.__init__", "sim/camera/sampling.py:add_samples",
+    "sim/contact/clamp.py:hang_payloads", "sim/devices/rsi_controller.py:RsiController.__init__",
+    "sim/devices/served_arm.py:ServedArm.__init__", "tests/planning/line/test_deviation.py:measured",
+    "tests/sensing/camera/test_line_detection.py:section", "tests/sensing/stream/test_stream.py:heard",
+}
+"""Functions with more parameters still; none may join them."""
 RUN_NOT_IMPORTED = {"mypy", "pandas-stubs", "pytest-xdist", "ruff", "import-linter", "mkdocs-material",
                     "mkdocstrings[python]", "setuptools", "ipykernel", "ipywidgets", "jupyterlab", "RSIPI", "ur-rtde"}
 """Tools of development, and counterparts in tests, that are started as programs."""
@@ -121,6 +154,37 @@ def test_importing_the_packages_is_cheap() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def functions() -> list[tuple[str, ast.FunctionDef]]:
+    """All functions, named by file, class and name."""
+    found = []
+    for folder in sorted(OURS):
+        for path, tree in trees(folder).items():
+            for owner in ast.walk(tree):
+                of = f"{owner.name}." if isinstance(owner, ast.ClassDef) else ""
+                found += [(f"{path.relative_to(ROOT)}:{of}{node.name}", node) for node in ast.iter_child_nodes(owner)
+                          if isinstance(node, ast.FunctionDef)]
+    return found
+
+
+def test_files_and_functions_are_short() -> None:
+    files_of_ours = [path for folder in OURS for path in trees(folder)]
+    lines = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8").count("\n") for path in files_of_ours}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES["file"]} == {}
+    long = {name for name, node in functions() if (node.end_lineno or 0) - node.lineno >= MOST_LINES["function"]}
+    assert long <= LONGER, "a new one: split it"
+
+
+def test_what_travels_together_is_one_parameter() -> None:
+    """Parameters that always come together are an object; typer's and pytest's functions are no exception."""
+    many = set()
+    for name, node in functions():
+        given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+        count = sum(one.arg not in ("self", "cls") for one in given) + bool(node.args.vararg) + bool(node.args.kwarg)
+        if count > MOST_PARAMETERS:
+            many.add(name)
+    assert many <= MORE_PARAMETERS, "a new one: make an object of what travels together"
 
 
 # The picture of the architecture is what its generator draws from today's imports.

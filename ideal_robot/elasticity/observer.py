@@ -13,6 +13,7 @@ whose state is the arm. The gears' own damping lets errors of the start die out;
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -61,7 +62,8 @@ class ArmObserver:
         self._k = np.where(self._elastic, stiffness, 0.0)
         given = np.zeros(model.n) if model.damping is None else np.array(model.damping)
         inertia = np.diag(pin.crba(self._dynamics, self._data, pin.neutral(self._dynamics)))
-        self._d = np.maximum(given, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
+        damping = np.maximum(given, 2 * LEAST_DAMPING * np.sqrt(self._k * inertia)) * self._elastic
+        self._gears = _Gears(self._k, damping, self._elastic, max(1, round(T / SUBSTEP)))
 
     def init(self, q: Array, tau_ext: Array | None = None) -> ObserverState:
         """State at rest with motors at ``q (n,)`` [rad] under an external joint torque ``(n,)`` [N m]."""
@@ -90,8 +92,8 @@ class ArmObserver:
         load = pin.nonLinearEffects(self._dynamics, self._data, state.q_a, state.v_a)
         if tau_ext is not None:
             load = load - tau_ext
-        q_a, v_a = _substeps(state.q_a, state.v_a, state.q, q, state.v, v, np.linalg.inv(mass), np.asarray(load),
-                             self._k, self._d, self._elastic, max(1, round(self._T / SUBSTEP)), self._T)
+        motors = _Motors(state.q, q, state.v, v)
+        q_a, v_a = _substeps(state.q_a, state.v_a, motors, np.linalg.inv(mass), np.asarray(load), self._gears, self._T)
         return ObserverState(q_a, v_a, np.array(q, dtype=float), state.q, v)
 
     def angles(self, q: Array, tau_ext: Array | None = None) -> Array:
@@ -110,11 +112,31 @@ class ArmObserver:
         return result
 
 
+class _Motors(NamedTuple):
+    """Angles and velocities of the motors at both ends of a cycle, ``(n,)`` each."""
+
+    q0: Array
+    q1: Array
+    v0: Array
+    v1: Array
+
+
+class _Gears(NamedTuple):
+    """Stiffness, damping and which gears give, ``(n,)`` each; and substeps of a cycle."""
+
+    k: Array
+    d: Array
+    elastic: Array
+    steps: int
+
+
 @jit()
-def _substeps(q_a: Array, v_a: Array, q0: Array, q1: Array, v0: Array, v1: Array, inverse: Array, load: Array, k: Array,
-              d: Array, elastic: Array, steps: int, T: float) -> tuple[Array, Array]:
+def _substeps(q_a: Array, v_a: Array, motors: _Motors, inverse: Array, load: Array, gears: _Gears, T: float
+              ) -> tuple[Array, Array]:
     """Leapfrog with the mass matrix of the cycle's beginning; motors on the cubic between both ends."""
     x, v = q_a.copy(), v_a.copy()
+    q0, q1, v0, v1 = motors.q0, motors.q1, motors.v0, motors.v1
+    k, d, elastic, steps = gears.k, gears.d, gears.elastic, gears.steps
     h = T / steps
     n = len(x)
     torque = np.zeros(n)

@@ -132,6 +132,22 @@ class _Motion(NamedTuple):
     load: Array
 
 
+class _Inputs(NamedTuple):
+    """Commanded angles of the position cycles, external torques of the interpolation cycles, further motor torques."""
+
+    reference: Array
+    external: Array
+    further: Array
+
+
+class _Clock(NamedTuple):
+    """Cycles of position and velocity loops [s], and position cycles of an interpolation cycle."""
+
+    t_position: float
+    dt: float
+    steps_ipo: int
+
+
 def _played(loop: LoopModel, drives: Drives, reference: Array, external: Array, tau0: Array,
             q0: Array) -> tuple[Array, Array, Array]:
     """Arm angles, motor angles and motor torques at the cycles' ends."""
@@ -149,15 +165,15 @@ def _played(loop: LoopModel, drives: Drives, reference: Array, external: Array, 
     out[:, 0] = state.q_a, state.q_m, state.tau
     # Without further torques all is one compiled call; they are computed anew in every position cycle.
     stride = 1 if loop.terms else len(reference)
-    before = still
+    before, clock = still, _Clock(loop.t_position, loop.t_velocity, steps)
     for start in range(0, cycles * steps, stride):
         if loop.terms and start:
             acceleration = (state.v_m - before) / loop.t_position
             further = _further(loop, start * loop.t_position, state.q_m, state.v_m, acceleration, state.load,
                                state.preslide)
         before = state.v_m.copy()
-        _play(loop.chain, drives, reference, external, further, state, out, loop.t_position, loop.t_velocity, steps,
-              start, min(start + stride, cycles * steps))
+        _play(loop.chain, drives, _Inputs(reference, external, further), state, out, clock,
+              (start, min(start + stride, cycles * steps)))
     return out[0], out[1], out[2]
 
 
@@ -169,14 +185,17 @@ def _further(loop: LoopModel, t: float, q: Array, qd: Array, qdd: Array, load: A
 
 
 @jit()
-def _play(chain: Chain, drives: Drives, reference: Array, external: Array, further: Array, state: _Motion, out: Array,
-          t_position: float, dt: float, steps_ipo: int, start: int, stop: int) -> None:
+def _play(chain: Chain, drives: Drives, inputs: _Inputs, state: _Motion, out: Array, clock: _Clock,
+          span: tuple[int, int]) -> None:
+    """Plays the position cycles of ``span``; ``out (3, cycles + 1, n)`` gets arm and motor angles and motor torques."""
     n = len(state.q_m)
+    reference, external, further = inputs
+    t_position, dt, steps_ipo = clock
     substeps = round(t_position / dt)
     q_a, v_a, q_m, v_m, load = state.q_a, state.v_a, state.q_m, state.v_m, state.load
     v_ref, bias, rise, acceleration = np.zeros(n), np.empty(n), np.empty(n), np.empty(n)
     R, p, M, zero = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, n)), np.zeros(n)
-    for step in range(start, stop):
+    for step in range(span[0], span[1]):
         cycle = step // steps_ipo
         r = reference[step]
         for i in range(n):
@@ -234,7 +253,7 @@ def _motors_step(drives: Drives, state: _Motion, v_ref: Array, further: Array, d
         friction = (np.interp(abs(v_m[i]), drives.friction_velocity[:, i], drives.friction_torque[side, :, i])
                     + friction_of_load(drives.friction_load[i], drives.friction_driven[i], load[i],
                                        v_m[i] if v_m[i] != 0.0 else net))
-        v_m[i] = _sliding(v_m[i], net, drives.rotor_inertia[i], dt, friction, drives, state.preslide, i)
+        v_m[i] = _sliding(v_m[i], net, dt, friction, drives, state.preslide, i)
         rise[i] = give * 0.5 * dt * stiffness[i] * (slope * v_m[i] - v_a[i])
 
 
@@ -253,9 +272,9 @@ def _solve_cholesky(L: np.ndarray, x: Array) -> None:
 
 
 @jit()
-def _sliding(v: float, torque: float, inertia: float, dt: float, friction: float, drives: Drives, preslide: Array,
-             i: int) -> float:
+def _sliding(v: float, torque: float, dt: float, friction: float, drives: Drives, preslide: Array, i: int) -> float:
     """Velocity after one step under ``torque`` and friction, which stops a joint but never drives it."""
+    inertia = drives.rotor_inertia[i]
     if drives.friction_bend[i] > 0.0:
         preslide[i] = bristles(preslide[i], v, dt, friction, drives.friction_dry[i], drives.friction_bend[i])
         return v + (torque - drives.friction_dry[i] * preslide[i]) / inertia * dt

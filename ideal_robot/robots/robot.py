@@ -143,8 +143,6 @@ class Robot(Summarised):
         else:
             home = _frozen(_inside(home, model))
         gear_ratio = per_joint("gear_ratio")
-        v_max = np.where(model.velocityLimit > 0, model.velocityLimit, np.inf)
-        tau_max = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
         return cls(
             name=drive.name or urdf.stem,
             urdf=urdf,
@@ -152,16 +150,14 @@ class Robot(Summarised):
             tool_frame=_tool_frame(model, drive.tool_frame, data_path, arm.tool),
             q_min=_frozen(model.lowerPositionLimit),
             q_max=_frozen(model.upperPositionLimit),
-            v_max=_frozen(v_max),
+            v_max=_frozen(np.where(model.velocityLimit > 0, model.velocityLimit, np.inf)),
             a_max=per_joint("a_max"),
             gear_ratio=gear_ratio,
             # The file gives rotor inertia and torque constant on the motor side, as data sheets do.
             rotor_inertia=_frozen(per_joint("rotor_inertia") * gear_ratio**2),
             drive_gain=_frozen(per_joint("torque_constant") * gear_ratio),
-            tau_max=_frozen(tau_max),
-            t_ipo=float(drive.controller.t_ipo),
-            t_position=float(drive.controller.t_position),
-            t_velocity=float(drive.controller.t_velocity),
+            tau_max=_frozen(np.where(model.effortLimit > 0, model.effortLimit, np.inf)),
+            **{key: float(getattr(drive.controller, key)) for key in ("t_ipo", "t_position", "t_velocity")},
             home=home,
             data=values,
             description=arm.text,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ideal_robot.arrays import Array
-from planning.path.path_kernels import deviation_basis
+from planning.path.path_kernels import Rigid, Splines, deviation_basis
 from planning.path.reference import ReferencePath
 
 
@@ -191,7 +191,7 @@ class PathDeviation(DeviationModel):
         self._start = -behind
         self._rigid = 3 if directions == 1 else 6
         self.size = self._rigid + directions * self._count
-        self._centre = reference.position(np.linspace(0.0, reference.length, 50)).mean(axis=0)
+        centre = reference.position(np.linspace(0.0, reference.length, 50)).mean(axis=0)
         distance = knot * np.abs(np.subtract.outer(np.arange(self._count), np.arange(self._count)))
         bend = shape if bow is None else bow
         processes = [
@@ -217,7 +217,7 @@ class PathDeviation(DeviationModel):
             self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * sigma**2)
         # Axes of the surface at the path's start span the rigid motion.
         start = reference.frames(0.0)
-        self._axes = np.stack([start.tangent, start.normal, start.up])
+        self._turning = Rigid(centre, np.stack([start.tangent, start.normal, start.up]), self._rigid)
 
     def prior(self) -> tuple[Array, Array]:
         """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
@@ -232,20 +232,9 @@ class PathDeviation(DeviationModel):
         """Rigid part and B-splines; outside the window the splines stay at its edge."""
         s = np.asarray(s, dtype=float)
         frames = self.reference.frames(s)
-        return np.asarray(
-            deviation_basis(
-                frames.position,
-                (frames.normal, frames.up),
-                self.directions,
-                self._centre,
-                self._axes,
-                self._rigid,
-                s,
-                self._start if stand is None else stand.begin,
-                self._knot,
-                self._count,
-            )
-        )
+        splines = Splines(self._start if stand is None else stand.begin, self._knot, self._count)
+        return np.asarray(deviation_basis(frames.position, (frames.normal, frames.up), self.directions, self._turning,
+                                          s, splines))
 
     def travel(self, s: float) -> tuple[Array, Array] | None:
         """Shifts the window by one knot once the arm has left it behind."""

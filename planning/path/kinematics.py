@@ -12,7 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
-from planning.path.newton import DAMPING, away_from, refined, weighted
+from planning.path.newton import DAMPING, Tool, away_from, refined, weighted
 
 TILTED = 0.2
 """How far the tool axis of an arm of fewer than six joints may be from the one wanted [rad]."""
@@ -42,8 +42,8 @@ class InverseKinematics:
         # computeFrameJacobian leaves the tool's pose in iMf[0]; holding the vector saves a third of the call's time.
         self._poses = self._data.iMf
         tool = self._model.frames[self._tool]
-        self._chain = (chain_of(self._model), int(tool.parentJoint), np.ascontiguousarray(tool.placement.rotation),
-                       np.array(tool.placement.translation))
+        self._carried = Tool(chain_of(self._model), int(tool.parentJoint),
+                             np.ascontiguousarray(tool.placement.rotation), np.array(tool.placement.translation))
 
     def fk(self, q: Array) -> pin.SE3:
         """TCP pose in the base frame at ``q (n,)`` [rad]."""
@@ -188,7 +188,7 @@ class InverseKinematics:
         solved = np.array(q, dtype=float)
         near = solved.copy() if wanted is None else np.ascontiguousarray(wanted)
         try:
-            done = refined(*self._chain, rotations, positions, solved, near, tolerance, REFINED_IN)
+            done = refined(self._carried, rotations, positions, solved, near, tolerance, REFINED_IN)
         except np.linalg.LinAlgError:
             done = 0
         for i in range(done, len(solved)):

@@ -6,7 +6,7 @@ per pose costs more than its arithmetic.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,22 @@ TILT, TWIST = 1e-3, 1e-4
 fewer than six joints: the place is kept, the tool axis as far as the arm can, the rotation about it is what is left."""
 HALF_TURN = -0.99
 """Cosine of a rotation beyond which its axis is not told well enough."""
+
+
+class Tool(NamedTuple):
+    """An arm's kinematics up to its tool.
+
+    Attributes:
+        chain: of the arm.
+        joints: that carry the tool, the first ones of the chain.
+        R: the tool's rotation in the last one's frame ``(3, 3)``.
+        p: where it is there ``(3,)`` [m].
+    """
+
+    chain: Chain
+    joints: int
+    R: Array
+    p: Array
 
 
 @jit(error_model="numpy")
@@ -53,30 +69,26 @@ def log6(R: Array, p: Array, out: Array) -> bool:
 
 
 @jit()
-def tool_jacobian(chain: Chain, joints: int, tool_R: Array, tool_p: Array, q: Array, J: Array, T_R: Array, T_p: Array
-                  ) -> None:
+def tool_jacobian(tool: Tool, q: Array, J: Array, T_R: Array, T_p: Array) -> None:
     """Jacobian in the tool's frame, and its pose in the base frame; written to ``J``, ``T_R``, ``T_p``.
 
     From the tool back to the base: with the tool's pose (R, p) in the frame of a joint about z, its column is
     (Rᵀ (z × p), Rᵀ z), of one that slides (Rᵀ z, 0).
 
     Args:
-        chain: kinematics.
-        joints: that carry the tool, the first ones of the chain.
-        tool_R: the tool's rotation in the last one's frame ``(3, 3)``.
-        tool_p: where it is there ``(3,)`` [m].
+        tool: kinematics.
         q: joint angles ``(n,)`` [rad].
         J: ``(6, n)``, linear before angular, written to.
         T_R: rotation ``(3, 3)``, written to.
         T_p: place ``(3,)`` [m], written to.
     """
-    n = len(q)
+    n, chain = len(q), tool.chain
     R, p = np.empty((n, 3, 3)), np.empty((n, 3))
     joint_frames(chain, q, R, p)
     J[:] = 0.0
-    T_R[:], T_p[:] = tool_R, tool_p
+    T_R[:], T_p[:] = tool.R, tool.p
     turned = np.empty((3, 3))
-    for i in range(joints - 1, -1, -1):
+    for i in range(tool.joints - 1, -1, -1):
         z0, z1, z2 = chain.axis[i, 0], chain.axis[i, 1], chain.axis[i, 2]
         m0, m1, m2 = z1 * T_p[2] - z2 * T_p[1], z2 * T_p[0] - z0 * T_p[2], z0 * T_p[1] - z1 * T_p[0]
         slides = chain.prismatic[i] > 0.5
@@ -97,15 +109,12 @@ def tool_jacobian(chain: Chain, joints: int, tool_R: Array, tool_p: Array, q: Ar
 
 
 @jit()
-def newton_step(chain: Chain, joints: int, tool_R: Array, tool_p: Array, target_R: Array, target_p: Array, q: Array,
-                wanted: Array, J: Array, error: Array) -> tuple[NDArray[np.floating[Any]], bool]:
+def newton_step(tool: Tool, target_R: Array, target_p: Array, q: Array, wanted: Array, J: Array, error: Array
+                ) -> tuple[NDArray[np.floating[Any]], bool]:
     """Change of the joint angles ``(n,)`` towards a pose, and whether its error is less than half a turn.
 
     Args:
-        chain: as for ``tool_jacobian``, like the next three.
-        joints: see there.
-        tool_R: see there.
-        tool_p: see there.
+        tool: kinematics.
         target_R: rotation wanted ``(3, 3)``.
         target_p: place wanted ``(3,)`` [m].
         q: joint angles ``(n,)`` [rad].
@@ -114,7 +123,7 @@ def newton_step(chain: Chain, joints: int, tool_R: Array, tool_p: Array, target_
         error: pose error before the step ``(6,)`` [m, rad], written to.
     """
     T_R, T_p, away_R, away_p = np.empty((3, 3)), np.empty(3), np.empty((3, 3)), np.empty(3)
-    tool_jacobian(chain, joints, tool_R, tool_p, q, J, T_R, T_p)
+    tool_jacobian(tool, q, J, T_R, T_p)
     for r in range(3):
         for c in range(3):
             away_R[r, c] = T_R[0, r] * target_R[0, c] + T_R[1, r] * target_R[1, c] + T_R[2, r] * target_R[2, c]
@@ -155,18 +164,15 @@ def weighted(J: Array, error: Array) -> NDArray[np.floating[Any]]:
 
 
 @jit()
-def refined(chain: Chain, joints: int, tool_R: Array, tool_p: Array, targets_R: Array, targets_p: Array, q: Array,
-            wanted: Array, tolerance: float, most: int) -> int:
+def refined(tool: Tool, targets_R: Array, targets_p: Array, q: Array, wanted: Array, tolerance: float, most: int
+            ) -> int:
     """Nearly right joint angles ``q (N, n)`` of poses are made right in place; how many of them, from the first on.
 
     A pose is done with the step whose pose error before it, squared, was below ``tolerance``; of fewer than six joints,
     which cannot remove all of it, with one that changes them by a tenth of that.
 
     Args:
-        chain: as for ``tool_jacobian``, like the next three.
-        joints: see there.
-        tool_R: see there.
-        tool_p: see there.
+        tool: kinematics.
         targets_R: rotations wanted ``(N, 3, 3)``.
         targets_p: places wanted ``(N, 3)`` [m].
         q: ``(N, n)`` [rad], changed.
@@ -182,8 +188,7 @@ def refined(chain: Chain, joints: int, tool_R: Array, tool_p: Array, targets_R: 
         found = q[i].copy()
         done = False
         for _ in range(most):
-            change, near = newton_step(chain, joints, tool_R, tool_p, targets_R[i], targets_p[i], found, wanted[i], J,
-                                       error)
+            change, near = newton_step(tool, targets_R[i], targets_p[i], found, wanted[i], J, error)
             if not near:
                 return i
             found += change

@@ -6,6 +6,8 @@ one straight piece more at each end; and likewise ``(K - 2, 4, 3)`` of the surfa
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ideal_robot.arrays import Array
@@ -104,34 +106,42 @@ def feet_of(cubics: Array, knot: float, points: Array, first: float, end: float)
     return s
 
 
+class Rigid(NamedTuple):
+    """A rigid motion of a path.
+
+    Attributes:
+        centre: point about which it turns ``(3,)``.
+        axes: its axes as rows ``(3, 3)``.
+        size: 3 for a motion in the plane of the first two axes, 6 for any.
+    """
+
+    centre: Array
+    axes: Array
+    size: int
+
+
+class Splines(NamedTuple):
+    """Cubic B-splines: first knot [m], spacing of the knots [m] and how many there are."""
+
+    start: float
+    spacing: float
+    number: int
+
+
 @jit()
-def deviation_basis(
-    position: Array,
-    directions: tuple[Array, Array],
-    wanted: int,
-    centre: Array,
-    axes: Array,
-    rigid: int,
-    s: Array,
-    start: float,
-    spacing: float,
-    count: int,
-) -> Array:  # pragma: no cover
+def deviation_basis(position: Array, directions: tuple[Array, Array], wanted: int, turning: Rigid, s: Array,
+                    splines: Splines) -> Array:  # pragma: no cover
     """Deviation per state, ``(m, wanted, rigid + wanted · count)``: rigid motion and cubic B-splines.
 
     Args:
         position: points of the path ``(m, 3)``.
         directions: normals and ups there, ``(m, 3)`` each; the first ``wanted`` count.
         wanted: number of directions.
-        centre: point about which the rigid motion turns ``(3,)``.
-        axes: axes of the rigid motion as rows ``(3, 3)``.
-        rigid: 3 for a motion in the plane of the first two axes, 6 for any.
+        turning: the rigid motion.
         s: arc lengths ``(m,)``.
-        start: first knot of the B-splines [m].
-        spacing: of their knots [m].
-        count: number of B-splines.
+        splines: of the change of shape.
     """
-    m = s.size
+    m, (centre, axes, rigid), (start, spacing, count) = s.size, turning, splines
     H = np.zeros((m, wanted, rigid + wanted * count))
     for i in range(m):
         u = min(max((s[i] - start) / spacing, 0.0), count - 3 - 1e-9)

@@ -34,11 +34,7 @@ def identification_page(analysis: IdentificationResult) -> Report:
     for warning in analysis.warnings:
         page.warning(warning)
     _errors(page, analysis)
-    page.table(["joint", "verdict", "left of the torque [%]", "open by σ [%]", "why", "what would tell"],
-               [[v.joint, v.verdict, v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
-                for v in analysis.verdicts],
-               "What the model is worth. Left: the larger one of estimation and unseen data. Open: what the standard "
-               "deviations of the parameters make of the torque in postures of the whole range.")
+    _verdicts(page, analysis)
     shown = [("unseen", *pair) for pair in zip(analysis.validation, result.validation, strict=True)]
     shown += [("estimation", *pair) for pair in zip(analysis.estimation, result.estimation, strict=True)]
     for role, recording, prediction in shown[:4]:
@@ -73,6 +69,14 @@ def identification_page(analysis: IdentificationResult) -> Report:
               f"{result.solution.condition_number_scaled:.4g} with scaled columns.")
     page.table(["recording", "hash"], [[r["source"], r["hash"]] for r in model.provenance["recordings"]])
     return page
+
+
+def _verdicts(page: Report, analysis: IdentificationResult) -> None:
+    page.table(["joint", "verdict", "left of the torque [%]", "open by σ [%]", "why", "what would tell"],
+               [[v.joint, v.verdict, v.left_percent, v.uncertain_percent, v.reason, v.would_tell]
+                for v in analysis.verdicts],
+               "What the model is worth. Left: the larger one of estimation and unseen data. Open: what the standard "
+               "deviations of the parameters make of the torque in postures of the whole range.")
 
 
 def _errors(page: Report, analysis: IdentificationResult) -> None:

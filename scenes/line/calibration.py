@@ -18,12 +18,11 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import CalibrationView, calibration_postures
+from scenes.online.line_known import CalibrationView, Known, calibration_postures
 from scenes.scene_files.scene import SceneError
 from sensing import SensingError
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import HandEye, calibrate
 from sensing.camera.line_appearance import line_appearance
 from sensing.camera.line_search import DetectionSettings, PredictedLine, search_windows
@@ -44,49 +43,41 @@ BEFORE = 10**7
 """Numbers the calibration's fields apart from those of the run: their noise must not be the same."""
 
 
-def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
-                        camera: RenderedCamera, deflection: GearDeflection | None, at: float,
-                        detection: DetectionSettings, detector: LineDetector,
-                        moved: list[RobotState] | None = None) -> HandEye:
-    """Moves the camera over one piece of the line and returns the camera that explains all that was seen.
+def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera, deflection: GearDeflection | None,
+                        at: float, detection: DetectionSettings, moved: list[RobotState] | None = None) -> HandEye:
+    """The camera that explains all that is seen while the arm moves it over one piece of the line.
 
-    The arm is driven through its positional interface, from pose to pose with a short rest at each; fields are taken
-    at rest and on the way.
+    The arm goes from pose to pose through its positional interface; fields are taken at short rests and on the way.
 
     Args:
-        robot: the arm.
-        reference: the reference path; where the line really is stays unknown.
-        believed: the camera as mounted by hand.
+        known: arm, reference path, camera as mounted by hand and detector; where the line really is stays unknown.
         arm: the arm; it is put to rest at the first pose.
         camera: renders what the true camera sees.
         deflection: the gears' deflection as the model knows it.
         at: arc length of the reference around which the piece lies [m].
         detection: how the line looks.
-        detector: what finds its points.
         moved: gets what the controller reports, cycle by cycle.
 
     Raises:
         SceneError: fewer than half of the poses can be reached, or fewer than half of the fields show the line.
     """
-    commands = _moves(robot, calibration_postures(robot, reference, believed, at), arm.t_ipo)
+    robot, reference, believed = known.robot, known.reference, known.camera
+    T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
+    commands = _moves(robot, calibration_postures(robot, reference, believed, at), T)
     arm.reset(commands[0])
     camera.restart()
     shape = ArmShape(robot) if camera.lamp is not None else None
-    view = CalibrationView(robot, reference, believed, detection, detector, commands[0])
-    # The camera's clock runs ahead of the arm's by a whole number of fields.
-    T, ahead = arm.t_ipo, BEFORE / camera.settings.rate
+    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0])
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
     late: list[tuple[Field, PredictedLine]] = []
-    due = fields = 0
+    due, fields, moved = 0, 0, [] if moved is None else moved
     for k, q_c in enumerate(commands):
         exposures = camera.due(k * T + ahead, (k + 1) * T + ahead)
         taken = [t for i, t in enumerate(exposures, due) if i % SPARING == 0]
         due += len(exposures)
         predictions = [view.predicted(camera.stamp(t) - ahead) for t in taken]
-        measured = arm.cycle(q_c)
-        if moved is not None:
-            moved.append(measured)
-        view.history.add((k + 1) * T, measured.q - sag[k])
+        moved.append(arm.cycle(q_c))
+        view.history.add((k + 1) * T, moved[-1].q - sag[k])
         for t, prediction in zip(taken, predictions, strict=True):
             windows = search_windows(believed, prediction, detection)
             late.append((camera.windows(t, lambda at: arm.tcp_at(max(at - ahead, 0.0)), windows,
@@ -98,9 +89,9 @@ def calibrate_by_moving(robot: Robot, reference: ReferencePath, believed: Camera
             view.look(*late.pop(0), ahead)
         if fields >= HOPELESS and not view.observations:
             break
-    if len(view.observations) < max(fields // 2, 3):
-        raise SceneError(f"the camera could not be calibrated: only {len(view.observations)} of {fields} fields showed "
-                         "the line; check where the line is, or set calibration.by_moving = false")
+    if (seen := len(view.observations)) < max(fields // 2, 3):
+        raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; check "
+                         "where the line is, or set calibration.by_moving = false")
     near = reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
     return calibrate(believed, view.observations, near, reference.frames(np.array([at])).up[0])
 

@@ -256,9 +256,8 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
         if model is not None:
             progress(0.0, "calibrating the camera")
             try:
-                hand_eye = calibrate_by_moving(known.robot, known.reference, known.camera, arm, camera,
-                                               GearDeflection(model, cell.world.t_ipo), 0.5 * sum(span), detection,
-                                               known.detector, moved)
+                hand_eye = calibrate_by_moving(known, arm, camera, GearDeflection(model, cell.world.t_ipo),
+                                               0.5 * sum(span), detection, moved)
                 recorded = arm.recording()
             except (SceneError, SensingError) as error:
                 reasons.append(str(error))

@@ -68,23 +68,7 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     p[kernel.P_STIFFNESS] = np.where(elastic, stiffness, 0.0)
     p[kernel.P_DAMPING] = np.where(elastic, world.per_joint("damping", n), 0.0)
     p[kernel.P_BACKLASH] = np.where(elastic, world.per_joint("backlash", n), 0.0)
-    scale = world.per_joint("friction_scale", n) * (1.0 if world.friction else 0.0)
-    p[kernel.P_FRICTION] = scale > 0.0
-    p[kernel.P_COULOMB] = scale * world.per_joint("coulomb", n)
-    p[kernel.P_SURPLUS] = scale * world.per_joint("stribeck", n)
-    p[kernel.P_V_STRIBECK] = world.per_joint("stribeck_velocity", n)
-    p[kernel.P_SIGMA0] = p[kernel.P_COULOMB] / world.per_joint("presliding", n)
-    # Bristles damped to a fifth of critical on the rotor: they neither ring nor dominate the torque.
-    p[kernel.P_SIGMA1] = 0.4 * np.sqrt(p[kernel.P_SIGMA0] * np.maximum(rotor_inertia, 1.0e-6))
-    p[kernel.P_ASYMMETRY] = world.per_joint("friction_asymmetry", n)
-    p[kernel.P_VISCOUS] = scale * world.per_joint("viscous", n)
-    p[kernel.P_DEGRESSIVE] = scale * world.per_joint("degressive", n)
-    p[kernel.P_V_DEGRESSIVE] = world.per_joint("degressive_velocity", n)
-    p[kernel.P_LOAD] = world.per_joint("load_friction", n) / limit
-    if world.thermal:
-        p[kernel.P_THERMAL_RESISTANCE] = world.per_joint("thermal_resistance", n)
-        p[kernel.P_THERMAL_RATE] = world.time_compression / world.per_joint("thermal_time_constant", n)
-    p[kernel.P_LUBRICATION] = world.per_joint("lubrication", n)
+    _pack_friction(p, world, rotor_inertia, limit)
     p[kernel.P_GAIN] = drive_gain
     p[kernel.P_RIPPLE] = world.per_joint("torque_ripple", n) * np.where(np.isfinite(robot.tau_max), limit, 0.0)
     p[kernel.P_RIPPLE_ORDER] = world.per_joint("ripple_order", n) * robot.gear_ratio
@@ -107,6 +91,28 @@ def drive_parameters(world: World, robot: Robot, rotor_inertia: Array, drive_gai
     counts = np.array([round(cycle / STEP) for cycle in
                        (world.t_ipo, world.t_position, world.t_velocity, min(world.log_cycle, 0.002))], dtype=np.int64)
     return p, shared, counts
+
+
+def _pack_friction(p: Array, world: World, rotor_inertia: Array, limit: Array) -> None:
+    """Friction of all joints and what warms it, into the parameter block."""
+    n = p.shape[1]
+    scale = world.per_joint("friction_scale", n) * (1.0 if world.friction else 0.0)
+    p[kernel.P_FRICTION] = scale > 0.0
+    p[kernel.P_COULOMB] = scale * world.per_joint("coulomb", n)
+    p[kernel.P_SURPLUS] = scale * world.per_joint("stribeck", n)
+    p[kernel.P_V_STRIBECK] = world.per_joint("stribeck_velocity", n)
+    p[kernel.P_SIGMA0] = p[kernel.P_COULOMB] / world.per_joint("presliding", n)
+    # Bristles damped to a fifth of critical on the rotor: they neither ring nor dominate the torque.
+    p[kernel.P_SIGMA1] = 0.4 * np.sqrt(p[kernel.P_SIGMA0] * np.maximum(rotor_inertia, 1.0e-6))
+    p[kernel.P_ASYMMETRY] = world.per_joint("friction_asymmetry", n)
+    p[kernel.P_VISCOUS] = scale * world.per_joint("viscous", n)
+    p[kernel.P_DEGRESSIVE] = scale * world.per_joint("degressive", n)
+    p[kernel.P_V_DEGRESSIVE] = world.per_joint("degressive_velocity", n)
+    p[kernel.P_LOAD] = world.per_joint("load_friction", n) / limit
+    if world.thermal:
+        p[kernel.P_THERMAL_RESISTANCE] = world.per_joint("thermal_resistance", n)
+        p[kernel.P_THERMAL_RATE] = world.time_compression / world.per_joint("thermal_time_constant", n)
+    p[kernel.P_LUBRICATION] = world.per_joint("lubrication", n)
 
 
 def _share(cycle: float, time_constant: float) -> float:

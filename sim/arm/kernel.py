@@ -98,36 +98,32 @@ def hydrodynamic(v: float, viscous: float, degressive: float, v_degressive: floa
 
 
 @jit()
-def control_step(p: Array, x: Array, j: int, q_m: float, fraction: float, position_due: bool, velocity_due: bool,
-                 low_pass: float, velocity_pass: float, t_position: float, t_velocity: float) -> None:
+def control_step(p: Array, s: Array, x: Array, j: int, q_m: float, fraction: float, due: tuple[bool, bool]) -> None:
     """Runs the loops of joint ``j`` that are due; the torque command is left in ``x[X_TORQUE, j]``.
 
     Args:
         p: parameter block ``(PARAMETERS, n)``.
+        s: numbers that all joints share ``(SHARED,)``: cycles, and the shares by which filters move per cycle.
         x: state block ``(STATES, n)``, changed.
         j: the joint.
         q_m: true motor angle [rad].
         fraction: how much of the interpolation cycle has gone by, 0 … 1.
-        position_due: whether the position loop runs at this step.
-        velocity_due: whether the velocity loop runs at this step.
-        low_pass: share by which the command's filter moves per cycle, 0 … 1.
-        velocity_pass: the same of the velocity filter.
-        t_position: cycle time of the position loop [s].
-        t_velocity: cycle time of the velocity loop [s].
+        due: whether position loop and velocity loop run at this step.
     """
+    position_due, velocity_due = due
     if velocity_due:
         increment = p[C_INCREMENT, j]
         encoder = math.floor(q_m / increment + 0.5) * increment if increment > 0.0 else q_m
-        raw = (encoder - x[X_ENCODER, j]) / t_velocity
+        raw = (encoder - x[X_ENCODER, j]) / s[S_T_VELOCITY]
         x[X_ENCODER, j] = encoder
-        x[X_VELOCITY, j] += velocity_pass * (raw - x[X_VELOCITY, j])
+        x[X_VELOCITY, j] += s[S_VELOCITY_PASS] * (raw - x[X_VELOCITY, j])
     if position_due:
         command = x[X_START, j] + fraction * (x[X_END, j] - x[X_START, j])
         x[X_COMMAND, j] = command
         before = x[X_LOW2, j]
-        x[X_LOW1, j] += low_pass * (command - x[X_LOW1, j])
-        x[X_LOW2, j] += low_pass * (x[X_LOW1, j] - x[X_LOW2, j])
-        feedforward = p[C_KFF, j] * (x[X_LOW2, j] - before) / t_position
+        x[X_LOW1, j] += s[S_LOW_PASS] * (command - x[X_LOW1, j])
+        x[X_LOW2, j] += s[S_LOW_PASS] * (x[X_LOW1, j] - x[X_LOW2, j])
+        feedforward = p[C_KFF, j] * (x[X_LOW2, j] - before) / s[S_T_POSITION]
         x[X_VELOCITY_DESIRED, j] = p[C_KV, j] * (x[X_LOW2, j] - x[X_ENCODER, j]) + feedforward
     if velocity_due:
         error = x[X_VELOCITY_DESIRED, j] - x[X_VELOCITY, j]
@@ -142,104 +138,129 @@ def control_step(p: Array, x: Array, j: int, q_m: float, fraction: float, positi
 
 
 @jit()
+def gear_torque(p: Array, j: int, twist: float, twisting: float) -> float:
+    """Torque of an elastic gear with backlash [N m].
+
+    Args:
+        p: parameter block ``(PARAMETERS, n)``.
+        j: the joint.
+        twist: of its output beyond the link [rad].
+        twisting: its velocity [rad/s].
+    """
+    half, damping = 0.5 * p[P_BACKLASH, j], p[P_DAMPING, j]
+    if half > 0.0:
+        if abs(twist) <= half:
+            twist = 0.0
+            damping = 0.0
+        else:
+            twist -= half if twist > 0.0 else -half
+    return p[P_STIFFNESS, j] * twist + damping * twisting
+
+
+@jit()
+def friction_step(p: Array, s: Array, x: Array, j: int, v_m: float) -> float:
+    """Friction torque [N m] at a motor velocity; bristles, lubricant and temperature are carried on by one step.
+
+    Args:
+        p: parameter block ``(PARAMETERS, n)``.
+        s: numbers that all joints share ``(SHARED,)``.
+        x: state block ``(STATES, n)``, changed.
+        j: the joint.
+        v_m: motor velocity [rad/s].
+    """
+    dt, friction = s[S_DT], 0.0
+    if p[P_FRICTION, j] > 0.0:
+        above = x[X_TEMPERATURE, j] - s[S_REFERENCE]
+        settled = 1.0 + p[P_LUBRICATION, j] * (1.0 - x[X_LUBRICANT, j])
+        dry = math.exp(-s[S_DRY_TEMPERATURE] * above) * settled * (1.0 + p[P_LOAD, j] * abs(x[X_GEAR, j]))
+        level = dry * dry_level(v_m, p[P_COULOMB, j], p[P_SURPLUS, j], p[P_V_STRIBECK, j], p[P_ASYMMETRY, j])
+        z = x[X_BRISTLE, j]
+        z_next = bristle_step(z, v_m, level, p[P_SIGMA0, j], dt)
+        fluid = math.exp(-s[S_VISCOSITY_TEMPERATURE] * above) * settled
+        friction = (p[P_SIGMA0, j] * z_next + p[P_SIGMA1, j] * (z_next - z) / dt
+                    + fluid * hydrodynamic(v_m, p[P_VISCOUS, j], p[P_DEGRESSIVE, j], p[P_V_DEGRESSIVE, j]))
+        x[X_BRISTLE, j] = z_next
+        spread = min(1.0, abs(v_m) / (10.0 * p[P_V_STRIBECK, j]))
+        x[X_LUBRICANT, j] += dt * s[S_LUBRICANT_RATE] * (spread - x[X_LUBRICANT, j])
+    if p[P_THERMAL_RATE, j] > 0.0:
+        rise = abs(friction * v_m) * p[P_THERMAL_RESISTANCE, j]
+        x[X_TEMPERATURE, j] += dt * p[P_THERMAL_RATE, j] * (rise - (x[X_TEMPERATURE, j] - s[S_AMBIENT]))
+    return friction
+
+
+@jit()
+def log_joint(p: Array, x: Array, links: Array, j: int, steps: int, noise: float, row: Array) -> None:
+    """Writes what is known of joint ``j`` before its motor moves on into a row of the log, see ``LOGGED``.
+
+    Args:
+        p: parameter block ``(PARAMETERS, n)``.
+        x: state block ``(STATES, n)``.
+        links: as for ``drive_step``.
+        j: the joint.
+        steps: over which the row has summed the current.
+        noise: standard normal number for the measured current.
+        row: of the log, written to.
+    """
+    n = links.shape[1]
+    row[1 + j] = x[X_COMMAND, j]
+    row[1 + n + j] = x[X_ENCODER, j]
+    row[1 + 2 * n + j] = row[1 + 2 * n + j] / steps + p[P_NOISE, j] * noise
+    row[1 + 3 * n + j] = x[X_MOTOR, j]
+    row[1 + 4 * n + j] = links[L_ANGLE, j]
+    row[1 + 5 * n + j] = links[L_VELOCITY, j]
+    row[1 + 6 * n + j] = x[X_MOTOR_VELOCITY, j]
+    row[1 + 7 * n + j] = x[X_CURRENT, j] * p[P_GAIN, j]
+    row[1 + 9 * n + j] = x[X_TEMPERATURE, j]
+
+
+@jit()
 def drive_step(tick: int, p: Array, s: Array, counts: NDArray[np.int64], x: Array, links: Array, noise: Array,
                row: Array) -> None:
     """One step of controller, motors and gears; the torque for the links is left in ``links[L_TORQUE]``.
 
     Args:
         tick: number of the step since the start.
-        p: parameter block ``(PARAMETERS, n)``, see ``drive_parameters``.
+        p: parameter block ``(PARAMETERS, n)``, see ``drive_parameters``, with the next two.
         s: numbers that all joints share ``(SHARED,)``.
         counts: steps of the cycles ``(4,)``.
         x: state block, changed in place.
         links: ``(4, n)``: arm angles [rad], arm velocities [rad/s], additional torque on the motor side [N m], and, as
-            the result, for elastic gears the gear torque [N m]; for rigid ones motor torque less friction, to be
-            applied to link *and* rotor.
+            the result, the gear torque [N m]; of rigid gears motor torque less friction, for link *and* rotor.
         noise: standard normal numbers for the measured current, one per joint.
         row: row of the log to be filled if the step is due for logging.
     """
-    dt = s[S_DT]
-    q_a, qd_a, extra, torque = links[L_ANGLE], links[L_VELOCITY], links[L_EXTRA], links[L_TORQUE]
-    n = q_a.shape[0]
+    dt, n = s[S_DT], links.shape[1]
     fraction = (tick % counts[N_IPO]) / counts[N_IPO]
-    position_due = tick % counts[N_POSITION] == 0
-    velocity_due = tick % counts[N_VELOCITY] == 0
+    due = tick % counts[N_POSITION] == 0, tick % counts[N_VELOCITY] == 0
     log_due = tick % counts[N_LOG] == 0
     if log_due:
         row[0] = tick * dt
     for j in range(n):
-        elastic = p[P_ELASTIC, j] > 0.0
-        uneven = 0.0  # transmission error: the gear's output is q_m + A sin(order · q + phase)
-        slope = 1.0
+        q_a, qd_a, elastic = links[L_ANGLE, j], links[L_VELOCITY, j], p[P_ELASTIC, j] > 0.0
+        uneven, slope = 0.0, 1.0  # transmission error: the gear's output is q_m + A sin(order · q + phase)
         if p[P_UNEVEN, j] > 0.0:
-            angle = p[P_UNEVEN_ORDER, j] * (x[X_MOTOR, j] if elastic else q_a[j]) + p[P_PHASE, j]
+            angle = p[P_UNEVEN_ORDER, j] * (x[X_MOTOR, j] if elastic else q_a) + p[P_PHASE, j]
             uneven = p[P_UNEVEN, j] * math.sin(angle)
             slope = 1.0 + p[P_UNEVEN, j] * p[P_UNEVEN_ORDER, j] * math.cos(angle)
         if not elastic:
-            x[X_MOTOR, j] = q_a[j] - uneven
-            x[X_MOTOR_VELOCITY, j] = qd_a[j] / slope
-        q_m = x[X_MOTOR, j]
-        v_m = x[X_MOTOR_VELOCITY, j]
-        control_step(p, x, j, q_m, fraction, position_due, velocity_due, s[S_LOW_PASS], s[S_VELOCITY_PASS],
-                     s[S_T_POSITION], s[S_T_VELOCITY])
+            x[X_MOTOR, j], x[X_MOTOR_VELOCITY, j] = q_a - uneven, qd_a / slope
+        q_m, v_m = x[X_MOTOR, j], x[X_MOTOR_VELOCITY, j]
+        control_step(p, s, x, j, q_m, fraction, due)
         x[X_CURRENT, j] += s[S_CURRENT_PASS] * (x[X_TORQUE, j] - x[X_CURRENT, j])
         motor = x[X_CURRENT, j] * p[P_GAIN, j]
         # Drives measure the mean current since the last sample: the torque falls and jumps within each position cycle,
         # and samples at its jumps would see an inertia that is not there.
         row[1 + 2 * n + j] += x[X_CURRENT, j]
         if log_due:
-            row[1 + j] = x[X_COMMAND, j]
-            row[1 + n + j] = x[X_ENCODER, j]
-            steps = counts[N_LOG] if tick > 0 else 1
-            row[1 + 2 * n + j] = row[1 + 2 * n + j] / steps + p[P_NOISE, j] * noise[j]
-            row[1 + 3 * n + j] = q_m
-            row[1 + 4 * n + j] = q_a[j]
-            row[1 + 5 * n + j] = qd_a[j]
-            row[1 + 6 * n + j] = v_m
-            row[1 + 7 * n + j] = motor
-            row[1 + 9 * n + j] = x[X_TEMPERATURE, j]
+            log_joint(p, x, links, j, counts[N_LOG] if tick > 0 else 1, noise[j], row)
         if p[P_RIPPLE, j] > 0.0:
             motor += p[P_RIPPLE, j] * math.sin(p[P_RIPPLE_ORDER, j] * q_m + p[P_PHASE, j])
-        motor += extra[j]
-
-        gear = motor
-        if elastic:
-            twist = q_m + uneven - q_a[j]
-            half = 0.5 * p[P_BACKLASH, j]
-            damping = p[P_DAMPING, j]
-            if half > 0.0:
-                if abs(twist) <= half:
-                    twist = 0.0
-                    damping = 0.0
-                else:
-                    twist -= half if twist > 0.0 else -half
-            gear = p[P_STIFFNESS, j] * twist + damping * (slope * v_m - qd_a[j])
-
-        friction = 0.0
-        if p[P_FRICTION, j] > 0.0:
-            above = x[X_TEMPERATURE, j] - s[S_REFERENCE]
-            settled = 1.0 + p[P_LUBRICATION, j] * (1.0 - x[X_LUBRICANT, j])
-            dry = math.exp(-s[S_DRY_TEMPERATURE] * above) * settled * (1.0 + p[P_LOAD, j] * abs(x[X_GEAR, j]))
-            level = dry * dry_level(v_m, p[P_COULOMB, j], p[P_SURPLUS, j], p[P_V_STRIBECK, j], p[P_ASYMMETRY, j])
-            z = x[X_BRISTLE, j]
-            z_next = bristle_step(z, v_m, level, p[P_SIGMA0, j], dt)
-            fluid = math.exp(-s[S_VISCOSITY_TEMPERATURE] * above) * settled
-            friction = (p[P_SIGMA0, j] * z_next + p[P_SIGMA1, j] * (z_next - z) / dt
-                        + fluid * hydrodynamic(v_m, p[P_VISCOUS, j], p[P_DEGRESSIVE, j], p[P_V_DEGRESSIVE, j]))
-            x[X_BRISTLE, j] = z_next
-            spread = min(1.0, abs(v_m) / (10.0 * p[P_V_STRIBECK, j]))
-            x[X_LUBRICANT, j] += dt * s[S_LUBRICANT_RATE] * (spread - x[X_LUBRICANT, j])
-        if p[P_THERMAL_RATE, j] > 0.0:
-            rise = abs(friction * v_m) * p[P_THERMAL_RESISTANCE, j]
-            x[X_TEMPERATURE, j] += dt * p[P_THERMAL_RATE, j] * (rise - (x[X_TEMPERATURE, j] - s[S_AMBIENT]))
-
+        motor += links[L_EXTRA, j]
+        gear = gear_torque(p, j, q_m + uneven - q_a, slope * v_m - qd_a) if elastic else motor
+        friction = friction_step(p, s, x, j, v_m)
         if elastic:
             x[X_MOTOR_VELOCITY, j] = v_m + dt * (motor - friction - slope * gear) / p[P_ROTOR, j]
             x[X_MOTOR, j] = q_m + dt * x[X_MOTOR_VELOCITY, j]
-            x[X_GEAR, j] = gear
-            torque[j] = gear
-        else:
-            torque[j] = motor - friction
-            x[X_GEAR, j] = torque[j]
+        x[X_GEAR, j] = links[L_TORQUE, j] = gear if elastic else motor - friction
         if log_due:
             row[1 + 8 * n + j] = x[X_GEAR, j]

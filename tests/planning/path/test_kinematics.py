@@ -16,7 +16,7 @@ from ideal_robot.dynamics.newton_euler import chain_of
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError, PlanningError
 from planning.path.kinematics import InverseKinematics
-from planning.path.newton import log6, tool_jacobian
+from planning.path.newton import Tool, log6, tool_jacobian
 from planning.path.pose_history import PoseHistory
 from tests.arms import urdf, written
 from tests.planning.cell import T, joint_path, kr6, reference
@@ -126,15 +126,16 @@ def test_jacobian_and_pose_are_pinocchios(seed: int) -> None:
     pin.seed(seed)
     rng = np.random.default_rng(seed)
     model = random_arm(rng)
-    q, data, tool = rng.uniform(-2.0, 2.0, 6), model.createData(), model.getFrameId("tool")
-    expected = pin.computeFrameJacobian(model, data, q, tool, pin.LOCAL)
+    q, data, frame = rng.uniform(-2.0, 2.0, 6), model.createData(), model.getFrameId("tool")
+    expected = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL)
     pin.framesForwardKinematics(model, data, q)
-    at = model.frames[tool].placement
+    at = model.frames[frame].placement
     J, R, p = np.empty((6, 6)), np.empty((3, 3)), np.empty(3)
-    tool_jacobian(chain_of(model), 6, np.ascontiguousarray(at.rotation), np.array(at.translation), q, J, R, p)
+    tool = Tool(chain_of(model), 6, np.ascontiguousarray(at.rotation), np.array(at.translation))
+    tool_jacobian(tool, q, J, R, p)
     np.testing.assert_allclose(J, expected, atol=1e-12)
-    np.testing.assert_allclose(R, data.oMf[tool].rotation, atol=1e-12)
-    np.testing.assert_allclose(p, data.oMf[tool].translation, atol=1e-12)
+    np.testing.assert_allclose(R, data.oMf[frame].rotation, atol=1e-12)
+    np.testing.assert_allclose(p, data.oMf[frame].translation, atol=1e-12)
 
 
 @settings(max_examples=200, deadline=None)
