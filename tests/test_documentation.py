@@ -138,14 +138,17 @@ SHARED = {target.id: node.value for tree in trees("scenes/commands").values() fo
 """Options whose annotations have names."""
 
 
+def says(annotation: ast.expr) -> bool:
+    """Whether an annotation, ``Annotated[…, typer.Option(help="…")]``, says what it is of."""
+    return any(keyword.arg == "help" and (isinstance(keyword.value, ast.Call) or getattr(keyword.value, "value", ""))
+               for call in ast.walk(SHARED.get(getattr(annotation, "id", ""), annotation)) if isinstance(call, ast.Call)
+               for keyword in call.keywords)
+
+
 def helped(function: Function) -> set[str]:
-    """Names of the parameters whose annotation, ``Annotated[…, typer.Option(help="…")]``, says what they are."""
-    return {one.arg for one in (*function.args.args, *function.args.kwonlyargs) if one.annotation
-            for call in ast.walk(SHARED.get(getattr(one.annotation, "id", ""), one.annotation))
-            if isinstance(call, ast.Call)
-            for keyword in call.keywords if keyword.arg == "help"
-            # A text, or a call that makes one of what is registered.
-            and (isinstance(keyword.value, ast.Call) or getattr(keyword.value, "value", ""))}
+    """Names of the parameters whose annotations say what they are."""
+    return {one.arg for one in (*function.args.args, *function.args.kwonlyargs)
+            if one.annotation and says(one.annotation)}
 
 
 def public(tree: ast.Module) -> Iterator[tuple[str, Function, str]]:
@@ -195,3 +198,11 @@ def test_an_option_without_help_is_noticed() -> None:
     (function,) = ast.parse(text).body
     assert isinstance(function, Function)
     assert helped(function) == {"a"}
+
+
+def test_every_option_of_an_object_of_options_has_help() -> None:
+    options = [(node.name, field.target.id, field.annotation) for tree in trees("scenes/commands").values()
+               for node in tree.body if isinstance(node, ast.ClassDef)
+               for field in node.body if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)]
+    assert len(options) > 100
+    assert [(owner, name) for owner, name, annotation in options if not says(annotation)] == []
