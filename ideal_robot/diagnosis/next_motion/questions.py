@@ -12,7 +12,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression
 from ideal_robot.diagnosis.next_motion.separation import Cause, Pair
-from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, Scored, overlap
+from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, overlap
 from ideal_robot.diagnosis.search.forward_selection import candidates
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -161,9 +161,8 @@ class Causes:
             if best is None:
                 silent.append(f"{one.name} at joint {one.joint} does not show in this recording")
                 continue
-            choice = Choice(best.candidate, best.p_value)
-            self.model.take(choice)
-            taken.append((one, choice))
+            self.model.take(best)
+            taken.append((one, best))
         asked: list[Asked] = []
         for one, choice in taken:
             for rival, joint in one.rivals:
@@ -190,7 +189,7 @@ class Causes:
                     self._cause(best.candidate, fit.gain(best.candidate.key)[1]), others, weights,
                     colour_of(self.model), self.model.problem.prior)
 
-    def best(self, pool: list[list[Candidate]], instead_of: Choice | None = None) -> Scored | None:
+    def best(self, pool: list[list[Candidate]], instead_of: Choice | None = None) -> Choice | None:
         """The candidate that takes most away, refined over theta; one that shares a channel with what it replaces."""
         fit = self.model.fit(*(() if instead_of is None else (instead_of,)))
         scored = [s for s in self.scoring.scored(fit, pool)

@@ -1,4 +1,4 @@
-"""A selected candidate with its evidence, a candidate with its score, and the thresholds between them."""
+"""A candidate with what speaks for it, the selected ones, and the thresholds between them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.statistics.dependence import Dependence
-from ideal_robot.diagnosis.statistics.least_squares import Fit, HeldOutTest, weights_of_channels
+from ideal_robot.diagnosis.statistics.least_squares import UNTESTED, Fit, HeldOutTest, weights_of_channels
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 
 
@@ -72,16 +72,17 @@ class Options:
 
 @dataclass(frozen=True)
 class Choice:
-    """A selected candidate and the evidence for it in the round it was taken.
+    """A candidate and the evidence for it: tested beside its rivals, then as it was when it was taken.
 
     Attributes:
-        candidate: with refined theta.
+        candidate: effect, joint and theta.
         p_value: of its held-out score, corrected for the values of theta that were tried.
         rivals: names and joints of candidates that the data cannot tell from it, with the share of its reduction that
-            they reach.
+            they reach; once it is taken.
         share: share of the most affected channel's squares that it takes away on held-out blocks.
         dependence: for a learned term, the dependence that led to it.
-        asked: share that was asked of it.
+        asked: share that was asked of it, once it is taken.
+        test: how much it reduces the residual.
     """
 
     candidate: Candidate
@@ -90,25 +91,7 @@ class Choice:
     share: float = 0.0
     dependence: Dependence | None = None
     asked: float = 0.0
-
-
-@dataclass
-class Scored:
-    """A candidate with its score.
-
-    Attributes:
-        candidate: effect, joint and theta.
-        test: how much it reduces the residual.
-        p_value: of the test, corrected for the values of theta that were tried.
-        share: of the most affected channel's squares that it takes away on held-out blocks.
-        dependence: for a learned term, the dependence that led to it.
-    """
-
-    candidate: Candidate
-    test: HeldOutTest
-    p_value: float
-    share: float
-    dependence: Dependence | None = field(default=None)
+    test: HeldOutTest = field(default=UNTESTED, compare=False, repr=False)
 
 
 class PresentModel:
@@ -216,7 +199,7 @@ SIMPLER = 0.95
 periods, three numbers, for a curve's twelve."""
 
 
-def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:
+def discoveries(scored: list[Choice], tests: int, rate: float) -> list[Choice]:
     """Candidates that Benjamini–Hochberg accepts.
 
     Args:
@@ -232,7 +215,7 @@ def discoveries(scored: list[Scored], tests: int, rate: float) -> list[Scored]:
     return ordered[:last]
 
 
-def rivals_of(model: PresentModel, best: Scored, others: list[Scored]) -> tuple[tuple[str, int, float], ...]:
+def rivals_of(model: PresentModel, best: Choice, others: list[Choice]) -> tuple[tuple[str, int, float], ...]:
     """Candidates with nine tenths of the reduction, or not significantly less: with other data they might be ahead.
 
     Args:
@@ -254,7 +237,7 @@ def rivals_of(model: PresentModel, best: Scored, others: list[Scored]) -> tuple[
     return tuple(rivals)
 
 
-def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: float) -> bool:
+def indistinguishable(model: PresentModel, best: Choice, other: Choice, share: float) -> bool:
     """Whether another candidate reduces the same channel as much, but for what scatters from block to block.
 
     Args:
@@ -271,7 +254,7 @@ def indistinguishable(model: PresentModel, best: Scored, other: Scored, share: f
     return bool(float(difference.sum()) < 2.0 * error)
 
 
-def adds_little(model: PresentModel, best: Scored, other: Scored, share: float, asked: float) -> bool:
+def adds_little(model: PresentModel, best: Choice, other: Choice, share: float, asked: float) -> bool:
     """Whether of what another candidate leaves the best one takes away less than any effect is asked for.
 
     Where nearly everything is explained, causes differ by little that hardly scatters: what the model class leaves
@@ -289,7 +272,7 @@ def adds_little(model: PresentModel, best: Scored, other: Scored, share: float, 
     return best.share - other.share < asked * (1.0 - other.share)
 
 
-def likelier(model: PresentModel, best: Scored, others: list[Scored]) -> Scored:
+def likelier(model: PresentModel, best: Choice, others: list[Choice]) -> Choice:
     """The best one, or one of the others that is taken sooner and reduces nearly as much.
 
     Args:

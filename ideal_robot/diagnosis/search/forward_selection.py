@@ -17,7 +17,6 @@ from ideal_robot.diagnosis.search.choice import (
     Choice,
     Options,
     PresentModel,
-    Scored,
     adds_little,
     discoveries,
     indistinguishable,
@@ -141,7 +140,7 @@ class Search:
         learned = self.curves.best(fit, best) if self.learns else None
         return learned if learned is not None else best
 
-    def _best(self, fit: Fit, scored: list[Scored]) -> Choice | None:
+    def _best(self, fit: Fit, scored: list[Choice]) -> Choice | None:
         """The best candidate of this round: significant among all, large enough, best after refinement."""
         scored = [self._sharpened(fit, s) for s in scored]
         passed = [s for s in discoveries(scored, len(self.pool), self.options.false_discovery)
@@ -149,7 +148,7 @@ class Search:
         if not passed:
             return None
         passed.sort(key=lambda s: -s.test.total)
-        refined: list[Scored] = []
+        refined: list[Choice] = []
         for s in passed:
             if len(refined) == _REFINED or (refined and s.test.total < 0.4 * refined[0].test.total):
                 break
@@ -168,10 +167,10 @@ class Search:
                                         self.scoring.smallest_share(refined[0].candidate))):
                 best = other
         best = likelier(self.model, best, refined)
-        return Choice(best.candidate, best.p_value, rivals_of(self.model, best, refined), best.share,
-                      asked=self.scoring.share_asked(best))
+        return dataclasses.replace(best, rivals=rivals_of(self.model, best, refined),
+                                   asked=self.scoring.share_asked(best))
 
-    def _sharpened(self, fit: Fit, s: Scored) -> Scored:
+    def _sharpened(self, fit: Fit, s: Choice) -> Choice:
         """A candidate that is large enough, but whose start lies too far off its theta to pay the price of all starts.
 
         What happens a few times in a recording, as the crossing of a gap, a coarse theta hits in some blocks only. Its
@@ -231,8 +230,8 @@ class Search:
                 needed = rich.test.total > simple.test.total and beside.p_value < self.options.learned_discovery
                 if needed == (rich is other) and self.scoring.is_large(other, choice) \
                         and other.test.total > SIMPLER * present.test.total:
-                    better = Choice(other.candidate, other.p_value, rivals_of(self.model, other, [present]),
-                                    other.share, asked=self.scoring.smallest_share(other.candidate, choice))
+                    better = dataclasses.replace(other, rivals=rivals_of(self.model, other, [present]),
+                                                 asked=self.scoring.smallest_share(other.candidate, choice))
                     self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])
                     return True
         return False
@@ -304,6 +303,6 @@ class Search:
             if refined and refined[0].test.total > 1.03 * present.test.total and self.scoring.holds(fit, refined[0]) \
                     and likelier(self.model, refined[0], [present]) is not present:
                 s = refined[0]
-                better = Choice(s.candidate, s.p_value, rivals_of(self.model, s, refined), s.share,
-                                asked=self.scoring.share_asked(s, choice))
+                better = dataclasses.replace(s, rivals=rivals_of(self.model, s, refined),
+                                             asked=self.scoring.share_asked(s, choice))
                 self.model.replace([*self.model.choices[:position], better, *self.model.choices[position + 1 :]])

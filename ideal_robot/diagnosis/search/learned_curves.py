@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import SIMPLER, Choice, Scored
+from ideal_robot.diagnosis.search.choice import SIMPLER, Choice
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
@@ -45,7 +45,7 @@ class LearnedCurves:
         problem = self.model.problem
         residual = self.model.residual(fit)
         selecting = problem.blocks.selecting[problem.blocks.of_samples()]
-        scored: list[Scored] = []
+        scored: list[Choice] = []
         for j in range(problem.products.c):
             if j + 1 in problem.regression.undecided and problem.regression.domain != TCP_POSITION:
                 continue
@@ -59,7 +59,7 @@ class LearnedCurves:
             return None
         return self._chosen(s)
 
-    def in_channel(self, fit: Fit, channel: int) -> Scored | None:
+    def in_channel(self, fit: Fit, channel: int) -> Choice | None:
         """The curve that takes most away in one channel, from 0, whether it is large or not.
 
         Args:
@@ -94,8 +94,8 @@ class LearnedCurves:
         scored = [s for s in scored if s.p_value < self.options.learned_discovery and self.scoring.is_large(s)]
         return self._chosen(max(scored, key=lambda s: s.test.total)) if scored else None
 
-    def _chosen(self, s: Scored) -> Choice:
-        return Choice(s.candidate, s.p_value, (), s.share, s.dependence, self.scoring.smallest_share(s.candidate))
+    def _chosen(self, s: Choice) -> Choice:
+        return replace(s, asked=self.scoring.smallest_share(s.candidate))
 
     def _margin(self, best: Choice) -> float:
         """How many times as much a curve has to take away as the best effect of the library."""
@@ -104,7 +104,7 @@ class LearnedCurves:
         return 1.0 / SIMPLER if self.scoring.is_short(best.candidate) else self.options.unknown_margin
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
-                    least: float) -> list[Scored]:
+                    least: float) -> list[Choice]:
         """Curves of channel ``j`` tested on blocks left out; ``least`` is what they have to take away."""
         regression = self.model.problem.regression
         squares = float(np.sum(residual[use, j] ** 2) * self.model.weights[j])
@@ -132,7 +132,7 @@ class LearnedCurves:
             self._of_signals[j, pairs] = terms(self.scoring.at_rows, j, pairs, domain)
         return self._of_signals[j, pairs]
 
-    def _refutes(self, curve: Scored, law: Candidate) -> bool:
+    def _refutes(self, curve: Choice, law: Candidate) -> bool:
         """Whether beside a law blocks left out need a curve: else it says the same in more numbers.
 
         Args:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import optimize
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel, Scored
+from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel
 from ideal_robot.diagnosis.statistics.dependence import FINE, Dependence
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -53,7 +53,7 @@ class Scoring:
             return None
         return gain
 
-    def tested(self, fit: Fit, candidate: Candidate, found: Dependence | None = None) -> Scored:
+    def tested(self, fit: Fit, candidate: Candidate, found: Dependence | None = None) -> Choice:
         """A candidate with its test on blocks left out.
 
         Args:
@@ -65,7 +65,7 @@ class Scoring:
         selecting = self.model.problem.blocks.selecting
         squares = (fit.held_out_squares[selecting] * self.model.weights).sum(axis=0)
         share = float(np.max(test.reduction_by_channel / np.maximum(squares, 1e-300)))
-        return Scored(candidate, test, min(1.0, test.p_value * candidate.tries), share, found)
+        return Choice(candidate, min(1.0, test.p_value * candidate.tries), share=share, dependence=found, test=test)
 
     def smallest_share(self, candidate: Candidate, own: Choice | None = None) -> float:
         """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
@@ -78,7 +78,7 @@ class Scoring:
         caution = candidate.effect.caution if self.signals.n > 1 else 1.0
         return caution * (self.options.smallest_next if occupied else self.options.smallest)
 
-    def is_large(self, s: Scored, replaced: Choice | None = None) -> bool:
+    def is_large(self, s: Choice, replaced: Choice | None = None) -> bool:
         """Whether a candidate reduces enough, in the whole band or where nothing vibrates.
 
         Args:
@@ -87,7 +87,7 @@ class Scoring:
         """
         return self._is_large_here(s, replaced) or self.share_slowly(s, replaced) > 0.0
 
-    def share_slowly(self, s: Scored, replaced: Choice | None = None) -> float:
+    def share_slowly(self, s: Choice, replaced: Choice | None = None) -> float:
         """Share that a law of speed takes away in the lower half of the band; zero where that is not enough there.
 
         Another cause sets elastic arms swinging, and that may be most of what a joint's residual is. Friction over
@@ -117,7 +117,7 @@ class Scoring:
     def _in_slow_band(self) -> Scoring:
         return Scoring(PresentModel(self.model.problem.slow()), self.options.slow())
 
-    def share_asked(self, s: Scored, own: Choice | None = None) -> float:
+    def share_asked(self, s: Choice, own: Choice | None = None) -> float:
         """Share of the whole band's squares that is asked of a candidate which is large.
 
         Args:
@@ -131,7 +131,7 @@ class Scoring:
         # for there is scaled to the whole band.
         return asked if slowly == 0.0 else s.share * self._in_slow_band.smallest_share(s.candidate, own) / slowly
 
-    def _is_large_here(self, s: Scored, replaced: Choice | None) -> bool:
+    def _is_large_here(self, s: Choice, replaced: Choice | None) -> bool:
         """Whether a candidate reduces enough, and is no combination that the other parameters nearly cancel."""
         if s.share < self.smallest_share(s.candidate, replaced):
             return False
@@ -170,7 +170,7 @@ class Scoring:
                      and c.candidate.joint == joint for c in self.model.choices)
         return effect.periods(self.signals, joint, candidate.theta) < (FINE / 2.0 if curved else effect.told_from)
 
-    def holds(self, fit: Fit, s: Scored) -> bool:
+    def holds(self, fit: Fit, s: Choice) -> bool:
         """Whether a candidate is there at all frequencies and places at which its law says it is.
 
         Args:
@@ -179,7 +179,7 @@ class Scoring:
         """
         return self.holds_slowly(s) and self.holds_everywhere(fit, s)
 
-    def holds_everywhere(self, fit: Fit, s: Scored) -> bool:
+    def holds_everywhere(self, fit: Fit, s: Choice) -> bool:
         """Whether what repeats over the angle is in all parts of the range, half as large as in the whole at least.
 
         An odd shape at one place, or what a curve leaves of it, has a spectrum over the angle as well, but no torque
@@ -205,7 +205,7 @@ class Scoring:
         return all(np.sum(left[part] * wave[part]) > -0.5 * np.sum(wave[part] ** 2)
                    for part in np.array_split(rows[np.argsort(q)], parts))
 
-    def holds_slowly(self, s: Scored) -> bool:
+    def holds_slowly(self, s: Choice) -> bool:
         """Whether a cause that is the same at all frequencies is so: no less than half as large in half of the band.
 
         Vibrations of elastic arms turn phases as well, but ever less the slower the motion.
@@ -217,7 +217,7 @@ class Scoring:
         whole, slow = (made.fit(effects).coefficients[-1] for made in (problem, problem.slow()))
         return bool(np.all(slow * np.sign(whole) > 0.5 * np.abs(whole)))
 
-    def _taken_away(self, s: Scored) -> Array:
+    def _taken_away(self, s: Choice) -> Array:
         """RMS of what a candidate takes away from each channel on blocks left out ``(c,)``."""
         problem = self.model.problem
         squares = self.model.weights * problem.products.count[problem.blocks.selecting].sum(axis=0)
@@ -237,7 +237,7 @@ class Scoring:
             at += group.m
         return result
 
-    def refined(self, fit: Fit, s: Scored) -> Scored:
+    def refined(self, fit: Fit, s: Choice) -> Choice:
         """Theta by bounded search from the best start, all linear parameters eliminated."""
         effect, joint = s.candidate.effect, s.candidate.joint
         if not effect.theta_is_physical:
@@ -271,7 +271,7 @@ class Scoring:
         tried = self.tested(fit, better)
         return tried if tried.test.total > s.test.total else s
 
-    def _made_consistent(self, fit: Fit, s: Scored) -> Scored:
+    def _made_consistent(self, fit: Fit, s: Choice) -> Choice:
         """Theta that agrees with the coefficients, by fixed-point iteration."""
         for _ in range(_ITERATIONS):
             theta = s.candidate.effect.consistent_theta(s.test.coefficients, s.candidate.theta)
@@ -283,7 +283,7 @@ class Scoring:
             s = self.tested(fit, better)
         return s
 
-    def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Scored]:
+    def scored(self, fit: Fit, pool: list[list[Candidate]]) -> list[Choice]:
         """The best start of every effect at every joint, tested on blocks left out.
 
         Args:

@@ -96,6 +96,9 @@ class HeldOutTest:
         return float(np.nansum(self.reduction))
 
 
+UNTESTED = HeldOutTest(0.0, np.zeros(0), np.zeros(0), np.zeros(0), 1.0)
+
+
 class Fit:
     """Least squares of ``y`` on the groups ``keys`` over the selecting blocks, with one refit for each fold left out.
 
