@@ -51,7 +51,7 @@ MORE_PARAMETERS = {
     "scenes/rsi/server.py:rsi_server", "scenes/scene_files/tool_path.py:tool_path",
     "sensing/camera/camera_model.py:CameraModel.perturbed", "sensing/camera/line_detection.py:_evaluate",
     "sensing/camera/line_detection.py:_sections", "sensing/camera/line_profile.py:find_sections",
-    "sim/arm/body.py:Stage.__init__", "sim/arm/body.py:_render", "sim/arm/kernel.py:drive_step",
+    "sim/arm/kernel.py:drive_step",
     "sim/camera/bullet_camera.py:BulletCamera.__init__", "sim/camera/sampling.py:add_samples",
     "sim/contact/clamp.py:hang_payloads", "sim/devices/rsi_controller.py:RsiController.__init__",
     "sim/devices/served_arm.py:ServedArm.__init__", "tests/planning/line/test_deviation.py:measured",

@@ -14,7 +14,7 @@ from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.progress import Progress, silent
 from ideal_robot.whole_file import OutputError, whole_file
 from scenes.report.replay import Replay
-from sim.arm.body import Picture, Stage
+from sim.arm.body import Picture, Stage, View
 
 ENDINGS = (".mp4", ".gif")
 _ARM, _SIDE, _PLOT = (560, 420), 340, 120
@@ -100,8 +100,8 @@ def frames(replay: Replay, rate: float, progress: Progress = silent) -> Iterator
     seen, shown, box = _flattened(replay, counts)
     middle = 0.5 * (replay.tool.min(axis=0) + replay.tool.max(axis=0))
     target = [0.6 * float(middle[0]), 0.6 * float(middle[1]), 0.42]
-    with Stage(replay.robot, replay.q[0], width=_ARM[0], height=_ARM[1], azimuth=62.0, elevation=-26.0, target=target,
-               distance=2.2, lines=lines, surface=replay.surface) as stage:
+    view = View(*_ARM, azimuth=62.0, elevation=-26.0, distance=2.2, target=target)
+    with Stage(replay.robot, replay.q[0], view, lines=lines, surface=replay.surface) as stage:
         for i, k in enumerate(rows):
             progress(i / len(rows), "film")
             frame = np.full((_ARM[1] + _PLOT, _ARM[0] + _SIDE, 3), 255, dtype=np.uint8)

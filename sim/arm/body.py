@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -168,18 +168,32 @@ _SIDES = 8
 """Of a drawn rod; it is a few pixels wide."""
 
 
+class View(NamedTuple):
+    """From where an arm is shown.
+
+    Attributes:
+        width, height: of the picture [px].
+        azimuth: direction of view about the vertical [°].
+        elevation: direction of view above the horizon, negative from above [°].
+        distance: of the camera from ``target`` [m]; fitted to the arm if None.
+        target: point in the middle of the picture [m]; fitted to the arm if None.
+    """
+
+    width: int = 800
+    height: int = 600
+    azimuth: float = 50.0
+    elevation: float = -18.0
+    distance: float | None = None
+    target: Sequence[float] | None = None
+
+
 class Stage:
     """An arm on a floor that can be shown in many postures from one place.
 
     Args:
         robot: any robot whose URDF holds primitive shapes; an arm without any is drawn as rods from joint to joint.
         q: arm angles ``(n,)`` [rad] that the view is fitted to.
-        width: of the picture [px].
-        height: of the picture [px].
-        azimuth: direction of view about the vertical [°].
-        elevation: direction of view above the horizon, negative from above [°].
-        distance: of the camera from ``target`` [m]; fitted to the arm if None.
-        target: point in the middle of the picture [m]; fitted to the arm if None.
+        view: from where it is shown.
         lines: polylines ``(N, 3)`` [m] in the base frame to be drawn as thin rods, e.g. a path.
         surface: corners ``(4, 3)`` [m] of a flat surface to be drawn as a plate, or None.
 
@@ -187,13 +201,11 @@ class Stage:
         InputError: ``q`` of wrong size.
     """
 
-    def __init__(self, robot: Robot, q: Array, *, width: int = 800, height: int = 600, azimuth: float = 50.0,
-                 elevation: float = -18.0, distance: float | None = None, target: Sequence[float] | None = None,
-                 lines: Sequence[Array] = (), surface: Array | None = None) -> None:
+    def __init__(self, robot: Robot, q: Array, view: View | None = None, *, lines: Sequence[Array] = (),
+                 surface: Array | None = None) -> None:
         q = np.asarray(q, dtype=float)
         if q.shape != (robot.n,):
             raise InputError(f"expected {robot.n} joint angles", field="q", value=q.tolist())
-        self._size, self._direction = (width, height), (azimuth, elevation)
         self._names = list(robot.pinocchio.names)[1:]
         client = self._client = pybullet.connect(pybullet.DIRECT)
         with output_dropped():  # frames without inertia, which Bullet warns of, are no concern of a picture
@@ -211,8 +223,10 @@ class Stage:
         floor = pybullet.createVisualShape(pybullet.GEOM_BOX, halfExtents=[0.65 * size, 0.65 * size, 0.02],
                                            rgbaColor=[0.86, 0.88, 0.90, 1.0], physicsClientId=client)
         pybullet.createMultiBody(0.0, -1, floor, [0.15 * size, 0.0, -0.02], physicsClientId=client)
-        self._target = [float(x) for x in (0.5 * (low + high) if target is None else target)]
-        self._distance = 1.25 * size if distance is None else distance
+        view = view or View()
+        self._view = view._replace(
+            target=[float(x) for x in (0.5 * (low + high) if view.target is None else view.target)],
+            distance=1.25 * size if view.distance is None else view.distance)
         self._light = 2.5 * size
 
     def __enter__(self) -> Stage:
@@ -224,20 +238,21 @@ class Stage:
     def show(self, q: Array) -> Picture:
         """The arm at ``q (n,)`` [rad] as RGB picture ``(height, width, 3)``, rendered by PyBullet's CPU renderer."""
         self._place(q)
-        return _render(self._client, *self._size, self._target, self._distance, *self._direction, light=self._light)
+        return _render(self._client, self._view, self._light)
 
     def _place(self, q: Array) -> None:
         for name, angle in zip(self._names, q, strict=True):
             pybullet.resetJointState(self._body, self._order[name], angle, physicsClientId=self._client)
 
 
-def picture(robot: Robot, q: Array, **view: Any) -> Picture:
+def picture(robot: Robot, q: Array, view: View | None = None, **drawn: Any) -> Picture:
     """One picture of an arm in a posture.
 
     Args:
         robot: the arm.
         q: arm angles ``(n,)`` [rad].
-        view: size, direction and lines as for ``Stage``.
+        view: from where it is shown.
+        drawn: lines and surface as for ``Stage``.
 
     Returns:
         RGB picture ``(height, width, 3)``.
@@ -245,7 +260,7 @@ def picture(robot: Robot, q: Array, **view: Any) -> Picture:
     Raises:
         InputError: ``q`` of wrong size.
     """
-    with Stage(robot, q, **view) as stage:
+    with Stage(robot, q, view, **drawn) as stage:
         return stage.show(np.asarray(q, dtype=float))
 
 
@@ -282,13 +297,14 @@ def _with_rods(text: str, radius: float) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def _render(client: int, width: int, height: int, target: list[float], distance: float, azimuth: float,
-            elevation: float, light: float) -> Picture:
+def _render(client: int, view: View, light: float) -> Picture:
     """Renders at twice the size and averages, which smooths the edges that TinyRenderer leaves jagged."""
-    view = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, azimuth, elevation, 0.0, 2,
-                                                      physicsClientId=client)
-    lens = pybullet.computeProjectionMatrixFOV(40.0, width / height, 0.05, 10.0 * distance, physicsClientId=client)
-    image = pybullet.getCameraImage(2 * width, 2 * height, view, lens, lightDirection=[1.2, -1.6, 3.0],
+    width, height, azimuth, elevation, distance, target = view
+    eye = pybullet.computeViewMatrixFromYawPitchRoll(target, distance, azimuth, elevation, 0.0, 2,
+                                                     physicsClientId=client)
+    far = 10.0 * (distance or 0.0)
+    lens = pybullet.computeProjectionMatrixFOV(40.0, width / height, 0.05, far, physicsClientId=client)
+    image = pybullet.getCameraImage(2 * width, 2 * height, eye, lens, lightDirection=[1.2, -1.6, 3.0],
                                     lightDistance=light, lightAmbientCoeff=0.55, lightDiffuseCoeff=0.5,
                                     lightSpecularCoeff=0.15, shadow=1,
                                     renderer=pybullet.ER_TINY_RENDERER, physicsClientId=client)[2]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,7 +18,7 @@ from ideal_robot.signals.recording import Recording
 from sim import SimError
 from sim.arm import history as of_arm
 from sim.arm.arm import SimulatedArm
-from sim.arm.body import picture
+from sim.arm.body import View, picture
 from sim.arm.history import History
 from sim.arm.kernel import LOGGED
 from sim.arm.specimen import draw_specimen
@@ -348,20 +347,20 @@ def test_a_recording_of_many_pieces_is_that_of_one(monkeypatch: pytest.MonkeyPat
 def test_a_kuka_is_orange_and_moves() -> None:
     robot = Robot.load("kr6")
     assert ET.parse(robot.urdf).getroot().find("./link/visual") is not None
-    home = picture(robot, robot.home, width=240, height=180)
+    home = picture(robot, robot.home, View(240, 180))
     assert home.shape == (180, 240, 3)
     assert home.dtype == np.uint8
     red, green, blue = home.astype(int).transpose(2, 0, 1)
     assert np.mean((red - blue > 60) & (red - green > 30)) > 0.05
-    turned = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), width=240, height=180)
+    turned = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), View(240, 180))
     assert np.mean(np.abs(turned.astype(int) - home).max(axis=2) > 30) > 0.05
 
 
 def test_a_path_is_drawn() -> None:
     robot = Robot.load("manutec_r15")
-    view = {"width": 240, "height": 180, "target": (0.6, 0.0, 0.8), "distance": 3.0}
+    view = View(240, 180, target=(0.6, 0.0, 0.8), distance=3.0)
     line = np.array([[0.9, -0.4, 0.3], [0.9, 0.4, 0.3], [0.9, 0.4, 0.9]])
-    without, drawn = picture(robot, robot.home, **view), picture(robot, robot.home, lines=[line], **view)
+    without, drawn = picture(robot, robot.home, view), picture(robot, robot.home, view, lines=[line])
     assert np.any(np.abs(drawn.astype(int) - without).max(axis=2) > 30)
 
 
@@ -372,9 +371,9 @@ def test_posture_must_fit() -> None:
 
 def test_an_arm_without_shapes_is_drawn_as_rods(tmp_path: Path) -> None:
     robot = Robot.load(written(tmp_path, urdf(6)))
-    view: dict[str, Any] = {"width": 240, "height": 180, "distance": 2.0, "target": [0.3, 0.0, 0.5]}
-    one = picture(robot, robot.home, **view)
-    other = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), **view)
+    view = View(240, 180, distance=2.0, target=[0.3, 0.0, 0.5])
+    one = picture(robot, robot.home, view)
+    other = picture(robot, robot.home + np.array([1.0, 0, 0, 0, 0, 0]), view)
     assert (np.abs(one.astype(int) - other).max(axis=2) > 40).sum() > 200
 
 
