@@ -165,8 +165,8 @@ class GearDeflection:
 
     Sensors are mounted on the arm, encoders on the motors: a sensor value belongs to :math:`\hat q_a = q - \tau_g/k`.
     The torque comes from the path that the arm is following, not from the noisy motor current. Found effects count:
-    what the arm carries besides, how stiff its gears are, how unevenly they turn and which side of their play they are
-    on.
+    what the arm carries besides, how stiff its gears are, how unevenly they turn and on which side of their backlash
+    they are.
 
     Args:
         model: identified model; without a stiffness in it the deflection is zero.

@@ -87,8 +87,8 @@ class LoopModel:
             [N m]; ``m = 0`` for none.
         uneven: what the gear's output turns beyond the motor, in the same form [1/rad, rad, rad].
         gain: torque that is read over the torque that acts ``(n,)`` [1].
-        half_gap: half the play of each gear ``(n,)`` [rad].
-        gap_load: load over which the play is crossed ``(n,)`` [N m]; 0 where the direction of motion decides.
+        half_gap: half the backlash of each gear ``(n,)`` [rad].
+        gap_load: load over which the backlash is crossed ``(n,)`` [N m]; 0 where the direction of motion decides.
         terms: effects whose torque the motor has to give as well.
     """
 

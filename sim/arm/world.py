@@ -115,7 +115,7 @@ class World:
         elasticity: gears are springs; off: the motors are rigidly the links.
         stiffness, damping: of each gear [N m/rad, N m s/rad]; an infinite stiffness, from 1e12 up, makes that one gear
             rigid.
-        backlash: free play of each gear [rad]; 0 is none.
+        backlash: backlash of each gear, from flank to flank [rad]; 0 is none.
         friction: dynamic gear friction; off: none at all.
         friction_scale: factor on the whole friction of each joint.
         coulomb, stribeck, stribeck_velocity, presliding: dry friction [N m], its surplus at standstill [N m], the

@@ -64,7 +64,7 @@ class Plant:
         block: friction, effects and controller of all drives, see ``drive``.
         rotor: inertia on the motor side ``(n,)`` [kg m²].
         stiffness, damping: of the gears ``(n,)``; infinite is rigid.
-        gap: full play of the gears ``(n,)`` [rad]; a rigid gear with play gets a stiff stop.
+        gap: full backlash of the gears ``(n,)`` [rad]; a rigid gear with backlash gets a stiff stop.
         regularisation: of each joint's dry friction ``(n,)``.
         v_smooth: velocity over which ``tanh`` passes zero ``(n,)`` [rad/s].
         presliding: displacement over which bristles yield ``(n,)`` [rad].
@@ -101,7 +101,7 @@ class Plant:
         return np.isfinite(self.stiffness) | (self.gap > 0.0)
 
     def springs(self) -> tuple[Array, Array]:
-        """Stiffness and damping of all gears ``(n,)``, with the stop of rigid gears that have play."""
+        """Stiffness and damping of all gears ``(n,)``, with the stop of rigid gears that have backlash."""
         stop = (2.0 * np.pi * 40.0) ** 2 * self.arm.mass
         k = np.where(np.isfinite(self.stiffness), self.stiffness, stop)
         return k, np.where(np.isfinite(self.stiffness), self.damping, 0.1 * np.sqrt(k * self.arm.mass))
