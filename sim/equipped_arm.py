@@ -12,7 +12,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
 from sensing.camera.camera_device import Field, Window, WindowsAt
-from sensing.force.wrench import WrenchSample
+from sensing.force.sensors import WrenchSample
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
 from sim.camera.lamp import ArmShape
@@ -130,7 +130,7 @@ class CarriedCamera:
 
 
 class CarriedForceSensor:
-    """The simulated force sensor on the arm, as a ``sensing.force.wrench.ForceSensor``.
+    """The simulated force sensor on the arm, as a ``sensing.force.sensors.ForceSensor``.
 
     Args:
         sensor: the truth of the sensor.

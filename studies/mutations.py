@@ -22,7 +22,7 @@ from ideal_robot.robots.robot import Robot
 from ideal_robot.rsi import RsiRobot
 from ideal_robot.rtde import RtdeRobot
 from sensing.camera.cameras import StreamCamera
-from sensing.force.wrench import NetFT, StreamForce
+from sensing.force.sensors import NetFT, StreamForce
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import World
 from sim.devices.rsi_controller import RsiController

@@ -21,7 +21,7 @@ from ideal_robot.rtde.wire import package as rtde_package
 from scenes.rsi.server import RsiServer
 from sensing import SensingError
 from sensing.camera.cameras import StreamCamera
-from sensing.force.wrench import NetFT, StreamForce
+from sensing.force.sensors import NetFT, StreamForce
 from sensing.stream import Reader, StreamError
 from sim.devices.stream_server import NetFTServer, StreamServer, camera_description
 from studies.report import resident

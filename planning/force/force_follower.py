@@ -24,7 +24,7 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import SpeedProfile
-from sensing.force.wrench import force_deviation
+from sensing.force.sensors import force_deviation
 
 STEEPEST = 0.5
 """Largest slope of the surface against its nominal plane that is assumed."""

@@ -37,7 +37,7 @@ class Devices:
         arm: ``rsi://host:port``, where this computer listens for the controller, or ``rtde://host:port``, where the
             controller listens.
         camera: see ``sensing.camera.cameras.open_camera``; None without one.
-        force: see ``sensing.force.wrench.open_force``; None without one.
+        force: see ``sensing.force.sensors.open_force``; None without one.
         camera_delay: from mid-exposure to the picture's arrival, at least [s]; not needed for ``stream``.
         force_delay: from the measurement to its arrival, at least [s].
         relative: whether an RSI controller takes corrections as relative.

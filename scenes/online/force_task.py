@@ -32,7 +32,7 @@ from sensing.camera.camera_device import Camera, Field, Window
 from sensing.camera.detector import DETECTORS, LineDetector
 from sensing.camera.line_detection import DetectionSettings, LineField, at_middle_row, search_windows
 from sensing.force.force_calibration import ContactElasticity, ToolLoad
-from sensing.force.wrench import ForceSensor, WrenchFilter, WrenchSample
+from sensing.force.sensors import ForceSensor, WrenchFilter, WrenchSample
 
 # The camera of a ``glue`` scene: fields of the drawn line on the curved surface, and what can go wrong with them.
 

@@ -26,7 +26,7 @@ from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye, Observation
 from sensing.camera.line_detection import LineField
 from sensing.camera.line_search import DetectionSettings, PredictedLine
-from sensing.force.wrench import WrenchSample, WrenchSource
+from sensing.force.sensors import WrenchSample, WrenchSource
 from sensing.life_signs import LifeSigns
 
 OLDEST = 0.4
@@ -200,7 +200,7 @@ _WAITING = 4000
 
 
 class LiveForce:
-    """A ``sensing.force.wrench.ForceSensor`` over a source.
+    """A ``sensing.force.sensors.ForceSensor`` over a source.
 
     Args:
         source: the sensor.
@@ -312,7 +312,7 @@ class ImaginedCamera:
 
 
 class ImaginedForce:
-    """A sensor that feels what it is told; a ``sensing.force.wrench.ForceSensor``.
+    """A sensor that feels what it is told; a ``sensing.force.sensors.ForceSensor``.
 
     Attributes:
         wrench: what it feels ``(6,)`` [N, N m].

@@ -44,7 +44,7 @@ from scenes.scene_files.drawn_line import believed_camera
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import OWN, Scene, scene_of
-from sensing.force.wrench import open_force
+from sensing.force.sensors import open_force
 
 REST = 0.3
 """Rest behind a stop [s]."""

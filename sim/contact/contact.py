@@ -20,7 +20,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.jit import jit
 from ideal_robot.row_log import RowLog, let_go, new_array
-from sensing.force.wrench import WrenchSample
+from sensing.force.sensors import WrenchSample
 from sim.arm.arm import SimulatedArm
 from sim.arm.world import STEP
 from sim.bullet import pybullet

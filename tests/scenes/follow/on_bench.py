@@ -25,7 +25,7 @@ from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import LiveCamera, LiveForce
 from scenes.scene_files.force_scene import ForceScene
 from sensing.clock_relation import ClockRelation
-from sensing.force.wrench import Reading, ReadingCounts
+from sensing.force.sensors import Reading, ReadingCounts
 from sim.arm.arm import SimulatedArm
 from sim.contact.contact import TipContact
 from tests.scenes.follow.eye_on_bench import Eye

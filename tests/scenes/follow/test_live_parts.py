@@ -31,7 +31,7 @@ from scenes.scene_files.drawn_line import CameraTable, believed_camera
 from scenes.scene_files.scene import SceneError
 from sensing.camera.line_search import DetectionSettings
 from sensing.clock_relation import ClockRelation
-from sensing.force.wrench import Reading, ReadingCounts
+from sensing.force.sensors import Reading, ReadingCounts
 from tests.scenes.follow.pair import Tame
 from tests.sources import ROOT
 

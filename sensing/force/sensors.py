@@ -353,8 +353,8 @@ def _stream(rest: str, least_delay: float) -> WrenchSource:
 
 
 FORCE_SENSORS: Registry[Opener] = Registry("force sensor", "ideal_robot.force_sensors", {
-    "netft": "sensing.force.wrench:_netft",
-    "stream": "sensing.force.wrench:_stream",
+    "netft": "sensing.force.sensors:_netft",
+    "stream": "sensing.force.sensors:_stream",
 })
 """How force sensors are opened, by the scheme of their address."""
 
