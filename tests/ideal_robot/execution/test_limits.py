@@ -124,6 +124,16 @@ def test_a_command_without_room_to_brake_is_refused_and_the_one_before_was_not()
     assert caught.value.limit < caught.value.value
 
 
+def test_without_a_time_the_first_command_is_that_of_the_begin() -> None:
+    beyond = ROBOT.home + 0.5 * np.eye(6)[2]
+    with pytest.raises(LimitError, match=r"at 0\.000 s"):
+        CommandGovernor(ROBOT, ROBOT.home).require_room(beyond)
+    with pytest.raises(LimitError, match=r"at 0\.000 s"):
+        check_limits(np.vstack([ROBOT.home, beyond]), ROBOT, T)
+    with pytest.raises(InputError, match=r"at 0\.000 s"):
+        require_within_limits(np.vstack([ROBOT.home, beyond]), ROBOT)
+
+
 def test_the_governor_is_as_quick_as_the_limits_let_it() -> None:
     """A far goal asked for at once: full acceleration, full speed, and as late a braking as can be."""
     for joint in range(6):

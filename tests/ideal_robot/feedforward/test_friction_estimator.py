@@ -19,12 +19,15 @@ from ideal_robot.feedforward.friction_estimator import (
     WARMING,
     aged,
     counted,
+    friction_of,
     friction_terms,
     likeness,
     noise_variance,
     remembered,
     solved,
+    table_terms,
     wandered,
+    with_terms,
 )
 from ideal_robot.feedforward.ideal import IdealRobot
 from ideal_robot.feedforward.method import Setting
@@ -123,6 +126,23 @@ def test_samples_that_are_nearer_say_no_more(spacing):
     dry = np.array([100.0, 4.0])
     variance = noise_variance(dry, spacing, np.array([0.0, 3.0]))
     np.testing.assert_allclose(spacing * variance, 0.05 * np.array([15.0, 3.0]) ** 2)
+
+
+def test_terms_are_added_to_the_table_and_dry_friction_scales_what_grows_with_load() -> None:
+    """Zero changes nothing; a tenth more of dry friction is a tenth more by load; friction is never negative."""
+    loop = plant()
+    loop = loop.replace(friction_load=np.full(loop.n, 0.04), friction_driven=np.full(loop.n, -0.02))
+    friction, terms = friction_of(loop), table_terms(loop)
+    none = np.zeros((loop.n, TERMS))
+    for before, after in zip(friction, with_terms(friction, terms, none), strict=True):
+        np.testing.assert_array_equal(before, after)
+    more = none.copy()
+    more[:, 0] = 0.1
+    table, load, driven = with_terms(friction, terms, more)
+    np.testing.assert_allclose(table, friction[0] + 0.1 * terms[:, 0].T, atol=1e-12)
+    np.testing.assert_allclose(load, 1.1 * friction[1])
+    np.testing.assert_allclose(driven, 1.1 * friction[2])
+    assert np.all(with_terms(friction, terms, -100.0 * np.ones_like(none))[0] >= 0.0)
 
 
 # The friction curve: it finds a shape and an inertia that the model has not, from motor angles, and stays bounded.

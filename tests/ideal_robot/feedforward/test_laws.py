@@ -213,6 +213,9 @@ def test_an_own_method_stands_beside_the_built_in_ones(own: str) -> None:
         register(own, PassThrough)
     with pytest.raises(InputError, match="lower case"):
         register("My Method", HalfAhead)
+    for key in ("half-ahead", "Half", "2nd", "half_delay"):
+        with pytest.raises(InputError, match="no ending _delay"):
+            register(key, HalfAhead)
 
 
 def test_linear_as_printed_knows_the_arm_from_sinusoids_alone() -> None:

@@ -116,6 +116,8 @@ def test_training_wants_matching_paths():
         train([(np.zeros((10, 6)), np.zeros((9, 6)))], T)
     with pytest.raises(InputError, match="at least one pair"):
         train([], T)
+    with pytest.raises(InputError, match="same shape"):
+        train([(np.zeros((10, 6)), np.zeros((10, 6))), (np.zeros((10, 6)), np.zeros((9, 6)))], T)
 
 
 def test_precorrection_is_the_equations_of_the_paper():
@@ -137,6 +139,19 @@ def test_precorrection_is_the_equations_of_the_paper():
         u = (state.tau - before.tau + before.u) / (1 + gains.k_i)
         dq = (u + gains.k_d * before.correction / T - gains.k_1 * qd - gains.k_2 * qdd) / (gains.k_p + gains.k_d / T)
         np.testing.assert_allclose(q_c, q_d[k] + dq, atol=1e-8)
+
+
+@pytest.mark.parametrize("elastic", [False, True])
+def test_a_short_horizon_goes_on_straight(elastic):
+    """Where the path is a straight one anyway, rows that are missing at the horizon's end change nothing."""
+    feedforward = Precorrection(nominal_model(), ROBOT, lead=0.03, elastic=elastic)
+    q_d = ROBOT.home + 0.2 * T * np.arange(60.0)[:, None]
+    for missing in (1, 3, feedforward.n_d - 2):
+        whole = short = feedforward.init(q_d[0])
+        for k in range(40):
+            expected, whole = feedforward.step(whole, q_d[k : k + feedforward.n_d])
+            found, short = feedforward.step(short, q_d[k : k + feedforward.n_d - missing])
+            np.testing.assert_allclose(found, expected, atol=1e-10)
 
 
 def test_models_without_controller_are_refused():

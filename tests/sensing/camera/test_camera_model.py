@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,9 +15,10 @@ from hypothesis import strategies as st
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from sensing import SensingError
-from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount
+from sensing.camera.camera_model import CalibrationError, CameraModel, default_mount, distort, undistort
 from sensing.camera.hand_eye import PRIOR, TILT, HandEye, Observation, calibrate, calibration_poses
 from sensing.camera.line_polynomial import Polyline
+from sensing.camera.line_search import PredictedLine, predict_image
 
 lens = st.tuples(st.floats(-0.3, 0.3), st.floats(-0.1, 0.1), st.floats(-0.01, 0.01), st.floats(-0.01, 0.01),
                  st.floats(-0.05, 0.05))
@@ -270,3 +272,38 @@ def test_the_slope_of_the_surface_is_told_from_the_camera_that_looks_at_it() -> 
     assert np.abs(measuring_error(true, result.camera)).mean() < 1e-4
     flat = calibrate(believed, told, REFERENCE, UP, {key: value for key, value in PRIOR.items() if key != TILT})
     assert flat.residual_after > 2.0 * result.residual_after
+
+
+# What a search goes by: where a line is in the picture, how it slants, and what a pixel is worth across it.
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, -0.6, 1.2, 2.5])
+@pytest.mark.parametrize("tilt", [0.0, 0.3, -0.2])
+def test_a_pixel_along_the_scan_is_worth_what_shifting_the_line_shows(turn: float, tilt: float) -> None:
+    camera = CameraModel.default()
+    seen_from = camera.T_tool_camera * pin.SE3(pin.rpy.rpyToMatrix(tilt, 0.5 * tilt, turn), np.zeros(3))
+    camera = replace(camera, T_tool_camera=seen_from)
+    middle = camera.on_plane(np.array([[0.5 * camera.width, 0.5 * camera.height]]), np.array([0.0, 0.0, 1.0]), 0.0)
+    for way in (0.3, 1.9, 2.6):
+        tangent, normal = np.array([np.cos(way), np.sin(way), 0.0]), np.array([0.0, 0.0, 1.0])
+        image = predict_image(camera, PredictedLine(middle, tangent[None], normal, 0.001))
+        a = int(image.axis[0])
+        np.testing.assert_allclose(image.pixels, camera.project_tool(middle), atol=1e-9)
+        # The line itself, and shifted by a tenth of a millimetre to the side, cut where the scan crosses it.
+        along = 2e-4 * np.linspace(-10.0, 10.0, 4001)[:, None] * tangent
+        shifted = camera.project_tool(middle + along + 1e-4 * np.cross(normal, tangent))
+        itself = camera.project_tool(middle + along)
+        order = np.argsort(shifted[:, 1 - a])
+        cut = np.interp(image.pixels[0, 1 - a], shifted[order, 1 - a], shifted[order, a])
+        assert 1e-4 / (cut - image.pixels[0, a]) == pytest.approx(float(image.metres[0]), rel=5e-3)
+        step = itself[2002] - itself[1998]
+        assert step[a] / step[1 - a] == pytest.approx(float(image.slant[0]), abs=1e-3)
+        # Along rows or columns, whichever cuts the line more squarely.
+        assert abs(step[a]) <= abs(step[1 - a])
+
+
+@pytest.mark.parametrize("lens", [[-0.32, 0.14, 2e-3, -1e-3, -0.03], [0.25, 0.2, -1e-3, 2e-3, 0.1]])
+def test_a_strong_lens_is_inverted_up_to_the_corners(lens: list[float]) -> None:
+    k = np.array(lens)
+    for x in np.linspace(-0.6, 0.6, 13):
+        for y in np.linspace(-0.45, 0.45, 11):
+            np.testing.assert_allclose(undistort(*distort(x, y, k), k), (x, y), atol=1e-9)

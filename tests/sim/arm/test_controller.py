@@ -116,6 +116,25 @@ def test_measured_torque_is_noisy_and_scaled_by_the_drive_gain() -> None:
     assert np.any(np.abs(gain - 1) > 0.005)
 
 
+def test_a_logged_torque_is_the_mean_since_the_sample_before() -> None:
+    world = World.ideal("kr6").replace(drive_gain_error=0.0)
+    fine, coarse = (play(world.replace(log_cycle=cycle), smooth(60)) for cycle in (STEP, 4 * STEP))
+    steps = len(fine["tau"]) // 4
+    means = fine["tau"][1 : 4 * (steps - 1) + 1].reshape(steps - 1, 4, 6).mean(axis=1)
+    np.testing.assert_allclose(coarse["tau"][1:steps], means, rtol=1e-9, atol=1e-9)
+    # Not its last value: the torque jumps within a position cycle.
+    assert np.abs(coarse["tau"][1:steps] - fine["tau"][4 : 4 * steps : 4]).max() > 1e-3
+
+
+@pytest.mark.parametrize("constant", ["low_pass", "velocity_filter", "current_lag"])
+def test_a_lag_of_the_controller_shows_and_none_is_none(constant: str) -> None:
+    """Each of the three low-passes delays what goes through it; at zero it is not there."""
+    path = smooth(60)
+    without, short, long = (play(World.ideal("kr6").replace(**{constant: value}), path) for value in (0.0, 1e-3, 4e-3))
+    near, far = (float(np.abs(one["q"] - without["q"]).max()) for one in (short, long))
+    assert 1e-6 < near < 0.6 * far
+
+
 def test_cascade_written_as_pid_gives_the_cascades_torque() -> None:
     """[G] (16), (17) with the equivalent gains, evaluated at the fast cycle, reproduce the controller's torque."""
     world = World.ideal("kr6").replace(t_ipo=STEP, t_position=STEP, t_velocity=STEP, velocity_filter=0.0,
