@@ -5,18 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from ideal_robot.errors import InputError
 from planning import LineLostError, LineNeverSeenError, OutOfReachError, PlanningError
 from planning.line.deviation_model import PathDeviation
-from planning.line.deviation_sensor import Reading, fuse_reading
 from planning.line.direct_feedback import DirectFeedback
 from planning.line.fusion import DeviationFilter
 from planning.line.line_follower import FollowerSettings, LineFollower
 from planning.line.measurement import Measurement
-from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import JointPath, Limits, SpeedProfile
 from tests.planning.cell import (
@@ -391,47 +388,3 @@ def test_without_a_gain_on_the_change_there_is_none() -> None:
     feedback.command(0.0)
     assert feedback.correction == pytest.approx(0.1 * 0.004, abs=1e-9)
     np.testing.assert_array_equal(plain[1], given[1])
-
-
-# A further sensor: what it tells is the line's place, wherever the tool was and in whatever direction it looks.
-
-@pytest.mark.parametrize("off", [0.0, 0.004, -0.003])
-@pytest.mark.parametrize("slant", [0.0, 0.5, -0.8])
-@pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (0.02, 0.01, 0.0)])
-def test_a_reading_tells_where_the_line_is_not_where_the_tool_was(off: float, slant: float,
-                                                                  at: tuple[float, float, float]) -> None:
-    """[L] (5): a tool beside the reference sees a line that is 6 mm beside it that much nearer or farther."""
-    line = 0.006
-    model = PathDeviation(reference(), directions=2, ahead=0.4)
-    f = LineFollower(kr6(), reference(), profile(), 25, joint_path=joint_path(), fusion=DeviationFilter(model))
-    kinematics, s = InverseKinematics(kr6()), 0.0
-    frame = reference().frames(np.zeros(1))
-    place = pin.SE3(reference().rotation(s), frame.position[0] + off * frame.normal[0])
-    q = kinematics.refine([place], f.q_start[None])[0]
-    for k in range(4):
-        f.observe(k * T, q)
-    pose = f.history.pose(T)
-    seen = pose.act(np.array(at))
-    foot, lateral, height = reference().project(seen[None], at[0])
-    here = reference().frames(foot)
-    sensed = np.cos(slant) * here.normal[0] + np.sin(slant) * here.up[0]
-    # Of a line that runs beside the reference at its height, as far as the sensor looks along its direction.
-    value = np.cos(slant) * (line - lateral[0]) - np.sin(slant) * height[0]
-    direction = None if slant == 0.0 else 3.0 * (pose.rotation.T @ sensed)
-    fused = fuse_reading(f, Reading(T, at, float(value), 1e-10, direction), "laser")
-    assert fused.used.all()
-    rows = np.array([[np.cos(slant), np.sin(slant)]]) @ f.fusion.model.basis(foot)[0]
-    assert (rows @ f.fusion.state)[0] == pytest.approx(np.cos(slant) * line, abs=2e-5)
-
-
-@pytest.mark.parametrize(("change", "field"), [({"at": (0.0, 0.0)}, "at"), ({"direction": (1.0, 0.0)}, "direction"),
-                                               ({"direction": (0.0, 0.0, 0.0)}, "direction")])
-def test_a_reading_of_another_shape_is_refused_by_the_sensors_name(change: dict[str, object], field: str) -> None:
-    f = follower()
-    for k in range(4):
-        f.observe(k * T, f.q_start)
-    good = Reading(T, (0.0, 0.0, 0.0), 0.001, 1e-8)
-    assert fuse_reading(f, good, "laser").used.all()
-    with pytest.raises(InputError) as refused:
-        fuse_reading(f, replace(good, **change), "laser")  # type: ignore[arg-type]
-    assert refused.value.field == f"laser: {field}"
