@@ -23,7 +23,9 @@ from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import JointPath, Limits, SpeedProfile
 from scenes.scene_files.drawn_line import reference_points
+from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.scene import obstacles
 
 AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
@@ -221,10 +223,7 @@ def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: Jo
     Raises:
         InputError: says where, and what is in the way.
     """
-    touch = shapes_about(scene, robot).first_touch(path.q[::5])
-    if touch is not None:
-        raise InputError(f"the arm would hit something: {touch} {path.s[5 * touch.row]:.2f} m from the path's begin",
-                         field="path")
+    check_clear(shapes_about(scene, robot), path)
     beside = scene.displacement
     half = 0.5 * reference.length
     sides = (1e-3 * beside.lateral_mm + half * math.sin(math.radians(beside.turn_deg)),
@@ -236,8 +235,24 @@ def check_way(scene: LineScene, robot: Robot, reference: ReferencePath, path: Jo
                          f"above or below it by the table displacement, and there {error}", field="path") from error
 
 
-def shapes_about(scene: LineScene, robot: Robot) -> Shapes:
-    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it.
+def check_clear(shapes: Shapes, path: JointPath) -> None:
+    """Refuses a path on which the arm would touch something.
+
+    Args:
+        shapes: the arm in its cell.
+        path: of the joints.
+
+    Raises:
+        InputError: says where, and what is in the way.
+    """
+    touch = shapes.first_touch(path.q[::5])
+    if touch is not None:
+        raise InputError(f"the arm would hit something: {touch} {path.s[5 * touch.row]:.2f} m from the path's begin",
+                         field="path")
+
+
+def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
+    """The arm above the surface that a scene's line is drawn on, which reaches ``BORDER`` beyond it, among its boxes.
 
     Args:
         scene: where the line is.
@@ -247,7 +262,7 @@ def shapes_about(scene: LineScene, robot: Robot) -> Shapes:
     drawn = (reference_points(scene) - plane.translation) @ plane.rotation
     low, high = drawn.min(axis=0) - BORDER, drawn.max(axis=0) + BORDER
     middle = plane * pin.SE3(np.eye(3), np.array([*(0.5 * (low + high))[:2], 0.0]))
-    return Shapes(robot, middle, (float(high[0] - low[0]), float(high[1] - low[1])))
+    return Shapes(robot, middle, (float(high[0] - low[0]), float(high[1] - low[1])), obstacles(scene.box))
 
 
 def _speed(robot: Robot, reference: ReferencePath, path: JointPath, scene: LineScene) -> float | None:

@@ -11,7 +11,7 @@ import pinocchio as pin
 from ideal_robot.arrays import Array
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
-from sensing.camera.camera_device import Field, Window, WindowsAt
+from sensing.camera.camera_device import Field, Gray, Window, WindowsAt
 from sensing.force.sensors import WrenchSample
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import RenderedCamera
@@ -114,11 +114,18 @@ class CarriedCamera:
     def carry(self, t0: float, t1: float) -> None:
         """Exposes what was asked for."""
         for t, windows in self._wanted:
-            seen = self._camera.windows(t, self._tool_at, windows, shadow_of(self._shape, self._arm, t),
-                                        self._arm.q_at(t) if self._camera.shows_arm else None)
+            seen = self._camera.windows(t, self._tool_at, windows, *self._beside(t))
             again = replace(seen, t_arrival=seen.t_arrival + AGAIN)
             self._late.send([seen, again] if self._camera.comes_twice(t) else [seen])
         self._wanted = []
+
+    def whole(self, seen: Field) -> Gray:
+        """The whole picture ``(height, width)`` of a field, in which its windows stand as they were read out."""
+        return self._camera.whole(seen, self._tool_at, *self._beside(self._camera.exposed(seen.t_stamp)))
+
+    def _beside(self, t: float) -> tuple[tuple[Array, ...], Array | None]:
+        """What else a picture shows: who stands in the lamp's way, and the arm's angles ``(n,)`` [rad]."""
+        return shadow_of(self._shape, self._arm, t), self._arm.q_at(t) if self._camera.shows_arm else None
 
     def _tool_at(self, t: float) -> pin.SE3:
         """Where the tool would be that carries the camera where it is, had the camera not been knocked."""

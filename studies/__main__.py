@@ -33,6 +33,7 @@ GROUPS = {
         "paths": "paths", "paths-causes": "paths", "warm-up": "paths",
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
+        "photographs": "photographs", "real-camera": "photographs",
         "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",

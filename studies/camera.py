@@ -36,6 +36,8 @@ AHEAD = np.linspace(0.02, 0.11, 5)
 UP = np.array([0.0, 0.0, 1.0])
 QUIET = CameraSettings(exposure=0.0, noise=0.0, jitter=0.0, stamp_noise=0.0)
 USUAL = replace(QUIET, exposure=0.002, noise=3.0)
+REAL = replace(USUAL, noise=0.5, full_well=10_000.0, mosaic=True, defocus_px=0.6, vignetting=0.3, jpeg_quality=92)
+"""As the camera of the scene `real_camera`."""
 REDRAWN, WARMING = 250, 3
 """Fields after which a line is drawn anew, and fields before those whose time counts."""
 Drawn = Callable[[np.random.Generator], DrawnLine]
@@ -135,7 +137,9 @@ SINGLE = (*(replace(MOVING, name=name, drawn=drawn) for name, drawn in (
     ("edges of shadow", lambda rng: _sine(_shadows(rng))),
     ("crossing and parallel lines", _with_features("crossing", "parallel")), ("scratches", _with_features("scratch")),
     ("brushed metal", _on("metal", _clean)), ("wood", _on("wood", _clean)), ("paper", _on("paper", _clean)),
-)), replace(MOVING, name="exposure 8 ms (5.6 mm of way)",
+)), *(replace(MOVING, name=f"a real camera's picture{name}", drawn=drawn, settings=REAL) for name, drawn in (
+    ("", _clean), (", width, ink and paper as above", _on("paper", lambda rng: _worn(_sine(), rng))))),
+          replace(MOVING, name="exposure 8 ms (5.6 mm of way)",
               settings=replace(USUAL, exposure=0.008, sub_exposures=9)))
 TOGETHER = replace(MOVING, name="all of them, on wood",
                    drawn=_on("wood", lambda rng: _worn(_sine((*_clutter(rng), *_shadows(rng))), rng)))

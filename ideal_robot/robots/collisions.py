@@ -1,7 +1,8 @@
-"""Whether an arm touches itself, its base plane or a surface: the URDF's simple shapes, capsules where it has none."""
+"""Whether an arm touches itself, its base plane, a surface or boxes: the URDF's shapes, capsules where it has none."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -22,8 +23,33 @@ NEIGHBOURS = 2
 """Links so many joints apart touch each other by their gears, not by accident."""
 BOARD = 0.02
 """Thickness of a surface [m]."""
+ON_THE_WAY = 12
+"""Postures that are looked at between two."""
 FLOOR = "the base plane"
 SURFACE = "the surface"
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A box that stands in the cell.
+
+    Attributes:
+        name: in messages.
+        place: pose of its middle in the base frame.
+        size: along its axes [m].
+    """
+
+    name: str
+    place: pin.SE3
+    size: tuple[float, float, float]
+
+    def edges(self) -> Array:
+        """A way along all its edges, some of them twice ``(16, 3)`` [m]."""
+        around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
+        low, high = (np.column_stack([around, np.full(5, z)]) for z in (-1, 1))
+        rest = np.array([[1, -1, 1], [1, -1, -1], [1, 1, -1], [1, 1, 1], [-1, 1, 1], [-1, 1, -1]])
+        corners = 0.5 * np.vstack([low, high, rest]) * self.size
+        return np.asarray(corners @ self.place.rotation.T + self.place.translation)
 
 
 @dataclass(frozen=True)
@@ -50,9 +76,11 @@ class Shapes:
         robot: the arm, base plane z = 0.
         surface: pose of a surface's middle, z out of it, that only the tool may touch; None for none.
         size: of the surface along its x and y axis [m].
+        boxes: in the cell, which nothing of the arm but its base may touch.
     """
 
-    def __init__(self, robot: Robot, surface: pin.SE3 | None = None, size: tuple[float, float] = (1.0, 1.0)) -> None:
+    def __init__(self, robot: Robot, surface: pin.SE3 | None = None, size: tuple[float, float] = (1.0, 1.0),
+                 boxes: Sequence[Obstacle] = ()) -> None:
         self._robot, self._data = robot, robot.pinocchio.createData()
         self._radius = THICK * reach(robot)
         self._geometry = pin.GeometryModel()
@@ -62,6 +90,11 @@ class Shapes:
                 self._geometry.addCollisionPair(pin.CollisionPair(one, other))
         self._planes(links, surface, size)
         self._drop_neighbours()
+        for box in boxes:
+            standing = self._add(box.name, 0, box.place, coal.Box(*box.size))
+            for joint, number in links:
+                if joint > 0:
+                    self._geometry.addCollisionPair(pin.CollisionPair(number, standing))
         self._found = pin.GeometryData(self._geometry)
 
     def first_touch(self, q: Array) -> Touch | None:
@@ -75,6 +108,10 @@ class Shapes:
                         objects = self._geometry.geometryObjects
                         return Touch(row, *(_said(objects[i].name) for i in (pair.first, pair.second)))
         return None
+
+    def touch_between(self, start: Array, end: Array) -> Touch | None:
+        """The first touch on the straight way of the joints between two postures ``(n,)`` [rad]; None without one."""
+        return self.first_touch(start + np.linspace(0.0, 1.0, ON_THE_WAY)[:, None] * (end - start))
 
     def _links(self) -> list[tuple[int, int]]:
         """Adds the links' shapes; joint that carries each, and its number."""

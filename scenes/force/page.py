@@ -19,6 +19,7 @@ from scenes.outputs import whole_folder
 from scenes.report.page import Report
 from scenes.report.replay import Replay, replay_beside, sensed_force, shown_motion, write_replay
 from scenes.result import extremes, step
+from scenes.scene_files.scene import box_edges
 
 
 def force_replay(result: ForceResult) -> Replay | None:
@@ -40,8 +41,9 @@ def force_replay(result: ForceResult) -> Replay | None:
         counts = (t >= travel[0]) & (t <= travel[-1])
         error[counts] = np.abs(force - result.scene.force)[counts]
     # There is no place where the tool had to be: the force decides, so nothing is drawn enlarged.
-    return Replay(robot, t, q, tool, tool, error, "difference from the wanted force", "N",
-                  curves=scene_curves(result.scene), enlarged=1.0, force=sensed_force(robot, recording, rows))
+    curves = scene_curves(result.scene) | box_edges(result.scene.box)
+    return Replay(robot, t, q, tool, tool, error, "difference from the wanted force", "N", curves=curves, enlarged=1.0,
+                  force=sensed_force(robot, recording, rows))
 
 
 COLOURS = {"ideal": "#e06000", "adapted": "#7d3c98", "sensor_path": "#1f5fa8", "direct_feedback": "#808080"}

@@ -19,6 +19,7 @@ from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from scenes.online.line_known import CalibrationView, Known, calibration_postures
+from scenes.placing import shapes_about
 from scenes.scene_files.scene import SceneError
 from sensing import SensingError
 from sensing.camera.camera_device import Field
@@ -63,7 +64,8 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     """
     robot, reference, believed = known.robot, known.reference, known.camera
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
-    commands = _moves(robot, calibration_postures(robot, reference, believed, at), T)
+    postures = calibration_postures(robot, reference, believed, at, shapes=shapes_about(known.scene, robot))
+    commands = _moves(robot, postures, T)
     arm.reset(commands[0])
     camera.restart()
     shape = ArmShape(robot) if camera.lamp is not None else None

@@ -20,6 +20,7 @@ from scenes.online.line_log import FieldShown
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay, sensed_force, sensed_line, shown_motion
 from scenes.result import step
+from scenes.scene_files.scene import box_edges
 from sensing.camera.line_polynomial import Polyline
 from sim.arm.body import picture
 
@@ -43,7 +44,7 @@ def line_replay(result: LineResult) -> Replay | None:
     error = np.full(len(t), np.nan)
     if len(counted.t) > 1:
         error = np.abs(np.interp(t, counted.t, counted.lateral, left=np.nan, right=np.nan))
-    curves = {"drawn line": drawn, "reference": result.geometry.reference}
+    curves = {"drawn line": drawn, "reference": result.geometry.reference, **box_edges(result.scene.box)}
     seen = sensed_line(robot, recording)
     if len(seen) > 1:
         curves["line as sensed"] = seen
@@ -86,7 +87,7 @@ def surface_corners(result: LineResult) -> Array:
 def _png(shown: FieldShown) -> bytes:
     """A camera picture with search windows, points and polynomial."""
     image = cv2.cvtColor(shown.image, cv2.COLOR_GRAY2BGR)
-    for window in shown.windows:
+    for window in shown.field.windows:
         cv2.rectangle(image, (window.u, window.v), (window.u + window.width - 1, window.v + window.height - 1),
                       (189, 110, 10), 1)
     curve = shown.polynomial_pixels
@@ -174,8 +175,9 @@ def _camera(report: Report, result: LineResult) -> None:
     report.heading("What the camera saw")
     if result.shown:
         report.figure(_fields(result.shown), "Camera fields along the way: search windows (blue), detected line "
-                      "points (orange; grey: left out), and the line as the fusion believed it to be (green). While "
-                      "the arm moves only the windows are rendered; the whole images are for this page.")
+                      "points (orange; grey: left out), and the polynomial through them (green). Inside the "
+                      "windows stands what the detector got; the rest of each picture was drawn for this page, of the "
+                      "same exposure by the same camera.")
     else:
         report.text("No field with a detected line was kept.")
     if result.hand_eye is not None:
@@ -267,8 +269,9 @@ def _cell(result: LineResult) -> Figure:
     q = result.recording.joints("q", slice(middle, middle + 1))[0]
     robot = result.scene.arm
     tip = robot.fk()(q)
+    boxes = box_edges(result.scene.box).values()
     tool = [np.array([tip.translation, tip.act(np.array([0.0, 0.0, -robot.tool_length]))])]
-    axes.imshow(picture(robot, q, lines=(result.geometry.drawn, *tool), surface=surface_corners(result)))
+    axes.imshow(picture(robot, q, lines=(result.geometry.drawn, *tool, *boxes), surface=surface_corners(result)))
     axes.set_axis_off()
     figure.tight_layout()
     return figure
@@ -298,15 +301,15 @@ def _from_above(result: LineResult) -> Figure:
 
 def _fields(shown: tuple[FieldShown, ...]) -> Figure:
     figure = Figure(figsize=(11, 2.6 if len(shown) > 2 else 4))
-    for axes, field in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
-        height, width = field.image.shape
-        axes.imshow(field.image, cmap="gray", vmin=0, vmax=255)
-        for u, v, w, h in field.windows:
+    for axes, one in zip(np.atleast_1d(figure.subplots(1, len(shown))), shown, strict=True):
+        height, width = one.image.shape
+        axes.imshow(one.image, cmap="gray", vmin=0, vmax=255)
+        for u, v, w, h in one.field.windows:
             axes.add_patch(Rectangle((u - 0.5, v - 0.5), w, h, fill=False, color=BLUE, lw=0.9))
-        axes.plot(*field.polynomial_pixels.T, color=GREEN, lw=1.0)
-        axes.plot(*field.pixels[~field.used].T, "x", color=SOFT, ms=6)
-        axes.plot(*field.pixels[field.used].T, "o", color=ACCENT, ms=4)
-        axes.set(xlim=(0, width), ylim=(height, 0), title=f"t = {field.t:.2f} s")
+        axes.plot(*one.polynomial_pixels.T, color=GREEN, lw=1.0)
+        axes.plot(*one.pixels[~one.used].T, "x", color=SOFT, ms=6)
+        axes.plot(*one.pixels[one.used].T, "o", color=ACCENT, ms=4)
+        axes.set(xlim=(0, width), ylim=(height, 0), title=f"t = {one.t:.2f} s")
         axes.set_axis_off()
     figure.tight_layout()
     return figure

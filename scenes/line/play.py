@@ -120,7 +120,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         t, tcp = arm.tcp_path()
         if log.failure and len(t) < 2:
             raise SceneError(f"the arm did not move: {log.failure or 'no cycle was played'}")
-        shown = [(arm.tcp_at(t), arm.q_at(t), seen) for t, seen in log.shown] if pictures else []
+        shown = tuple(replace(seen, image=camera.whole(seen.field)) for seen in log.shown) if pictures else ()
         recording = line_recording(arm, scene, method.key, log, cell.known.camera)
     whole, error, followed_from = _control_error(cell, t, tcp, log.first_used)
     far = "" if method.key == NONE else far_from_line(error.mean)
@@ -130,7 +130,7 @@ def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, sh
         recording=recording, timing=Timing(np.array(log.cycles), np.array(log.with_field, dtype=bool), wall,
                                            float(t[-1])),
         geometry=cell.geometry, followed_from=followed_from, failure=log.failure, urdf=cell.known.robot.urdf,
-        shown=tuple(replace(seen, image=shared.camera.frame(pose, q=q)) for pose, q, seen in shown),
+        shown=shown,
         world=cell.world.table(), hand_eye=shared.hand_eye, warning="; ".join(filter(None, [shared.warning, far])),
         assumed=cell.known.robot.assumed,
         s_reference=np.array(log.s), believed=np.array(log.believed),

@@ -29,6 +29,7 @@ from scenes.online.line_job import Piece, calibrated_by_moving
 from scenes.online.line_task import AT_ONCE
 from scenes.online.live_arm import LiveArm
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, ImaginedForce, LiveCamera, LiveForce, rehearse
+from scenes.placing import shapes_about
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import CameraTrouble, ForceScene
 from scenes.scene_files.scene import SceneError
@@ -255,7 +256,7 @@ class ForceJob:
         """
         reference = self._known.reference
         piece = Piece(reference, 0.5 * (self.scene.reference.run_up + reference.length - self.scene.reference.run_out),
-                      self.q_start, CLEAR)
+                      self.q_start, CLEAR, shapes_about(self.scene, self.robot))
         return self.calibration.found(
             calibrated_by_moving(piece, self.calibration.camera, self.model, arm, camera))
 

@@ -21,6 +21,7 @@ from planning.line.filter_bank import FilterBank
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
 from planning.path.speed_profile import Limits, SpeedProfile
+from scenes.placing import check_clear, shapes_about
 from scenes.scene_files.force_scene import ForceScene
 from sensing.camera.camera_model import CameraModel
 
@@ -117,5 +118,7 @@ def force_reference(scene: ForceScene, robot: Robot, points: Array) -> tuple[Ref
     except OutOfReachError as error:
         raise InputError(f"the path is out of reach: {error}", field="surface.origin",
                          value=list(scene.surface.origin)) from error
+    if profile.joint_path is not None:
+        check_clear(shapes_about(scene, robot), profile.joint_path)
     scene.check_duration(profile.duration)
     return reference, profile

@@ -11,6 +11,7 @@ import numpy as np
 from ideal_robot.arrays import Array
 from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.model.model import Model
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning.line.line_follower import FollowerSettings
 from planning.path.reference import ReferencePath
@@ -23,6 +24,7 @@ from scenes.online.line_log import LineLog, plan_error
 from scenes.online.line_task import AT_ONCE, LiveLineTask
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, ImaginedCamera, LiveCamera, LiveForce, rehearse
+from scenes.placing import shapes_about
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
@@ -48,12 +50,22 @@ class Piece:
         at: arc length of it around which the piece lies [m].
         start: where the arm is, and is again afterwards ``(n,)`` [rad].
         clear: how far the tip keeps away from the reference at least [m].
+        shapes: the arm in its cell.
     """
 
     reference: ReferencePath
     at: float
     start: Array
     clear: float = 0.0
+    shapes: Shapes | None = None
+
+    def check_ways(self, *ends: Array) -> None:
+        """Refuses a way from the start to one of ``ends (n,)`` [rad] on which the arm would touch something."""
+        for end in ends:
+            touch = None if self.shapes is None else self.shapes.touch_between(self.start, end)
+            if touch is not None:
+                raise SceneError(f"the camera cannot be calibrated: {touch} between the start and the calibration's "
+                                 "poses; set calibration.by_moving = false")
 
 
 def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: LiveArm, camera: LiveCamera) -> HandEye:
@@ -71,7 +83,8 @@ def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: 
         FollowStoppedError: the arm has to stop, or is gone.
     """
     robot, reference, start, at = arm.robot, piece.reference, piece.start, piece.at
-    postures = calibration_postures(robot, reference, by_hand, at, piece.clear)
+    postures = calibration_postures(robot, reference, by_hand, at, piece.clear, piece.shapes)
+    piece.check_ways(postures[0], postures[-1])
     way, over, back = (moves(robot, some, REST) for some in ([start, postures[0]], postures, [postures[-1], start]))
     commands = np.concatenate([way, over, back])
     # On the way there and back another piece of the line is seen, or none: that fits no common curve.
@@ -194,7 +207,8 @@ class LineJob:
             FollowStoppedError: the arm had to stop, or is gone.
         """
         middle = 0.5 * sum(span_of(self.scene, self._known.reference))
-        piece = Piece(self._known.reference, middle, self.q_start)
+        piece = Piece(self._known.reference, middle, self.q_start,
+                      shapes=shapes_about(self._known.scene, self._known.robot))
         return self.calibration.found(calibrated_by_moving(piece, self._known.camera, self.model, arm, camera))
 
     def columns(self, t: Array) -> dict[str, Array]:

@@ -9,6 +9,7 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.line.line_follower import FollowerSettings, LineFollower
@@ -190,9 +191,9 @@ def _middle_of_view(camera: CameraModel) -> Array:
     return np.asarray(T.translation - T.translation[2] / axis[2] * axis)
 
 
-def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0
-                         ) -> list[Array]:
-    """Joint angles of the poses that the arm reaches, each near the one before.
+def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
+                         shapes: Shapes | None = None) -> list[Array]:
+    """Joint angles of the poses that the arm reaches, each near the one before and on a way that touches nothing.
 
     Args:
         robot: the arm.
@@ -200,6 +201,7 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
         camera: as mounted by hand.
         at: arc length of the reference around which the piece lies [m].
         clear: how far the tip keeps away from the reference at least [m].
+        shapes: the arm in its cell; None where nothing is known of it.
 
     Raises:
         SceneError: fewer than half of the poses can be reached.
@@ -212,10 +214,12 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
     postures: list[Array] = []
     for pose in wanted:
         try:
-            q = kinematics.search(pose, q)
+            found = kinematics.search(pose, q)
         except OutOfReachError:
             continue
-        postures.append(q)
+        if shapes is None or shapes.touch_between(q, found) is None:
+            postures.append(found)
+            q = found
     if len(postures) < len(wanted) // 2:
         raise SceneError(f"the camera could not be calibrated: the arm reaches only {len(postures)} of {len(wanted)} "
                          "poses; move the surface nearer, or set calibration.by_moving = false")

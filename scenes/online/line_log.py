@@ -12,17 +12,17 @@ from ideal_robot.arrays import Array
 from ideal_robot.row_log import RowLog
 from planning.line.fusion import DeviationFilter
 from scenes.online.cycle import CycleLog
-from sensing.camera.camera_device import Window
+from sensing.camera.camera_device import Field, Gray
 from sensing.camera.line_detection import LineField
 
 
 @dataclass(frozen=True)
 class FieldShown:
-    """One camera field kept for the report: the whole image, and what was found in it."""
+    """One camera field kept for the report: what was read out and found in it, the whole image once it is drawn."""
 
     t: float
-    image: NDArray[np.uint8]
-    windows: tuple[Window, ...]
+    field: Field
+    image: Gray
     pixels: Array
     used: NDArray[np.bool_]
     polynomial_pixels: Array
@@ -36,7 +36,7 @@ class LineLog(CycleLog):
         fields: of each camera field that arrived its time stamp [s] and the line points used in the tool frame, three
             values each, NaN where one was left out [m]; used: how many of the fields gave a measurement.
         latest: the field that arrived last, whole.
-        shown: fields for the report, with their true time stamps [s].
+        shown: fields for the report.
         with_field: whether a field was worked on in each cycle.
         s: arc length of the reference at each cycle [m].
         believed: desired deviation there [m].
@@ -47,7 +47,7 @@ class LineLog(CycleLog):
     fields: RowLog = field(default_factory=RowLog)
     used: int = 0
     latest: LineField | None = None
-    shown: list[tuple[float, FieldShown]] = field(default_factory=list)
+    shown: list[FieldShown] = field(default_factory=list)
     with_field: RowLog = field(default_factory=RowLog)
     s: RowLog = field(default_factory=RowLog)
     believed: RowLog = field(default_factory=RowLog)

@@ -199,7 +199,7 @@ class LineTask:
             return
         self._picture_at.discard(k)
         if self._new and latest is not None and latest.seen:
-            self.log.shown.append((latest.t, self._picture(latest, self._new[-1])))
+            self.log.shown.append(self._picture(latest, self._new[-1]))
         else:
             self._picture_at.add(k + 1)
 
@@ -212,7 +212,7 @@ class LineTask:
         return round(t / self._T) + 1 >= self._count
 
     def _picture(self, seen: LineField, raw: Field) -> FieldShown:
-        """The points found in a field and the polynomial through them ([L] 5); the image itself is rendered later."""
+        """The points found in a field and the polynomial through them ([L] 5); the whole image is drawn later."""
         follower, reference = self.follower, self.cell.reference
         pose = follower.history.pose(seen.t)
         points = seen.points_tcp[seen.used] @ pose.rotation.T + pose.translation
@@ -221,7 +221,7 @@ class LineTask:
         at = np.linspace(polynomial.span[0] - 0.01, polynomial.span[1] + 0.01, 60)
         frames = reference.frames(at)
         curve = frames.position + polynomial.deviation(at)[0][:, None] * frames.normal
-        return FieldShown(seen.t, np.empty((0, 0), dtype=np.uint8), raw.windows, seen.pixels, seen.used,
+        return FieldShown(seen.t, raw, np.empty((0, 0), dtype=np.uint8), seen.pixels, seen.used,
                           self.cell.camera.project_tool((curve - pose.translation) @ pose.rotation))
 
 

@@ -15,6 +15,7 @@ from scenes.path.compare import PathComparison
 from scenes.path.result import PathResult
 from scenes.report.page import COLUMNS, Report, world_rows
 from scenes.report.replay import Replay
+from scenes.scene_files.scene import box_edges
 
 
 def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay | None:
@@ -35,7 +36,7 @@ def path_replay(result: PathResult, ghost: PathResult | None = None) -> Replay |
     counts = path.counts[: len(q)]
     error = np.where(counts, np.linalg.norm(tool - path.x_d[: len(q)], axis=1), np.nan)
     replay = Replay(robot, t, q, tool, path.x_d[: len(q)], 1e3 * error, "distance from the path at the time",
-                    curves={"desired path": path.x_d})
+                    curves={"desired path": path.x_d, **box_edges(result.scene.box)})
     return replay if ghost is None else replace(replay, ghost=ghost.played.q_a[: len(q)])
 
 

@@ -204,6 +204,17 @@ class CameraTable(Table):
     sub_exposures: int = pydantic.Field(default=3, ge=1, le=50)
     supersampling: int = pydantic.Field(default=2, ge=1, le=8)
     noise: float = pydantic.Field(default=3.0, ge=0, le=100)
+    """Standard deviation of the sensor's gray noise, the same at all levels."""
+    full_well: float = pydantic.Field(default=0.0, ge=0)
+    """Electrons of a pixel that is just white: noise grows with the root of the light; 0 for none that does."""
+    mosaic: bool = False
+    """Whether the gray values are made of a sensor's red, green and blue pixels: noise and edges of neighbours."""
+    defocus_px: float = pydantic.Field(default=0.0, ge=0, le=20)
+    """Radius of the disc that a point becomes out of focus [px]."""
+    vignetting: float = pydantic.Field(default=0.0, ge=0, lt=1)
+    """Share of the light that the lens loses in the picture's corners."""
+    jpeg_quality: int = pydantic.Field(default=0, ge=0, le=100)
+    """Of the file that the camera sends; 0 for pictures that are not compressed."""
     latency: float = pydantic.Field(default=0.04, ge=0, le=2)
     jitter: float = pydantic.Field(default=0.001, ge=0, le=0.5)
     stamp_offset: float = pydantic.Field(default=0.0, ge=-1, le=1)

@@ -9,7 +9,7 @@ import pydantic
 
 from planning.force.contact import StopLimits
 from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Line, Reference, Surface
-from scenes.scene_files.scene import ARM, Scene, Table
+from scenes.scene_files.scene import ARM, Box, Scene, Table
 from scenes.scene_files.shape import Shape
 
 
@@ -101,6 +101,8 @@ class ForceScene(Scene):
     force: float = pydantic.Field(default=20.0, gt=0)
     """Wanted normal force [N]."""
     surface: UnknownSurface
+    box: tuple[Box, ...] = ()
+    """Boxes in the cell, each a table ``[[box]]``."""
     line: Line = Line(formula="0*x", length=0.8)
     """The path on the surface; for ``glue`` also what is drawn on it."""
     reference: Reference = Reference(run_up=0.03, run_out=0.03, acceleration=2.0)

@@ -9,7 +9,7 @@ import pydantic
 from ideal_robot.robots.robot import Robot
 from scenes.arms import arm_of
 from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Feature, Line, Reference, Surface
-from scenes.scene_files.scene import ARM, Scene, Table
+from scenes.scene_files.scene import ARM, Box, Scene, Table
 
 
 class Wear(Table):
@@ -17,7 +17,7 @@ class Wear(Table):
 
     grain: Literal["none", "paper", "wood", "metal"] = "none"
     """What the bare surface looks like: even, or with the speckle or streaks of a material."""
-    width_percent: float = pydantic.Field(default=0.0, ge=0, le=50)
+    width_percent: float = pydantic.Field(default=0.0, ge=0, le=70)
     """By how much the line's width varies on its way, more or less."""
     fade_percent: float = pydantic.Field(default=0.0, ge=0, le=90)
     """How much of its contrast the ink has lost where it is palest."""
@@ -78,6 +78,8 @@ class LineScene(Scene):
     method: str = "adapted"
     surface: Surface
     line: Line
+    box: tuple[Box, ...] = ()
+    """Boxes in the cell, each a table ``[[box]]``."""
     feature: tuple[Feature, ...] = ()
     wear: Wear = Wear()
     light: Light = Light()

@@ -11,10 +11,11 @@ import pydantic
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import InputError, LimitError
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
-from scenes.scene_files.scene import Scene
+from scenes.scene_files.scene import Box, Scene, obstacles
 from scenes.scene_files.tool_path import ToolPath, shape_of, tool_path
 
 REST_BEFORE, REST_AFTER = 0.9, 0.6
@@ -58,6 +59,8 @@ class PathScene(Scene):
 
     speed: float = pydantic.Field(gt=0.0)
     path: Figure
+    box: tuple[Box, ...] = ()
+    """Boxes in the cell, each a table ``[[box]]``."""
     method: str = "ideal"
     learn_from: Literal["arm", "motor", "tcp", "two_dof"] = "tcp"
     """What learning measures: arm angles, motor angles, TCP poses (an external device), or two of their six degrees of
@@ -93,7 +96,7 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
         t_ipo: cycle [s].
 
     Raises:
-        InputError: out of reach, or faster than a joint can.
+        InputError: out of reach, faster than a joint can, or where the arm would touch something.
     """
     kinematics = InverseKinematics(robot)
     home = kinematics.fk(robot.home)
@@ -116,6 +119,10 @@ def joint_path(scene: PathScene, robot: Robot, t_ipo: float) -> JointPath:
         raise InputError(f"the path is out of reach: {error}", file=scene.source, field="path.centre",
                          value=list(figure.centre)) from error
     _check_speed(moved, robot, t_ipo)
+    touch = Shapes(robot, boxes=obstacles(scene.box)).first_touch(moved[::5])
+    if touch is not None:
+        raise InputError(f"the arm would hit something: {touch} {5 * touch.row * t_ipo:.2f} s from the path's begin",
+                         file=scene.source, field="path.centre", value=list(figure.centre))
     before, after = round(REST_BEFORE / t_ipo), round(REST_AFTER / t_ipo)
     q_d = held(moved, before=before, after=after)
     x = tool.positions

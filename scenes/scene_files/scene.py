@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, ClassVar, Self, TypeVar
 
+import numpy as np
+import pinocchio as pin
 import pydantic
 
+from ideal_robot.arrays import Array
 from ideal_robot.bounded_values import checked
 from ideal_robot.errors import IdealRobotError, InputError
+from ideal_robot.robots.collisions import Obstacle
 
 # Where a scene plays: in a ``workshop`` with all that a real cell has against one, or on the kind ``bench``.
 #
@@ -64,6 +68,17 @@ class Table(pydantic.BaseModel):
     """A table of a scene file: no unknown keys, no changes."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class Box(Table):
+    """A box that stands in the cell: no planned motion may lead the arm into it."""
+
+    middle: tuple[float, float, float]
+    """In the base frame [m]."""
+    size: tuple[pydantic.PositiveFloat, pydantic.PositiveFloat, pydantic.PositiveFloat]
+    """Along its x, y and z [m]."""
+    heading_deg: float = 0.0
+    """Direction of its x axis from the base's."""
 
 
 class Scene(pydantic.BaseModel):
@@ -233,6 +248,17 @@ def _keys_at(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list
         if isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel):
             fields = annotation.model_fields
     return sorted(fields)
+
+
+def obstacles(boxes: Sequence[Box]) -> list[Obstacle]:
+    """The boxes of a scene where they stand, numbered from 1."""
+    return [Obstacle(f"box {i}", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, math.radians(box.heading_deg)),
+                                         np.array(box.middle)), box.size) for i, box in enumerate(boxes, 1)]
+
+
+def box_edges(boxes: Sequence[Box]) -> dict[str, Array]:
+    """Edges of a scene's boxes by name, each one way ``(16, 3)`` [m]."""
+    return {one.name: one.edges() for one in obstacles(boxes)}
 
 
 class SceneError(IdealRobotError):

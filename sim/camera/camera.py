@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
 from functools import cache, cached_property, lru_cache
 from types import TracebackType
 
@@ -17,75 +16,14 @@ import pinocchio as pin
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from ideal_robot.row_log import RowLog
 from sensing.camera.camera_device import Field, Gray, Window
 from sensing.camera.camera_model import CameraModel
+from sim.camera.image_chain import ImageChain, cut
 from sim.camera.lamp import Lamp, covered, light, mirrored
 from sim.camera.sampling import on_plane, sample_plane, sample_rays, texel_map
+from sim.camera.settings import CameraSettings
 from sim.camera.surface import DrawnLine, Texture, paint
-
-# What a camera does to the picture and to its time: rate, exposure, noise, latency, time stamps, lost fields.
-
-@dataclass(frozen=True)
-class CameraSettings:
-    """What the camera does to the picture and to its time.
-
-    Attributes:
-        rate: fields per second [Hz].
-        phase: time of the first mid-exposure [s].
-        exposure: exposure time [s]; motion blur comes from ``sub_exposures`` pictures along the true pose.
-        sub_exposures: pictures averaged over one exposure, each displaced by a fraction of a sample.
-        supersampling: samples per pixel and axis in each of them.
-        noise: standard deviation of gray noise.
-        latency: from mid-exposure to the data's arrival [s].
-        jitter: standard deviation of the latency [s].
-        stamp_offset: constant error of the time stamp [s].
-        stamp_drift: by how much the clock of the time stamps runs fast [s/s].
-        stamp_noise: standard deviation of the time stamp [s].
-        loss: probability that a field is lost.
-        doubled: probability that a field arrives twice.
-        rolling: time from the first row's exposure to the last row's [s]; 0 where all rows are exposed together. Fields
-            are timed by their middle row.
-        auto_exposure: time constant with which the exposure follows the light [s]; 0 for a fixed one.
-        resolution: texel of the drawn surface [m].
-    """
-
-    rate: float = 50.0
-    phase: float = 0.005
-    exposure: float = 0.002
-    sub_exposures: int = 3
-    supersampling: int = 2
-    noise: float = 3.0
-    latency: float = 0.040
-    jitter: float = 0.001
-    stamp_offset: float = 0.0
-    stamp_drift: float = 0.0
-    stamp_noise: float = 0.00005
-    loss: float = 0.0
-    doubled: float = 0.0
-    rolling: float = 0.0
-    auto_exposure: float = 0.0
-    resolution: float = 0.00025
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not math.isfinite(value):
-                raise InputError("must be finite", field=f"camera.{f.name}", value=value)
-            if f.name not in ("phase", "stamp_offset", "stamp_drift") and value < 0:
-                raise InputError("must not be negative", field=f"camera.{f.name}", value=value)
-        for name in ("rate", "sub_exposures", "supersampling", "resolution"):
-            if getattr(self, name) <= 0:
-                raise InputError("must be positive", field=f"camera.{name}", value=getattr(self, name))
-        if self.exposure * self.rate > 1.0:
-            raise InputError("the exposure cannot be longer than the time between two fields", field="camera.exposure",
-                             value=self.exposure)
-        if self.rolling * self.rate > 1.0:
-            raise InputError("the rows cannot be read out more slowly than fields come", field="camera.rolling_ms",
-                             value=1e3 * self.rolling)
-        for name in ("loss", "doubled"):
-            if getattr(self, name) >= 1.0:
-                raise InputError("expected a probability below 1", field=f"camera.{name}", value=getattr(self, name))
-
 
 __all__ = ["CameraSettings", "PoseAt", "RenderedCamera"]
 
@@ -130,6 +68,7 @@ class RenderedCamera:
             raise InputError("this lens folds the picture over within the image; take a weaker distortion",
                              field="camera.distortion", value=tuple(model.distortion))
         self.lamp = lamp
+        self._chain = ImageChain(model.width, model.height, settings)
         self._key = int(rng.integers(2**63))
         self.restart()
         self.texture = paint(surface, settings.resolution) if texture is None else texture
@@ -145,7 +84,7 @@ class RenderedCamera:
 
     def restart(self) -> None:
         """Forgets what earlier fields have done to the automatic exposure."""
-        self._gain, self._exposed = 1.0, -math.inf
+        self._gain, self._exposed, self._gains = 1.0, -math.inf, RowLog(2)
 
     def close(self) -> None:
         """Frees what the camera holds for its pictures."""
@@ -181,6 +120,12 @@ class RenderedCamera:
         wrong = self.settings.stamp_offset + self.settings.stamp_drift * t_exposure
         return float(t_exposure + wrong + self.settings.stamp_noise * self._numbers(k)[2])
 
+    def exposed(self, t_stamp: float) -> float:
+        """True time of mid-exposure [s] of the field that the camera stamped ``t_stamp`` [s]."""
+        s = self.settings
+        k = round(((t_stamp - s.stamp_offset) / (1.0 + s.stamp_drift) - s.phase) * s.rate)
+        return s.phase + k / s.rate
+
     def comes_twice(self, t_exposure: float) -> bool:
         """Whether the field exposed at ``t_exposure`` [s] is sent once more, behind the first."""
         if self.settings.doubled == 0.0:
@@ -207,7 +152,7 @@ class RenderedCamera:
             if not (inside and window.v + window.height <= self.model.height):
                 raise InputError(f"outside the image of {self.model.width}×{self.model.height} px", field="window",
                                  value=tuple(window))
-        s, pose_at = self.settings, cache(pose_at)
+        s, pose_at, read = self.settings, cache(pose_at), [self._chain.around(window) for window in windows]
         rng = self._stream(round((t_exposure - s.phase) * s.rate))
         rng.random()
         latency = max(s.latency + s.jitter * rng.standard_normal(), 0.5 * (s.exposure + s.rolling))
@@ -216,17 +161,17 @@ class RenderedCamera:
         n, gray = s.sub_exposures, np.empty(0)
         if q is not None:
             self._stand(q, pose_at(t_exposure))
-        for part, delay in self._in_time(windows):
+        for part, delay in self._in_time(read):
             poses = [pose_at(t_exposure + delay + ((i + 0.5) / n - 0.5) * s.exposure) for i in range(n)]
             seen, bare = self._sampled(part, poses, s.supersampling)
             gray = np.concatenate([gray, self._lit(seen, bare, part, poses[n // 2], shape)])
         if self.lamp is not None:
             middle = pose_at(t_exposure + ((n // 2 + 0.5) / n - 0.5) * s.exposure)
             gray = gray * self._exposure(t_exposure, middle, shape)
-        noisy = self._noisy(gray, rng)
-        ends = np.cumsum([window.width * window.height for window in windows])
-        patches = tuple(noisy[end - window.width * window.height : end].reshape(window.height, window.width)
-                        for window, end in zip(windows, ends, strict=True))
+        ends = np.cumsum([wide.width * wide.height for wide in read])
+        patches = tuple(cut(self._chain.developed(
+            gray[end - wide.width * wide.height : end].reshape(wide.height, wide.width), wide, rng), wide, window)
+            for window, wide, end in zip(windows, read, ends, strict=True))
         return Field(t_stamp, t_exposure + latency, tuple(windows), patches)
 
     def frame(self, pose: pin.SE3, noise_rng: np.random.Generator | None = None, shape: Sequence[Array] = (),
@@ -247,7 +192,22 @@ class RenderedCamera:
         gray, bare = self._sampled([whole], [pose], samples)
         if self.lamp is not None:
             gray = self._lit(gray, bare, [whole], pose, shape) / self._brightness(self.lamp, pose, shape)
-        return self._noisy(gray, noise_rng).reshape(whole.height, whole.width)
+        return self._chain.developed(gray.reshape(whole.height, whole.width), whole, noise_rng)
+
+    def whole(self, seen: Field, pose_at: PoseAt, shape: Sequence[Array] = (), q: Array | None = None) -> Gray:
+        """The whole picture ``(height, width)`` of a field, in which its windows stand as they were read out.
+
+        Args:
+            seen: from ``windows``, since the camera was restarted.
+            pose_at: as for ``windows``.
+            shape: as for ``windows``.
+            q: as for ``windows``.
+        """
+        all_of_it = Window(0, 0, self.model.width, self.model.height)
+        picture = self.windows(self.exposed(seen.t_stamp), pose_at, [all_of_it], shape, q).patches[0]
+        for window, patch in zip(seen.windows, seen.patches, strict=True):
+            cut(picture, all_of_it, window)[...] = patch
+        return picture
 
     def _stand(self, q: Array, pose: pin.SE3) -> None:
         """Puts the arm where it stands; here it stays out of the picture.
@@ -277,11 +237,6 @@ class RenderedCamera:
         rng = self._stream(k)
         return float(rng.random()), float(rng.standard_normal()), float(rng.standard_normal())
 
-    def _noisy(self, gray: Array, rng: np.random.Generator | None) -> Gray:
-        if rng is not None and self.settings.noise > 0.0:
-            gray = gray + self.settings.noise * rng.standard_normal(gray.shape)
-        return np.clip(np.rint(gray, out=gray), 0, 255, out=gray).astype(np.uint8)
-
     def _lit(self, gray: Array, bare: Array | float, windows: Sequence[Window], pose: pin.SE3, shape: Sequence[Array]
              ) -> Array:
         """Gray values where the lamp lights each pixel's place on the surface, with the lamp's mirror image.
@@ -308,9 +263,13 @@ class RenderedCamera:
         lamp, lag = self.lamp, self.settings.auto_exposure
         if lamp is None or lag == 0.0:
             return 1.0
+        if t <= self._exposed:
+            times, gains = np.array(self._gains).T
+            return float(gains[np.argmin(np.abs(times - t))])
         wanted = 1.0 / self._brightness(lamp, pose, shape)
-        share = 1.0 if t <= self._exposed else 1.0 - math.exp((self._exposed - t) / lag)
-        self._gain, self._exposed = self._gain + share * (wanted - self._gain), t
+        self._gain += (1.0 - math.exp((self._exposed - t) / lag)) * (wanted - self._gain)
+        self._exposed = t
+        self._gains.append((t, self._gain))
         return self._gain
 
     def _brightness(self, lamp: Lamp, pose: pin.SE3, shape: Sequence[Array]) -> float:

@@ -15,10 +15,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
-from sensing.camera.camera_device import Gray
+from sensing.camera.camera_device import Gray, Window
 from sensing.camera.camera_model import CameraModel
-from sim.camera.camera import CameraSettings
+from sim.camera.image_chain import ImageChain
 from sim.camera.lamp import TOOL_COLOUR, Lamp, covered, light, mirrored, tool_mesh
+from sim.camera.settings import CameraSettings
 from sim.camera.surface import DrawnLine, paint
 from sim.contact.contact import HeightSurface
 
@@ -40,7 +41,7 @@ class LiveCamera:
     Args:
         model: the true camera.
         surface: what it looks at, given on the plane.
-        settings: resolution of the painted surface, gray noise, lag of the automatic exposure.
+        settings: resolution of the painted surface, lag of the automatic exposure, what lens and sensor do.
         rng: draws the noise.
         relief: heights over the same plane; None for the plane itself.
         lamp: lights the surface; None for light from everywhere.
@@ -54,6 +55,7 @@ class LiveCamera:
         # A pixel sees the mean over its footprint: of the same standard deviation as a box of that width.
         self._distance = height = -float(model.T_tool_camera.translation[2])
         sigma = max(height / model.K[0, 0] / settings.resolution / np.sqrt(12.0), 0.3)
+        self._chain = ImageChain(model.width, model.height, settings)
         self._image = cv2.GaussianBlur(texture.image, (0, 0), sigma)
         self._background = float(surface.background)
         u, self._across = _nodes(model.width)
@@ -88,9 +90,7 @@ class LiveCamera:
             total += self._tool * (np.float32(255.0 * TOOL_COLOUR[0]) - total)
         if self._lamp is not None:
             total = self._lit(self._lamp, total, poses[len(poses) // 2], t, shape)
-        if self._settings.noise > 0:
-            total += np.float32(self._settings.noise) * self._rng.standard_normal(total.shape, dtype=np.float32)
-        return np.asarray(np.clip(np.rint(total), 0, 255), dtype=np.uint8)
+        return self._chain.developed(total, Window(0, 0, self.model.width, self.model.height), self._rng)
 
     def _still(self, poses: Sequence[pin.SE3]) -> bool:
         """Whether the picture moves so little within its exposure that one pose shows as much as all."""

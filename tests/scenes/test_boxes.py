@@ -1,0 +1,97 @@
+"""Boxes in the cell: no planned motion leads the arm into one, and the report draws them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ideal_robot.errors import InputError
+from ideal_robot.robots.collisions import Obstacle, Shapes
+from ideal_robot.robots.robot import Robot
+from scenes import load_scene
+from scenes.arms import arm_of
+from scenes.force.cell import set_up as set_up_force
+from scenes.line.cell import set_up
+from scenes.online.line_known import calibration_postures
+from scenes.placing import shapes_about
+from scenes.scene_files.force_scene import ForceScene
+from scenes.scene_files.line_scene import LineScene
+from scenes.scene_files.path_scene import PathScene, joint_path
+
+BESIDE = {"middle": [0.0, -1.5, 0.5], "size": [0.4, 0.4, 1.0]}
+ABOVE_THE_LINE = {"middle": [1.0, 0.2, 0.75], "size": [0.2, 0.2, 0.2], "heading_deg": 30.0}
+"""Where the KR 6's wrist passes in the second half of the scene `line`."""
+
+
+def line(**box: object) -> LineScene:
+    scene = load_scene("line").changed(box=[box])
+    assert isinstance(scene, LineScene)
+    return scene
+
+
+def test_a_line_whose_wrist_would_hit_a_box_is_refused_and_one_beside_it_is_not() -> None:
+    set_up(line(**BESIDE))
+    with pytest.raises(InputError, match=r"touches box 1 .* m from the path's begin"):
+        set_up(line(**ABOVE_THE_LINE))
+
+
+def test_poses_of_the_calibration_keep_off_a_box_also_on_their_way() -> None:
+    cell = set_up(line(**BESIDE)).known
+    free = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7)
+    data = cell.robot.pinocchio.createData()
+    wrists = np.array([pin.forwardKinematics(cell.robot.pinocchio, data, q) or data.oMi[4].translation.copy()
+                       for q in free])
+    outermost = wrists[np.argmax(wrists[:, 1])]
+    standing = Obstacle("box 1", pin.SE3(np.eye(3), outermost + np.array([0.0, 0.2, 0.0])), (0.3, 0.3, 0.3))
+    shapes = Shapes(cell.robot, boxes=[standing])
+    kept = calibration_postures(cell.robot, cell.reference, cell.camera, 0.7, shapes=shapes)
+    assert len(free) // 2 <= len(kept) < len(free)
+    assert shapes.first_touch(np.array(kept)) is None
+    assert all(shapes.touch_between(one, other) is None for one, other in pairwise(kept))
+
+
+def test_paths_and_forces_are_checked_as_lines_are() -> None:
+    path = load_scene("iso9283_1")
+    assert isinstance(path, PathScene)
+    robot = arm_of(path.robot)
+    way = joint_path(path, robot, robot.t_ipo)
+    middle = way.x_d[len(way.x_d) // 2].tolist()
+    with pytest.raises(InputError, match=r"touches box 2 .* s from the path's begin"):
+        joint_path(path.changed(box=[BESIDE, {"middle": middle, "size": [0.1, 0.1, 0.1]}]), robot, robot.t_ipo)
+    force = load_scene("force_wave")
+    assert isinstance(force, ForceScene)
+    set_up_force(force.changed(box=[BESIDE]))
+    x, y, z = force.surface.origin
+    with pytest.raises(InputError, match="touches box 1"):
+        set_up_force(force.changed(box=[{"middle": [x, y + 0.3, z + 0.4], "size": [0.3, 0.3, 0.3]}]))
+
+
+@pytest.mark.parametrize("name", ["line", "cluttered", "corner", "gap", "svg"])
+def test_no_pose_of_a_shipped_calibration_is_given_up(name: str) -> None:
+    scene = load_scene(name)
+    assert isinstance(scene, LineScene)
+    known = set_up(scene).known
+    free, kept = (calibration_postures(known.robot, known.reference, known.camera, 0.7, shapes=shapes)
+                  for shapes in (None, shapes_about(scene, known.robot)))
+    np.testing.assert_array_equal(free, kept)
+
+
+def test_the_base_may_stand_in_a_box_and_its_edges_are_where_it_is() -> None:
+    robot = Robot.load("kr6")
+    pedestal = Obstacle("box 1", pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.1])), (0.8, 0.8, 0.21))
+    assert Shapes(robot, boxes=[pedestal]).first_touch(robot.home[None]) is None
+    turned = Obstacle("box 1", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, np.pi / 2), np.array([1.0, 0.0, 0.5])),
+                      (0.2, 0.4, 0.6))
+    edges = turned.edges()
+    np.testing.assert_allclose([edges.min(axis=0), edges.max(axis=0)], [[0.8, -0.1, 0.2], [1.2, 0.1, 0.8]], atol=1e-12)
+    lengths = np.linalg.norm(np.diff(edges, axis=0), axis=1)
+    assert all(np.abs(one - np.array([0.2, 0.4, 0.6])).min() < 1e-9 for one in lengths)
+    assert len({frozenset(map(tuple, ends)) for ends in pairwise(edges.round(6).tolist())}) == 12
+
+
+def test_a_box_without_a_size_is_refused() -> None:
+    with pytest.raises(InputError, match=r"box\.0\.size"):
+        line(middle=[0.0, 0.0, 0.0], size=[0.1, 0.0, 0.1])
