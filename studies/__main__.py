@@ -36,6 +36,7 @@ GROUPS = {
         "photographs": "photographs", "real-camera": "photographs",
         "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
+        "line-shapes": "line",
         "measured": "measured", "measured-adapted": "measured", "twins": "measured", "twin-arms": "measured",
     },
     "strangers": {"strangers": "diagnoses", "sensors": "diagnoses", "planned": "diagnoses",

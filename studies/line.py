@@ -1,4 +1,4 @@
-"""The line in the workshop: every method, how far ahead is told, the camera's latency, each cause of error alone."""
+"""The line in the workshop: methods, how far ahead is told, latency, each cause of error alone, other shapes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from scenes.commands.common import whole_numbers
 from scenes.line.cell import prepared
 from scenes.line.compare import best_gains
 from scenes.line.kind import run
@@ -142,3 +143,45 @@ def _height(result: LineResult) -> float:
     counts = np.isin(np.round(columns["t"], 6), np.round(result.control_error.t, 6))
     tcp = np.column_stack([columns[axis][counts] for axis in "xyz"])
     return float(np.mean((tcp - plane.translation) @ plane.rotation[:, 2]))
+
+
+LENGTH = 1.2
+"""Of a line drawn freehand [m]."""
+STEEPEST, TIGHTEST = np.tan(np.radians(30.0)), 6.0
+"""Largest slope of such a line against its straight reference, and largest curvature [1/m]: 3 m/s² at 0.7 m/s."""
+
+
+def freehand(size: float, rng: np.random.Generator) -> list[list[float]]:
+    """Points of a smooth random line over a straight one ``(N, 2)`` [m], at most ``size`` [m] beside it.
+
+    A sum of waves of random sizes and phases, no family of the follower's. It is less far off where it would otherwise
+    be too steep or too tight.
+    """
+    x = np.linspace(0.0, LENGTH, 601)
+    k = np.arange(1, 9)
+    sizes = rng.standard_normal((2, len(k))) * np.exp(-0.5 * (k / 3.0) ** 2)
+    angle = np.outer(k, 2.0 * np.pi * x / (1.3 * LENGTH))
+    y = sizes[0] @ np.cos(angle) + sizes[1] @ np.sin(angle)
+    slope = np.gradient(y, x)
+    y *= min(size / np.abs(y).max(), STEEPEST / np.abs(slope).max(), TIGHTEST / np.abs(np.gradient(slope, x)).max())
+    return np.column_stack([x, y]).tolist()
+
+
+def line_shapes(sizes: str = "10,25,50", seeds: str = "1-20") -> None:
+    """`line` drawn freehand before a straight reference: the tool's distance, by how far it leaves the reference.
+
+    The line is displaced and turned as in the scene besides. On seeds 1 to 20 nothing was chosen.
+    """
+    scene, wanted = scene_of(LineScene, "line"), whole_numbers(seeds, "--seeds")
+    head("farthest from the reference mm", "runs", "mean mm", "worst run's mean", "largest", "steepest °", "stopped")
+    for size in whole_numbers(sizes, "--sizes"):
+        runs, steepest = [], 0.0
+        for seed in wanted:
+            points = freehand(1e-3 * size, np.random.default_rng(10_000 * size + seed))
+            steepest = max(steepest, float(np.abs(np.diff(points, axis=0) @ [0.0, 1.0]).max()) / (LENGTH / 600))
+            runs.append(run(scene.changed(seed=seed, line={"formula": None, "length": None, "points": points},
+                                  reference={"shape": {"points": [[0.0, 0.0], [LENGTH, 0.0]]}})))
+        means = [1e3 * one.control_error.mean for one in runs]
+        row(size, len(runs), f"{np.mean(means):.3f}", f"{max(means):.3f}",
+            f"{1e3 * max(one.control_error.max for one in runs):.2f}", f"{np.degrees(np.arctan(steepest)):.0f}",
+            sum(one.failure is not None for one in runs))

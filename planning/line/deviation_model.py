@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import multivariate_normal
 
 from ideal_robot.arrays import Array
 from planning.path.path_kernels import Rigid, Splines, deviation_basis
@@ -141,6 +142,11 @@ class SlowlyVaryingDeviation(ConstantDeviation):
         return self.rate**2 * dt * np.eye(self.size)
 
 
+SHAPES = (0.003, 0.1), (0.006, 0.1), (0.02, 0.15)
+"""How far a line's shape leaves its reference's [m], standard deviation, and over which distance that becomes another
+[m]: drawn again by hand, drawn otherwise, another line."""
+
+
 class PathDeviation(DeviationModel):
     r"""A displacement and rotation of the whole line, plus a smooth change of its shape along the path.
 
@@ -178,8 +184,8 @@ class PathDeviation(DeviationModel):
         knot: float = 0.025,
         displacement: float = 0.02,
         rotation: float = 0.05,
-        shape: float = 0.003,
-        length: float = 0.1,
+        shape: float = SHAPES[0][0],
+        length: float = SHAPES[0][1],
         height: float | None = None,
         tilt: float | None = None,
         bow: float | None = None,
@@ -189,8 +195,8 @@ class PathDeviation(DeviationModel):
         self._knot, self._behind = knot, behind
         self._count = int(np.ceil((ahead + behind) / knot)) + 4
         self._start = -behind
-        self._rigid = 3 if directions == 1 else 6
-        self.size = self._rigid + directions * self._count
+        self.rigid = 3 if directions == 1 else 6
+        self.size = self.rigid + directions * self._count
         centre = reference.position(np.linspace(0.0, reference.length, 50)).mean(axis=0)
         distance = knot * np.abs(np.subtract.outer(np.arange(self._count), np.arange(self._count)))
         bend = shape if bow is None else bow
@@ -201,7 +207,7 @@ class PathDeviation(DeviationModel):
         self._prior = np.zeros((self.size, self.size))
         plane = [displacement] * 2 + [rotation]
         up, turn = displacement if height is None else height, rotation if tilt is None else tilt
-        self._prior[: self._rigid, : self._rigid] = np.diag(
+        self._prior[: self.rigid, : self.rigid] = np.diag(
             np.square(plane if directions == 1 else [displacement] * 2 + [up] + [turn] * 2 + [rotation])
         )
         self._F, self._Q = np.eye(self.size), np.zeros((self.size, self.size))
@@ -217,7 +223,7 @@ class PathDeviation(DeviationModel):
             self._Q[last, last] = max(process[-1, -1] - float(new @ gain), 1e-12 * sigma**2)
         # Axes of the surface at the path's start span the rigid motion.
         start = reference.frames(0.0)
-        self._turning = Rigid(centre, np.stack([start.tangent, start.normal, start.up]), self._rigid)
+        self._turning = Rigid(centre, np.stack([start.tangent, start.normal, start.up]), self.rigid)
 
     def prior(self) -> tuple[Array, Array]:
         """No deviation, with the expected variances; the process is stationary, so the window does not matter."""
@@ -245,8 +251,28 @@ class PathDeviation(DeviationModel):
 
     def _blocks(self) -> list[slice]:
         return [
-            slice(self._rigid + i * self._count, self._rigid + (i + 1) * self._count) for i in range(self.directions)
+            slice(self.rigid + i * self._count, self.rigid + (i + 1) * self._count) for i in range(self.directions)
         ]
+
+
+def shape_likelihoods(reference: ReferencePath, s: Array, deviation: Array, covariance: Array) -> Array:
+    """How likely each of ``SHAPES`` makes what was seen of a line, wherever the whole lies and however it is turned.
+
+    Args:
+        reference: the path.
+        s: where along it ``(m,)`` [m].
+        deviation: what was seen there ``(m,)`` [m].
+        covariance: of that ``(m, m)`` [m²].
+
+    Returns:
+        logarithms of the likelihoods.
+    """
+    model = PathDeviation(reference)
+    rigid = model.basis(s)[:, 0, : model.rigid]
+    moved = rigid @ model.prior()[1][: model.rigid, : model.rigid] @ rigid.T + covariance
+    distance = np.abs(np.subtract.outer(s, s))
+    return np.array([multivariate_normal.logpdf(deviation, cov=moved + sigma**2 * matern(distance, length))
+                     for sigma, length in SHAPES])
 
 
 def matern(distance: Array, length: float) -> Array:

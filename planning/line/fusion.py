@@ -252,6 +252,11 @@ class DeviationFilter:
             P = P + drift
         return mean_and_variance(np.ascontiguousarray(H), kf.x[:size], np.ascontiguousarray(P))
 
+    def covariance(self, H: Array) -> Array:
+        """Covariance ``(m, m)`` of linear functions ``H (m, size)`` of the state."""
+        size = self.model.size
+        return np.asarray(H @ self._track.kf.P[:size, :size] @ H.T)
+
     def bias(self, sensor: str) -> tuple[Array, Array]:
         """Estimated errors of a sensor ``(b,)`` and their standard deviations."""
         at = self._bias_at[sensor]

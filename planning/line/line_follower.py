@@ -11,7 +11,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.robot import Robot
 from planning import LineLostError, LineNeverSeenError, PlanningError
-from planning.line.deviation_model import PathDeviation
+from planning.line.deviation_model import SHAPES, PathDeviation
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, LineAhead, Measurement, SeenLine, polynomial_measurement
 from planning.path.desired_path import DesiredPath
@@ -48,6 +48,8 @@ class FollowerSettings:
         height, tilt, bow: how far the surface may be from the reference's along its normal [m], how far tilted about
             its axes [rad], how far bent [m], standard deviations. All are estimated on the way from what moving over
             the line shows ([L] 4.2), and the tool follows; with a height of 0 the surface is taken as known.
+        shape, length: how far the line's shape leaves the reference's [m], standard deviation, and over which distance
+            that becomes another [m].
         view: nearest and farthest distance ahead of the TCP at which the camera shows the line well [m].
         latency: usual age of a field when it arrives; decides where in ``view`` to look [s].
         max_gap: distance that may be travelled without seeing the line, whatever the map says [m].
@@ -69,6 +71,8 @@ class FollowerSettings:
     height: float = 0.003
     tilt: float = 0.015
     bow: float = 0.0003
+    shape: float = SHAPES[0][0]
+    length: float = SHAPES[0][1]
     view: tuple[float, float] = (0.02, 0.17)
     latency: float = 0.04
     max_gap: float = 0.15
@@ -80,7 +84,7 @@ class FollowerSettings:
     def __post_init__(self) -> None:
         if self.measurement not in MEASUREMENTS:
             raise InputError(f"expected one of {', '.join(MEASUREMENTS)}", field="measurement", value=self.measurement)
-        for key in ("cutoff", "correction", "max_gap", "unsure", "max_search"):
+        for key in ("cutoff", "correction", "max_gap", "unsure", "max_search", "shape", "length"):
             if not getattr(self, key) > 0:
                 raise InputError("expected a positive number", field=key, value=getattr(self, key))
         for key in ("frozen", "noise", "common", "yaw", "stamp", "height", "tilt", "bow", "latency"):
@@ -145,8 +149,8 @@ class LineFollower:
         self._eye = eye
         directions = 1 if eye is None or settings.height == 0 else 2
         self.fusion = fusion or DeviationFilter(
-            PathDeviation(reference, directions=directions, ahead=ahead, height=settings.height, tilt=settings.tilt,
-                          bow=settings.bow, bow_length=BEND),
+            PathDeviation(reference, directions=directions, ahead=ahead, shape=settings.shape, length=settings.length,
+                          height=settings.height, tilt=settings.tilt, bow=settings.bow, bow_length=BEND),
             biases={"camera": (settings.yaw, settings.stamp)},
             moved={"camera": (KNOCK, settings.stamp)},
         )
@@ -203,15 +207,7 @@ class LineFollower:
         """
         s_tcp, speed = self.profile.at(t - self.t_start)
         s = s_tcp + (self._where_to_look(speed) if ahead is None else ahead)
-        step, m = 1e-3, len(s)
-        H = self.fusion.model.basis(np.concatenate([s, s - step, s + step]))
-        _, variance = self.fusion.mean_and_variance(H[:m, 0])
-        deviation = H @ self.fusion.state
-        slope = (deviation[2 * m :] - deviation[m : 2 * m]) / (2 * step)
-        frames = self.reference.frames(s)
-        points, tangents, up = displaced_frames(frames.position, frames.tangent, frames.normal, frames.up,
-                                                frames.curvature, deviation[:m], slope)
-        return LineAhead(s, points, tangents, up, np.sqrt(variance))
+        return line_ahead(self.reference, self.fusion, s)
 
     def _where_to_look(self, speed: float) -> Array:
         """What the TCP passes before the field has come and gone into the plan need not be looked at, if there is more.
@@ -338,3 +334,22 @@ class LineFollower:
             sigma = float(self.deviation(np.array([min(s, end - ALONG)]))[1][0])
             if sigma > self.settings.unsure:
                 raise LineLostError(t, s, *self._last_seen, self.settings.max_gap, sigma)
+
+
+def line_ahead(reference: ReferencePath, fusion: DeviationFilter, s: Array) -> LineAhead:
+    """Where the line should be at some places, as a map of its deviation from the reference has it.
+
+    Args:
+        reference: the reference path.
+        fusion: the map.
+        s: arc lengths ``(m,)`` [m].
+    """
+    step, m = 1e-3, len(s)
+    H = fusion.model.basis(np.concatenate([s, s - step, s + step]))
+    covariance = fusion.covariance(H[:m, 0])
+    deviation = H @ fusion.state
+    slope = (deviation[2 * m :] - deviation[m : 2 * m]) / (2 * step)
+    frames = reference.frames(s)
+    points, tangents, up = displaced_frames(frames.position, frames.tangent, frames.normal, frames.up, frames.curvature,
+                                            deviation[:m], slope)
+    return LineAhead(s, points, tangents, up, np.sqrt(covariance.diagonal()), covariance)

@@ -121,6 +121,7 @@ class LineAhead:
         tangents: unit tangents ``(m, 3)``.
         up: unit surface normals ``(m, 3)``.
         sigma: lateral standard deviations ``(m,)`` [m].
+        covariance: of the lateral predictions ``(m, m)`` [m²]; None where the line has the predicted shape.
     """
 
     s: Array
@@ -128,6 +129,7 @@ class LineAhead:
     tangents: Array
     up: Array
     sigma: Array
+    covariance: Array | None = None
 
     def seen_by(self, camera: CameraModel, t: float, pose_at: PoseAt) -> PredictedLine:
         """The same as a picture of a time shows it, each point in the tool frame at its own row's instant.
@@ -141,7 +143,8 @@ class LineAhead:
 
     def seen_from(self, pose: pin.SE3) -> PredictedLine:
         """The same in the tool frame, for the line detection."""
-        return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose, float(self.sigma.max()))
+        return PredictedLine.from_base(self.points, self.tangents, self.up.mean(axis=0), pose,
+                                       float(self.sigma.max()), self.covariance)
 
 
 # One field as one measurement: the polynomial through its points, by its value and slope in their middle ([L] 5).

@@ -16,9 +16,10 @@ from ideal_robot.elasticity.observer import GearDeflection
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
+from planning.line.line_follower import line_ahead
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import CalibrationView, Known, calibration_postures
+from scenes.online.line_known import CalibrationView, Known, SeenBefore, calibration_postures, piece_map
 from scenes.placing import shapes_about
 from scenes.scene_files.scene import SceneError
 from sensing import SensingError
@@ -45,7 +46,7 @@ BEFORE = 10**7
 
 
 def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera, deflection: GearDeflection | None,
-                        at: float, detection: DetectionSettings, moved: list[RobotState] | None = None) -> HandEye:
+                        at: float, before: SeenBefore, moved: list[RobotState] | None = None) -> HandEye:
     """The camera that explains all that is seen while the arm moves it over one piece of the line.
 
     The arm goes from pose to pose through its positional interface; fields are taken at short rests and on the way.
@@ -56,7 +57,7 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
         camera: renders what the true camera sees.
         deflection: the gears' deflection as the model knows it.
         at: arc length of the reference around which the piece lies [m].
-        detection: how the line looks.
+        before: how pictures showed the line before, and where.
         moved: gets what the controller reports, cycle by cycle.
 
     Raises:
@@ -64,12 +65,14 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     """
     robot, reference, believed = known.robot, known.reference, known.camera
     T, ahead = arm.t_ipo, BEFORE / camera.settings.rate  # its clock runs ahead by a whole number of fields
-    postures = calibration_postures(robot, reference, believed, at, shapes=shapes_about(known.scene, robot))
+    fusion, detection = piece_map(reference, at, before), before.detection
+    postures = calibration_postures(robot, reference, believed, at, shapes=shapes_about(known.scene, robot),
+                                    line=line_ahead(reference, fusion, np.array([at])))
     commands = _moves(robot, postures, T)
     arm.reset(commands[0])
     camera.restart()
     shape = ArmShape(robot) if camera.lamp is not None else None
-    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0])
+    view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion)
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
     late: list[tuple[Field, PredictedLine]] = []
     due, fields, moved = 0, 0, [] if moved is None else moved
@@ -120,8 +123,8 @@ CONTRAST = 0.3
 
 
 def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, arm: SimulatedArm,
-                 camera: RenderedCamera, span: tuple[float, float], rng: np.random.Generator) -> DetectionSettings:
-    """Puts the arm above a few places where the line ought to be, and takes from its pictures how the line looks.
+                 camera: RenderedCamera, span: tuple[float, float], rng: np.random.Generator) -> SeenBefore:
+    """Puts the arm above a few places where the line ought to be, and takes from pictures how it looks and where it is.
 
     Args:
         robot: the arm.
@@ -136,16 +139,18 @@ def look_at_line(robot: Robot, reference: ReferencePath, believed: CameraModel, 
         SensingError: no picture shows a line.
     """
     kinematics = InverseKinematics(robot)
-    pictures, q = [], robot.home
+    pictures, poses, q = [], [], robot.home
     for share in LOOKS:
         try:
             q = kinematics.search(reference.pose(span[0] + share * (span[1] - span[0])), q)
         except OutOfReachError:
             continue
         arm.reset(q)
+        poses.append(robot.fk()(q))
         pictures.append(camera.frame(arm.truth.tcp, rng, q=arm.q_a))
     if not pictures:
         raise SensingError("the arm reaches no place above the line")
     seen = line_appearance(pictures, believed)
-    return DetectionSettings(line_width=seen.width, dark=seen.dark,
-                             min_contrast=min(DetectionSettings.min_contrast, CONTRAST * seen.contrast))
+    detection = DetectionSettings(line_width=seen.width, dark=seen.dark,
+                                  min_contrast=min(DetectionSettings.min_contrast, CONTRAST * seen.contrast))
+    return SeenBefore.of(detection, seen.places, poses, reference)

@@ -18,7 +18,7 @@ from planning.line.deviation_sensor import DeviationSensor
 from scenes.camera_world import camera_settings
 from scenes.line.calibration import calibrate_by_moving, look_at_line
 from scenes.models import model_for
-from scenes.online.line_known import Known, line_follower, span_of
+from scenes.online.line_known import Known, SeenBefore, line_follower, span_of
 from scenes.result import Progress, silent
 from scenes.scene_files.drawn_line import Geometry, believed_camera, geometry, true_camera
 from scenes.scene_files.line_scene import LineScene, Wear
@@ -142,7 +142,8 @@ class Cell:
     """Heights over the surface's plane where it is bent."""
 
 
-def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraModel | None = None) -> Cell:
+def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraModel | None = None,
+           shape: tuple[float, float] | None = None) -> Cell:
     """Builds world, camera, reference and follower of a scene.
 
     Args:
@@ -150,6 +151,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
         hand_eye: camera and surface as moving over the line has shown them, if it has: the reference is laid on that
             surface. What it could not tell is left to the follower.
         camera: to be believed in place of the one that was mounted by hand.
+        shape: how far the line's shape leaves its reference's, as pictures have shown it.
 
     Raises:
         InputError: line out of reach, unreachable speed, a value of the world that makes no sense.
@@ -167,7 +169,7 @@ def set_up(scene: LineScene, hand_eye: HandEye | None = None, camera: CameraMode
     elif hand_eye is not None:
         believed = hand_eye.camera
     reference, follower = line_follower(scene, robot, where.reference, believed,
-                                        None if hand_eye is None else hand_eye.surface)
+                                        None if hand_eye is None else hand_eye.surface, shape=shape)
     known = Known(scene=scene, robot=robot, delay=int(world.correction_delay), camera=believed, reference=reference,
                   follower=follower, detector=detector)
     return Cell(known=known, world=world, geometry=where, line=line, true_camera=true, noise=noise,
@@ -187,6 +189,8 @@ class Prepared:
     detection: DetectionSettings
     """How the line looks, as its first pictures tell."""
     hand_eye: HandEye | None
+    shape: tuple[float, float] | None = None
+    """How far the line's shape leaves its reference's, as these pictures tell."""
     believed: CameraModel | None = None
     """A camera to be believed in place of the one that was mounted by hand."""
     moved: tuple[RobotState, ...] = ()
@@ -242,7 +246,7 @@ def prepared(scene: LineScene, progress: Progress = silent) -> Iterator[Prepared
 
 def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: Progress) -> Prepared:
     """What looking at the line and moving over it gives."""
-    detection, hand_eye, reasons = DetectionSettings(), None, []
+    before, hand_eye, reasons = SeenBefore(), None, []
     moved: list[RobotState] = []
     recorded: Recording | None = None
     known = cell.known
@@ -250,19 +254,19 @@ def _looked_at(scene: LineScene, cell: Cell, camera: RenderedCamera, progress: P
     model = model_for(scene, known.robot, progress) if scene.calibration.by_moving else None
     with SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm:
         try:
-            detection = look_at_line(known.robot, known.reference, known.camera, arm, camera, span, streams(scene)[4])
+            before = look_at_line(known.robot, known.reference, known.camera, arm, camera, span, streams(scene)[4])
         except SensingError as error:
             reasons.append(str(error))
         if model is not None:
             progress(0.0, "calibrating the camera")
             try:
                 hand_eye = calibrate_by_moving(known, arm, camera, GearDeflection(model, cell.world.t_ipo),
-                                               0.5 * sum(span), detection, moved)
+                                               0.5 * sum(span), before, moved)
                 recorded = arm.recording()
             except (SceneError, SensingError) as error:
                 reasons.append(str(error))
-    return Prepared(camera, detection, hand_eye, moved=tuple(moved), recorded=recorded,
-                    warning="; ".join(reasons))
+    return Prepared(camera, before.detection, hand_eye, before.shape(known.reference), moved=tuple(moved),
+                    recorded=recorded, warning="; ".join([*reasons, *filter(None, [before.too_far()])]))
 
 
 class LineWorld:

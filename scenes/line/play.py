@@ -97,8 +97,12 @@ def play(scene: LineScene, method: Any, *, shared: Prepared | None = None,
         scene, method = scene.changed(measurement="points"), SceneMethod(POINTS, registered(IDEAL).make)
     if shared is None:
         with prepared(scene, progress) as own:
-            return _play(set_up(scene, own.hand_eye, own.believed), method, gains, own, sensors, progress, pictures)
-    return _play(set_up(scene, shared.hand_eye, shared.believed), method, gains, shared, sensors, progress, pictures)
+            return _play(_cell(scene, own), method, gains, own, sensors, progress, pictures)
+    return _play(_cell(scene, shared), method, gains, shared, sensors, progress, pictures)
+
+
+def _cell(scene: LineScene, shared: Prepared) -> Cell:
+    return set_up(scene, shared.hand_eye, shared.believed, shared.shape)
 
 
 def _play(cell: Cell, method: SceneMethod, gains: tuple[float, float] | None, shared: Prepared,

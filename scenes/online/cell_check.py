@@ -19,7 +19,7 @@ from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
 from planning.path.kinematics import InverseKinematics
 from planning.path.reference import ReferencePath
-from scenes.online.line_known import CalibrationView
+from scenes.online.line_known import CalibrationView, piece_map
 from scenes.online.live_arm import LiveArm, moves
 from scenes.online.live_sensors import FoundBefore, LiveCamera
 from scenes.scene_files.scene import SceneError
@@ -70,7 +70,8 @@ def check_line(look: Look, arm: LiveArm, camera: LiveCamera) -> float:
         FollowStoppedError: the arm does not follow, the camera is gone, or its stamps wander.
     """
     robot, postures = arm.robot, _postures(look, arm.robot)
-    view = CalibrationView(robot, look.reference, look.camera, camera.detection, FoundBefore(), look.start)
+    view = CalibrationView(robot, look.reference, look.camera, camera.detection, FoundBefore(), look.start,
+                           piece_map(look.reference, look.begin + AHEAD))
     arm.begin()
     camera.predict = view.predicted
     places, last = [], look.start

@@ -19,7 +19,15 @@ from scenes.methods import SceneMethod
 from scenes.online.camera_process import CalibratedCamera
 from scenes.online.cell_check import Look
 from scenes.online.cycle import Task
-from scenes.online.line_known import START, CalibrationView, Known, calibration_postures, line_follower, span_of
+from scenes.online.line_known import (
+    START,
+    CalibrationView,
+    Known,
+    calibration_postures,
+    line_follower,
+    piece_map,
+    span_of,
+)
 from scenes.online.line_log import LineLog, plan_error
 from scenes.online.line_task import AT_ONCE, LiveLineTask
 from scenes.online.live_arm import LiveArm, moves
@@ -90,7 +98,7 @@ def calibrated_by_moving(piece: Piece, by_hand: CameraModel, model: Model, arm: 
     # On the way there and back another piece of the line is seen, or none: that fits no common curve.
     begin, end = robot.t_ipo * len(way), robot.t_ipo * (len(way) + len(over))
     sag = GearDeflection(model, robot.t_ipo).along(commands)
-    view = CalibrationView(robot, reference, by_hand, camera.detection, FoundBefore(), start)
+    view = CalibrationView(robot, reference, by_hand, camera.detection, FoundBefore(), start, piece_map(reference, at))
     arm.begin()
     camera.predict = view.predicted
     fields = 0

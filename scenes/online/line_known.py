@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
+from scipy.stats import norm
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
 from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 from planning import OutOfReachError
-from planning.line.line_follower import FollowerSettings, LineFollower
+from planning.line.deviation_model import SHAPES, PathDeviation, shape_likelihoods
+from planning.line.fusion import DeviationFilter
+from planning.line.line_follower import FollowerSettings, LineFollower, line_ahead
+from planning.line.measurement import LineAhead, Measurement
 from planning.path.kinematics import InverseKinematics
 from planning.path.pose_history import PoseHistory
 from planning.path.reference import ReferencePath
@@ -24,7 +30,6 @@ from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.detector import LineDetector
 from sensing.camera.hand_eye import Observation, calibration_poses
-from sensing.camera.line_detection import predicted_by_rows
 from sensing.camera.line_search import DetectionSettings, PredictedLine
 
 HORIZON = 0.3
@@ -61,7 +66,8 @@ class Known:
 
 
 def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraModel, surface: pin.SE3 | None = None,
-                  latency: float = FollowerSettings.latency) -> tuple[ReferencePath, LineFollower]:
+                  latency: float = FollowerSettings.latency, shape: tuple[float, float] | None = None
+                  ) -> tuple[ReferencePath, LineFollower]:
     """Reference path and follower of a scene.
 
     Args:
@@ -72,12 +78,14 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
         surface: motion that takes the surface to where calibration saw it: the reference is laid on it. What it could
             not tell, or all of it where there was none, is left to the follower.
         latency: usual age of a field when it arrives [s].
+        shape: one of ``SHAPES``; if None, the first where the reference has the line's own shape, else the last.
 
     Raises:
         InputError: line out of reach, unreachable speed, a motion longer than the scene allows.
     """
     up = scene.surface.pose().rotation[:, 2]
     height, tilt = FollowerSettings.height, FollowerSettings.tilt
+    shape = shape or SHAPES[0 if scene.reference.shape is None else -1]
     if surface is not None:
         points, up = points @ surface.rotation.T + surface.translation, surface.rotation @ up
         height, tilt = FOUND
@@ -92,6 +100,7 @@ def line_follower(scene: LineScene, robot: Robot, points: Array, camera: CameraM
             eye=camera.T_tool_camera.translation,
             settings=FollowerSettings(measurement=scene.measurement, height=height, tilt=tilt, view=view_of(camera),
                                       max_gap=scene.max_gap, max_search=scene.max_gap + 0.05, latency=latency,
+                                      shape=shape[0], length=shape[1],
                                       stamp=FollowerSettings.stamp if scene.stamp_estimate else 0.0))
     except OutOfReachError as error:
         raise InputError(f"the line is out of reach: {error}; {where_it_fits(scene)}", field="surface.origin",
@@ -122,14 +131,113 @@ def span_of(scene: LineScene, reference: ReferencePath) -> tuple[float, float]:
 
 SPREAD = np.linspace(-0.07, 0.07, 9)
 """Places on the line looked for in each field, around the middle of the view [m]."""
-SIGMA, SIGMA_FOUND = 0.006, 0.002
-"""How far the line may be from its reference before and after it is first seen, standard deviations [m]."""
+BY_HAND = 0.002
+"""What a camera that is mounted by hand shows beside the line, another from pose to pose, standard deviation [m]."""
+ROUGH = 0.001
+"""How exactly a whole picture shows the line, standard deviation [m]."""
+STRAY, ANYWHERE = 0.05, 0.05
+"""Probability with which a picture shows something else for the line, and where that lies, standard deviation [m]."""
+FOLLOWED, STEEP = 0.05, float(np.tan(np.radians(30.0)))
+"""How far beside its reference and how steep against it a line is followed [m] (``python -m studies line-shapes``)."""
+REACH = 0.2
+"""How far from the middle of the piece the line's deviation from its reference is kept [m]."""
 PER_SPEED = 1e-3
 """Uncertainty of a moving tool's place: a millisecond's way, standard deviation [m per m/s]."""
 
 
+@dataclass(frozen=True)
+class SeenBefore:
+    """How whole pictures from above the reference showed the line, and where, two points of each.
+
+    Attributes:
+        detection: how it looks.
+        s: arc lengths of the reference ``(2 k,)`` [m].
+        deviation: beside it there ``(2 k,)`` [m].
+    """
+
+    detection: DetectionSettings = field(default_factory=DetectionSettings)
+    s: Array = field(default_factory=lambda: np.empty(0))
+    deviation: Array = field(default_factory=lambda: np.empty(0))
+
+    @classmethod
+    def of(cls, detection: DetectionSettings, places: Array, poses: Sequence[pin.SE3], reference: ReferencePath
+           ) -> SeenBefore:
+        """From the points of each picture in the tool frame.
+
+        Args:
+            detection: how the line looks.
+            places: ``(k, 2, 3)`` [m]; NaN where a picture did not show the line.
+            poses: of the tool, as the controller knows it, ``k``.
+            reference: the reference path.
+        """
+        points = [np.array([pose.act(point) for point in two]) for two, pose in zip(places, poses, strict=True)]
+        seen = [reference.project(two, _nearest(reference, two.mean(axis=0)))[:2] for two in points
+                if np.isfinite(two).all()]
+        # What is nearer to across than along is no line that leads along the reference, but one that crosses it.
+        seen = [(s, deviation) for s, deviation in seen if abs(np.diff(deviation)[0]) < abs(np.diff(s)[0])]
+        return cls(detection, *(np.concatenate(one) for one in zip(*seen, strict=True))) if seen else cls(detection)
+
+    @property
+    def covariance(self) -> Array:
+        """Of the deviations ``(2 k, 2 k)`` [m²]: the two of a picture share what is wrong with the camera."""
+        return np.kron(np.eye(len(self.s) // 2), np.full((2, 2), BY_HAND**2)) + ROUGH**2 * np.eye(len(self.s))
+
+    def shape(self, reference: ReferencePath) -> tuple[float, float] | None:
+        """The likeliest of ``SHAPES``, None where nothing was seen; one picture may show something else."""
+        pictures = np.repeat(np.arange(len(self.s) // 2), 2)
+        if not len(pictures):
+            return None
+        scores = [self._likelihoods(reference, pictures != out) for out in (-1, *np.unique(pictures))]
+        return SHAPES[int(np.argmax(np.max(scores, axis=0)))]
+
+    def _likelihoods(self, reference: ReferencePath, line: NDArray[np.bool_]) -> Array:
+        """Of ``SHAPES``, where those of the points ``(2 k,)`` are of the line and the others lie anywhere."""
+        stray = self.deviation[~line]
+        wrong = len(stray) // 2 * np.log(STRAY) + float(norm.logpdf(stray, scale=ANYWHERE).sum())
+        if not line.any():
+            return np.full(len(SHAPES), wrong)
+        return wrong + shape_likelihoods(reference, self.s[line], self.deviation[line], self.covariance[line][:, line])
+
+    def too_far(self) -> str:
+        """What is said of a line that leaves its reference by more than is followed; empty where it does not."""
+        aside = np.abs(self.deviation)
+        steep = np.abs(np.diff(self.deviation.reshape(-1, 2)) / np.diff(self.s.reshape(-1, 2)))[:, 0]
+        if not np.any(aside > FOLLOWED) and not np.any(steep > STEEP):
+            return ""
+        far, turned = float(aside.max()), float(np.degrees(np.arctan(steep.max())))
+        return (f"pictures from above show the line up to {1e3 * far:.0f} mm beside its reference and turned by up to "
+                f"{turned:.0f}° against it; {1e3 * FOLLOWED:.0f} mm and {np.degrees(np.arctan(STEEP)):.0f}° are "
+                "followed surely: draw reference.shape or surface.origin nearer to the line, or go slower")
+
+
+def _nearest(reference: ReferencePath, point: Array) -> float:
+    """Arc length of the reference's place nearest to a point [m]."""
+    table = np.arange(0.0, reference.length, 0.005)
+    return float(table[np.argmin(np.sum((reference.position(table) - point) ** 2, axis=1))])
+
+
+def piece_map(reference: ReferencePath, at: float, before: SeenBefore | None = None) -> DeviationFilter:
+    """Map of the line's deviation from the reference around one piece of it.
+
+    Args:
+        reference: the reference path.
+        at: arc length of it around which the piece lies [m].
+        before: where pictures showed the line before.
+    """
+    before = before or SeenBefore()
+    shape, length = before.shape(reference) or SHAPES[0]
+    fusion = DeviationFilter(PathDeviation(reference, ahead=REACH, behind=REACH, shape=shape, length=length), confirm=0)
+    fusion.travel(at)
+    if len(before.s):
+        fusion.update(Measurement(0.0, before.s, before.deviation, before.covariance))
+    return fusion
+
+
 class CalibrationView:
     """What is known of arm and line while the camera moves, and what was seen.
+
+    Where the line lies and how it is shaped is found on the way: fields go into a map of its deviation from the
+    reference, as those of a run do.
 
     Args:
         robot: the arm.
@@ -138,6 +246,7 @@ class CalibrationView:
         detection: how the line looks.
         detector: what finds its points.
         q: where the arm rests at first ``(n,)`` [rad].
+        fusion: the map, see ``piece_map``.
 
     Attributes:
         history: where the tool was.
@@ -145,43 +254,42 @@ class CalibrationView:
     """
 
     def __init__(self, robot: Robot, reference: ReferencePath, believed: CameraModel, detection: DetectionSettings,
-                 detector: LineDetector, q: Array) -> None:
+                 detector: LineDetector, q: Array, fusion: DeviationFilter) -> None:
         self.reference, self.believed, self.detection, self.detector = reference, believed, detection, detector
         self.history = PoseHistory(robot)
         self.history.add(0.0, q)
         self.observations: list[Observation] = []
-        self._aside, self._sigma = 0.0, SIGMA
-        self._table = np.arange(0.0, reference.length, 0.005)
-        self._places = reference.position(self._table)
+        self._map = fusion
 
     def predicted(self, t: float) -> PredictedLine:
-        """The line around the middle of the view at ``t`` [s], as far aside of the reference as it was first seen."""
+        """The line around the middle of the view at ``t`` [s], as the fields so far have shown it."""
         pose = self.history.pose(t)
-        look = pose.act(_middle_of_view(self.believed))
-        s = self._table[np.argmin(np.sum((self._places - look) ** 2, axis=1))]
-        frames = self.reference.frames(s + SPREAD)
-        points = frames.position + self._aside * frames.normal
-        there = PredictedLine.from_base(points, frames.tangent, frames.up.mean(axis=0), pose, self._sigma)
-        return predicted_by_rows(there, self.believed, t, self.history.row_pose)
+        s = self._at(pose)
+        return line_ahead(self.reference, self._map, s + SPREAD).seen_by(self.believed, t, self.history.row_pose)
 
-    def look(self, field: Field, prediction: PredictedLine, ahead: float) -> None:
+    def _at(self, pose: pin.SE3) -> float:
+        """Arc length of the reference in the middle of the view [m]."""
+        return _nearest(self.reference, pose.act(_middle_of_view(self.believed)))
+
+    def look(self, shown: Field, prediction: PredictedLine, ahead: float) -> None:
         """Notes the line points of a field.
 
         Args:
-            field: as it arrived.
+            shown: as it arrived.
             prediction: where the line should be in it.
             ahead: by how much the stamps run ahead of the arm's time [s].
         """
-        found = self.detector.detect(field, self.believed, prediction, self.detection)
+        found = self.detector.detect(shown, self.believed, prediction, self.detection)
         if not found.seen:
             return
-        if self._sigma > SIGMA_FOUND:
-            self._aside, self._sigma = self._aside + float(np.mean(found.lateral[found.used])), SIGMA_FOUND
-        t = field.t_stamp - ahead
+        t, pose = shown.t_stamp - ahead, self.history.pose(shown.t_stamp - ahead)
+        points = found.points_tcp[found.used] @ pose.rotation.T + pose.translation
+        s, deviation, _ = self.reference.project(points, self._at(pose))
+        self._map.update(Measurement(t, s, deviation, np.diag(found.sigma[found.used] ** 2) + BY_HAND**2))
         velocity, angular = self.history.velocity(t)
         sigma = np.hypot(found.sigma[found.used], PER_SPEED * np.linalg.norm(velocity))
         self.observations.append(
-            Observation(self.history.pose(t), found.pixels[found.used], sigma, velocity, angular))
+            Observation(pose, found.pixels[found.used], sigma, velocity, angular))
 
 
 def _middle_of_view(camera: CameraModel) -> Array:
@@ -192,7 +300,7 @@ def _middle_of_view(camera: CameraModel) -> Array:
 
 
 def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraModel, at: float, clear: float = 0.0,
-                         shapes: Shapes | None = None) -> list[Array]:
+                         shapes: Shapes | None = None, line: LineAhead | None = None) -> list[Array]:
     """Joint angles of the poses that the arm reaches, each near the one before and on a way that touches nothing.
 
     Args:
@@ -202,6 +310,7 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
         at: arc length of the reference around which the piece lies [m].
         clear: how far the tip keeps away from the reference at least [m].
         shapes: the arm in its cell; None where nothing is known of it.
+        line: where it is there as far as known; on the reference if None.
 
     Raises:
         SceneError: fewer than half of the poses can be reached.
@@ -209,8 +318,10 @@ def calibration_postures(robot: Robot, reference: ReferencePath, camera: CameraM
     frames = reference.frames(np.array([at]))
     kinematics = InverseKinematics(robot)
     q = kinematics.search(reference.pose(at), robot.home)
-    centre = frames.position[0] + clear * frames.up[0]
-    wanted = calibration_poses(centre, frames.tangent[0], frames.up[0], float(_middle_of_view(camera)[0]))
+    place, direction = ((frames.position[0], frames.tangent[0]) if line is None
+                        else (line.points[0], line.tangents[0]))
+    centre = place + clear * frames.up[0]
+    wanted = calibration_poses(centre, direction, frames.up[0], float(_middle_of_view(camera)[0]))
     postures: list[Array] = []
     for pose in wanted:
         try:

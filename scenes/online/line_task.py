@@ -67,6 +67,7 @@ class LineTask:
         self._count = int(np.ceil((START + follower.duration + REST) / self._T))
         self._picture_at = set(np.linspace(0.35 * self._count, 0.9 * self._count, SHOWN).astype(int))
         self._new: list[Field] = []
+        self._sensed: tuple[Field, LineField] | None = None
         self._stamps: deque[float] = deque(maxlen=RECENT)
         self._detection = detection or DetectionSettings()
         self.feedforward = method.following(Setting(cell.robot, model, given, cell.delay))
@@ -111,7 +112,7 @@ class LineTask:
 
     def take_fields(self, t: float) -> None:
         """Takes the fields that have arrived by ``t`` [s]; the next ``plan`` uses them."""
-        self._new = []
+        self._new, self._sensed = [], None
         for one in self.camera.arrived(t):
             # A field that a network delivers twice is one measurement.
             if one.t_stamp not in self._stamps:
@@ -136,6 +137,7 @@ class LineTask:
         """The horizon ``(n_d, n)`` [rad] from ``t`` [s] on, with the fields taken last; see ``plan``."""
         for arrived in self._new:
             seen = self._sense(arrived)
+            self._sensed = arrived, seen
             self.log.add_field(seen, self.cell.scene.points)
             if seen.seen and not np.isfinite(self.log.first_used):
                 self.log.first_used = t
@@ -194,12 +196,13 @@ class LineTask:
             measured: what the controller reported at its end.
         """
         self._state = self.feedforward.observe(self._state, measured)
-        k, latest = round(t0 / self._T), self.log.latest
+        k = round(t0 / self._T)
         if k not in self._picture_at:
             return
         self._picture_at.discard(k)
-        if self._new and latest is not None and latest.seen:
-            self.log.shown.append(self._picture(latest, self._new[-1]))
+        if self._sensed is not None and self._sensed[1].seen:
+            raw, seen = self._sensed
+            self.log.shown.append(self._picture(seen, raw))
         else:
             self._picture_at.add(k + 1)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ideal_robot.arrays import Array
 from sensing import SensingError
 from sensing.camera.camera_device import Gray
 from sensing.camera.camera_model import CameraModel
@@ -27,12 +28,15 @@ class LineAppearance:
         dark: darker than its surroundings.
         contrast: how much darker or brighter [gray].
         pictures: how many of the pictures showed it.
+        places: of each picture two points of the line in the tool frame, in its direction away from the tool, on the
+            plane through the tool's tip ``(k, 2, 3)`` [m]; NaN where the picture did not show it.
     """
 
     width: float
     dark: bool
     contrast: float
     pictures: int
+    places: Array
 
 
 def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppearance:
@@ -49,14 +53,16 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppear
         SensingError: no picture shows a line.
     """
     ahead = _ahead_of_the_tool(camera)
-    cut = (find_rough_line(np.ascontiguousarray(picture[ahead])) for picture in pictures)
+    cut = [find_rough_line(np.ascontiguousarray(picture[ahead])) for picture in pictures]
     found = [rough for rough in cut if rough is not None]
     if not found:
         raise SensingError(f"none of {len(pictures)} pictures shows a line")
     dark = 2 * sum(rough.dark for rough in found) >= len(found)
     same = [rough for rough in found if rough.dark == dark]
     return LineAppearance(float(np.median([_width(rough, ahead, camera) for rough in same])), dark,
-                          float(np.median([rough.contrast for rough in same])), len(same))
+                          float(np.median([rough.contrast for rough in same])), len(same),
+                          np.array([_places(rough, ahead, camera) if rough is not None and rough.dark == dark
+                                    else np.full((2, 3), np.nan) for rough in cut]))
 
 
 def _ahead_of_the_tool(camera: CameraModel) -> tuple[slice, slice]:
@@ -70,6 +76,15 @@ def _ahead_of_the_tool(camera: CameraModel) -> tuple[slice, slice]:
     if not np.isfinite(pixels).all() or np.any(high - low < LEAST * size):
         low, high = np.zeros(2, dtype=int), size
     return slice(low[1], high[1]), slice(low[0], high[0])
+
+
+def _places(rough: RoughLine, ahead: tuple[slice, slice], camera: CameraModel) -> Array:
+    """Points at a third and at two thirds of the picture's line in the tool frame ``(2, 3)`` [m]."""
+    along = rough.span[0] + np.array([1.0, 2.0]) / 3.0 * (rough.span[1] - rough.span[0])
+    pixels = np.column_stack([along, rough.at(along)])
+    pixels = (pixels if rough.along == 0 else pixels[:, ::-1]) + [ahead[1].start, ahead[0].start]
+    points = camera.on_plane(pixels, np.array([0.0, 0.0, 1.0]), 0.0)
+    return np.asarray(points if points[0, 0] <= points[1, 0] else points[::-1])
 
 
 def _width(rough: RoughLine, ahead: tuple[slice, slice], camera: CameraModel) -> float:

@@ -27,10 +27,16 @@ from sensing.camera.line_search import DetectionSettings, PredictedLine, predict
 #
 # A straight line through three points, one of them far from the other two, bends to that one: its own residual stays
 # small however wrong it is (its leverage is nearly 1; Baarda's *internal reliability*). So a point is held against the
-# line of the *other* points, extrapolated to it, never against a line that it has drawn itself.
+# line of the *other* points, extrapolated to it, never against a line that it has drawn itself. How far a line of the
+# right shape may be from that line the prediction's covariance says: nothing where the shape is known.
+
+BEND = 3.0
+"""Standard deviations by which a line's shape may be another than predicted."""
+
 
 @jit()
-def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], tolerance: float) -> NDArray[np.bool_]:
+def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], tolerance: float,
+                     covariance: Array) -> NDArray[np.bool_]:
     """The points that lie within a tolerance of the least-squares line of the others.
 
     As long as one does not, the one that contradicts the others most is taken out.
@@ -39,13 +45,14 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
         along: places along the prediction ``(m,)`` [m].
         deviation: from the prediction ``(m,)`` [m]; where not used, of no account.
         used: points to choose from ``(m,)``.
-        tolerance: how far a point may be off [m].
+        tolerance: how far a point may be off [m], beside what the prediction leaves open.
+        covariance: of the prediction ``(m, m)`` [m²]; a motion of the whole line counts for nothing.
 
     Returns:
         ``(m,)``. Two points or fewer have nothing to be held against and remain.
     """
     m = along.size
-    kept = used.copy()
+    kept, weight = used.copy(), np.empty(m)
     while kept.sum() > 2:
         worst, out, refused = 0.0, -1, False
         for i in range(m):
@@ -60,7 +67,15 @@ def confirmed_points(along: Array, deviation: Array, used: NDArray[np.bool_], to
                     a, d, aa, ad = a + x, d + deviation[j], aa + x * x, ad + x * deviation[j]
             spread = aa - a * a / count
             slope = (ad - a * d / count) / spread if spread > 0.0 else 0.0
+            for j in range(m):
+                weight[j] = 0.0
+                if kept[j] and j != i:
+                    x = along[j] - along[i] - a / count
+                    weight[j] = -1.0 / count + (a / count * x / spread if spread > 0.0 else 0.0)
+            weight[i] = 1.0
             off = abs(deviation[i] - (d - slope * a) / count)
+            open_to = float(weight @ covariance @ weight)
+            off /= math.sqrt(1.0 + (BEND / tolerance) ** 2 * max(open_to, 0.0))
             refused = refused or off > tolerance
             # In standard deviations: what the others say of a far end is itself uncertain.
             off /= math.sqrt(1.0 + 1.0 / count + ((a / count) ** 2 / spread if spread > 0.0 else 0.0))
@@ -105,22 +120,34 @@ class LineField:
     reason: str
 
 
+STEEP = 0.3
+"""Slope against its prediction that a line of known shape may have."""
+
+
+@jit()
+def _off_chord(i: int, a: int, b: int, along: Array, covariance: Array) -> float:
+    """Variance of how far point i leaves the straight line of deviations through points a and b [m²]."""
+    ahead = 0.0 if a == b else (along[i] - along[a]) / (along[b] - along[a])
+    chord = np.zeros(along.size)
+    chord[i] += 1.0
+    chord[a] -= 1.0 - ahead
+    chord[b] -= ahead
+    return max(float(chord @ covariance @ chord), 0.0)
+
+
 @jit()
 def _consensus(
-    deviation: Array,
-    quality: Array,
-    window: NDArray[np.int64],
-    along: Array,
-    tolerance: float,
-    sigma: float,
-    least: float,
+    deviation: Array, quality: Array, window: NDArray[np.int64], along: Array, tolerance: float, sigma: float,
+    covariance: Array,
 ) -> NDArray[np.int64]:
-    """Chooses at most one candidate per window so that the deviations from the prediction make one straight line.
+    """Chooses at most one candidate per window so that the deviations from the prediction make one smooth line.
 
-    Every pair of candidates (and each alone) proposes a line of deviations. Its score is the sum of the nearest
-    candidates' qualities, each falling with its distance from that line, times a prior on the mean deviation.
+    Every pair of candidates (and each alone) proposes a line of deviations: straight, but for what the prediction's
+    covariance leaves open between and beyond the two. Its score is the sum of the nearest candidates' qualities, each
+    falling with its distance from that line, times a prior on the mean deviation.
     """
     k, m = deviation.size, along.size
+    square = np.empty(m)
     best, choice = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
     gain = np.empty(m)
     for i in range(m):
@@ -128,17 +155,21 @@ def _consensus(
     best_score = 0.0
     for a in range(k):
         for b in range(a, k):
-            if (a != b and window[a] == window[b]) or quality[a] < least or quality[b] < least:
+            if (a != b and window[a] == window[b]) or quality[a] <= 0.0 or quality[b] <= 0.0:
                 continue
-            slope = 0.0 if a == b else (deviation[b] - deviation[a]) / (along[window[b]] - along[window[a]])
-            if abs(slope) > 0.3:
+            A, B = window[a], window[b]
+            span = along[B] - along[A]
+            slope = 0.0 if a == b else (deviation[b] - deviation[a]) / span
+            turned = 0.0 if a == b else (covariance[A, A] + covariance[B, B] - 2.0 * covariance[A, B]) / span**2
+            if slope**2 > STEEP**2 + BEND**2 * turned:
                 continue
             for i in range(m):
                 choice[i], gain[i] = -1, 0.0
+                square[i] = tolerance**2 + BEND**2 * _off_chord(i, A, B, along, covariance)
             for c in range(k):
-                r = (deviation[c] - deviation[a] - slope * (along[window[c]] - along[window[a]])) / tolerance
-                value = quality[c] * (1.0 - r * r)
-                if quality[c] >= least and value > gain[window[c]]:
+                r = deviation[c] - deviation[a] - slope * (along[window[c]] - along[A])
+                value = quality[c] * (1.0 - r * r / square[window[c]])
+                if value > gain[window[c]]:
                     gain[window[c]], choice[window[c]] = value, c
             total, mean = 0.0, 0.0
             for i in range(m):
@@ -194,7 +225,7 @@ def _sections(
 def _evaluate(
     pixels: Array, axis: NDArray[np.int64], slant: Array, metres: Array, points: Array, gray: NDArray[np.uint8],
     windows: NDArray[np.int64], line_width: float, blur: float, polarity: float, min_contrast: float,
-    width_tolerance: float, smoothness: float, sigma: float, least: float, noise: float,
+    width_tolerance: float, smoothness: float, sigma: float, least: float, noise: float, covariance: Array,
 ) -> tuple[Array, Array, Array, Array, NDArray[np.bool_], int]:  # fmt: skip
     """Pixels, lateral deviations, standard deviations, qualities, which are used, and windows with any section."""
     m = pixels.shape[0]
@@ -218,12 +249,12 @@ def _evaluate(
         for c in range(3):
             square += (points[i, c] - points[i - 1, c]) ** 2
         along[i] = along[i - 1] + math.sqrt(square)
-    chosen = _consensus(deviation, grade, owner[:n], along, smoothness, sigma, least)
+    chosen = _consensus(deviation, np.where(grade < least, 0.0, grade), owner[:n], along, smoothness, sigma, covariance)
     agreeing = np.zeros(m)
     for i in range(m):
         if chosen[i] >= 0:
             agreeing[i] = deviation[chosen[i]]
-    used = confirmed_points(along, agreeing, chosen >= 0, smoothness)
+    used = confirmed_points(along, agreeing, chosen >= 0, smoothness, covariance)
     at, lateral, spread = np.empty((m, 2)), np.empty(m), np.empty(m)
     quality, any_found = np.zeros(m), 0
     for i in range(m):
@@ -280,7 +311,7 @@ def detect_line(
     pixels, lateral, sigma, quality, used, found = _evaluate(
         image.pixels, image.axis, image.slant, image.metres, points, gray, np.array(field.windows, dtype=np.int64),
         s.line_width, s.blur, 1.0 if s.dark else -1.0, s.min_contrast, s.width_tolerance, s.smoothness,
-        float(prediction.sigma), s.min_quality, s.noise,
+        float(prediction.sigma), s.min_quality, s.noise, prediction.covariance_or_zero,
     )  # fmt: skip
     T = camera.T_tool_camera
     points_tcp = _back_project(

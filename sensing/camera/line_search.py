@@ -27,15 +27,24 @@ class PredictedLine:
         tangents: unit tangents ``(m, 3)``.
         normal: unit normal of the surface ``(3,)``; the points' plane is taken through each of them.
         sigma: standard deviation of the lateral prediction [m].
+        covariance: of the lateral predictions ``(m, m)`` [m²]; None where the line has the predicted shape, wherever it
+            lies and however it is turned.
     """
 
     points: Array
     tangents: Array
     normal: Array
     sigma: float
+    covariance: Array | None = None
+
+    @property
+    def covariance_or_zero(self) -> Array:
+        """Of the lateral predictions but for a motion of the whole ``(m, m)`` [m²]."""
+        return np.zeros((len(self.points),) * 2) if self.covariance is None else self.covariance
 
     @classmethod
-    def from_base(cls, points: Array, tangents: Array, normal: Array, pose: pin.SE3, sigma: float) -> PredictedLine:
+    def from_base(cls, points: Array, tangents: Array, normal: Array, pose: pin.SE3, sigma: float,
+                  covariance: Array | None = None) -> PredictedLine:
         """The same from points, tangents and surface normal in the base frame and the TCP's pose.
 
         Args:
@@ -44,9 +53,11 @@ class PredictedLine:
             normal: unit normal of the surface in the base frame ``(3,)``.
             pose: of the TCP in the base frame.
             sigma: standard deviation of the prediction across the line [m].
+            covariance: of the predictions ``(m, m)`` [m²]; None where the shape is known.
         """
         R = pose.rotation
-        return cls((np.asarray(points) - pose.translation) @ R, np.asarray(tangents) @ R, np.asarray(normal) @ R, sigma)
+        return cls((np.asarray(points) - pose.translation) @ R, np.asarray(tangents) @ R, np.asarray(normal) @ R, sigma,
+                   covariance)
 
 
 @dataclass(frozen=True)
@@ -63,7 +74,8 @@ class DetectionSettings:
         min_contrast: least depth of the cross-section [gray].
         width_tolerance: largest relative deviation of the width.
         min_quality: cross-sections below this quality do not count.
-        smoothness: how far the points may leave a straight line of deviations from the prediction [m].
+        smoothness: how far the points may leave a straight line of deviations from the prediction [m], beside what
+            the prediction says of the line's shape.
         noise: gray noise that is assumed at least, for the standard deviation of a point.
         min_points: fewer agreeing points are no measurement.
     """

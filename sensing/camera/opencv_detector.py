@@ -70,7 +70,7 @@ class OpenCVProfiles:
             width = section.width * abs(image.metres[i]) / settings.line_width
             quality[i] = math.exp(-0.5 * ((width - 1.0) / 0.2) ** 2)
         used &= quality >= settings.min_quality
-        used = confirmed_points(along, deviation, used, settings.smoothness)
+        used = confirmed_points(along, deviation, used, settings.smoothness, prediction.covariance_or_zero)
         points = np.full((m, 3), np.nan)
         normal = np.asarray(prediction.normal)
         for i in np.flatnonzero(np.isfinite(pixels[:, 0])).tolist():

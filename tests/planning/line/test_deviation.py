@@ -10,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from planning.line.deviation_model import ConstantDeviation, DeviationModel, PathDeviation, SlowlyVaryingDeviation
+from planning.line.deviation_model import (
+    SHAPES,
+    ConstantDeviation,
+    DeviationModel,
+    PathDeviation,
+    SlowlyVaryingDeviation,
+    matern,
+    shape_likelihoods,
+)
 from planning.line.fusion import DeviationFilter
 from planning.line.measurement import Fused, Measurement
 from planning.path.reference import ReferencePath
@@ -232,3 +240,17 @@ def test_one_sample_alone_is_enough_to_run_on() -> None:
     assert deviation[0, 1] == pytest.approx(0.004, abs=1e-4)
     assert deviation[1, 1] == pytest.approx(0.004, rel=0.3)
     assert variance[1, 1] > 10 * variance[0, 1]
+
+
+@pytest.mark.parametrize("drawn", SHAPES)
+def test_how_far_a_line_leaves_its_reference_is_found_from_a_few_places(drawn: tuple[float, float]) -> None:
+    """Drawn from each kind's own process, moved and turned: mostly the right kind, hardly ever two beside it."""
+    path, s = reference(), np.linspace(0.05, 0.6, 10)
+    rng = np.random.default_rng(3)
+    process = drawn[0] ** 2 * matern(np.abs(np.subtract.outer(s, s)), drawn[1])
+    seen = [rng.normal(0, 0.02) + rng.normal(0, 0.05) * (s - 0.3)
+            + rng.multivariate_normal(np.zeros(10), process + 1e-6 * np.eye(10)) for _ in range(100)]
+    found = [int(np.argmax(shape_likelihoods(path, s, one, 1e-6 * np.eye(10)))) for one in seen]
+    right = SHAPES.index(drawn)
+    assert np.mean(np.array(found) == right) > 0.5
+    assert np.mean(np.abs(np.array(found) - right) > 1) < 0.05

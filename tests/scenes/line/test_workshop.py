@@ -50,6 +50,23 @@ def test_kinematic_errors_and_a_displaced_surface_hardly_matter() -> None:
     assert result.control_error.mean < 1.0e-4
 
 
+def test_a_line_of_another_shape_than_its_reference_is_followed() -> None:
+    """A straight reference before a sine of 40 mm, with calibration by moving ([L] 5: *positions or the shapes*)."""
+    result = run(load_scene("line").changed(reference={"shape": {"points": [[0.0, 0.0], [1.2, 0.0]]}}))
+    assert result.failure is None
+    assert result.hand_eye is not None
+    assert np.max(np.abs(result.believed)) > 0.035
+    assert result.control_error.mean < 1.5e-4
+
+
+def test_a_line_too_far_from_its_reference_is_said_before_it_is_lost() -> None:
+    bent = "0.12*(6*(x/0.5)**5-15*(x/0.5)**4+10*(x/0.5)**3)*(x<0.5)+0.12*(x>=0.5)"
+    scene = load_scene("line").changed(line={"formula": bent, "length": 1.2},
+                                       reference={"shape": {"points": [[0.0, 0.0], [1.2, 0.0]]}})
+    with prepared(scene) as before:
+        assert "mm beside its reference" in before.warning
+
+
 def test_the_height_of_a_tilted_surface_shows_while_following() -> None:
     """With the height taken from the reference this line is missed by 0.7 mm: ten millimetres at its ends ([L] 4.2)."""
     result = run(load_scene("line").changed(world="bench", seed=2, calibration=CALIBRATED,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ideal_robot.arrays import Array
 from ideal_robot.errors import InputError
+from planning.line.deviation_model import matern
 from sensing.camera.camera_device import Field
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.line_detection import (
@@ -253,13 +254,15 @@ def test_a_line_behind_the_camera_has_no_windows() -> None:
 ALONG = np.linspace(0.0, 0.09, 5)
 LINE = 2e-4 + 0.01 * ALONG
 TOLERANCE = 5e-4
+RIGID = np.zeros((5, 5))
+"""Covariance of a prediction whose shape is right."""
 
 
 def test_points_on_a_line_confirm_each_other_whichever_are_there() -> None:
     noise = 1e-4 * np.array([1.0, -1.0, 0.5, -0.5, 1.0])
     for there in ([0, 1, 2, 3, 4], [0, 3, 4], [0, 2, 4], [1, 2, 3]):
         used = np.isin(np.arange(5), there)
-        assert np.array_equal(confirmed_points(ALONG, LINE + 0.2 * noise, used, TOLERANCE), used)
+        assert np.array_equal(confirmed_points(ALONG, LINE + 0.2 * noise, used, TOLERANCE, RIGID), used)
 
 
 def test_a_wrong_point_far_from_the_others_leaves_no_measurement() -> None:
@@ -270,15 +273,28 @@ def test_a_wrong_point_far_from_the_others_leaves_no_measurement() -> None:
     fitted = np.polyval(np.polyfit(ALONG[used], deviation[used], 1), ALONG[used])
     assert np.max(np.abs(deviation[used] - fitted)) < TOLERANCE
     # Which of three it is nobody can tell: two are left, too few for a measurement.
-    assert confirmed_points(ALONG, deviation, used, TOLERANCE).sum() == 2
+    assert confirmed_points(ALONG, deviation, used, TOLERANCE, RIGID).sum() == 2
 
 
 def test_the_wrong_one_of_five_is_found_wherever_it_is() -> None:
     for i in range(5):
         deviation = LINE.copy()
         deviation[i] += 1.2e-3
-        kept = confirmed_points(ALONG, deviation, np.ones(5, dtype=bool), TOLERANCE)
+        kept = confirmed_points(ALONG, deviation, np.ones(5, dtype=bool), TOLERANCE, RIGID)
         assert np.array_equal(np.flatnonzero(~kept), [i])
+
+
+def test_a_line_may_bend_by_what_its_prediction_leaves_open_and_no_more() -> None:
+    used = np.ones(5, dtype=bool)
+    bent = LINE + 0.5 * 2.5 * ALONG**2  # 4 mm beside the chord's continuation
+    assert confirmed_points(ALONG, bent, used, TOLERANCE, RIGID).sum() == 2
+    moved = 0.02**2 + 0.05**2 * np.multiply.outer(ALONG, ALONG)
+    # However far the whole line may be moved and turned, that says nothing of its shape.
+    assert confirmed_points(ALONG, bent, used, TOLERANCE, moved).sum() == 2
+    curved = moved + 0.02**2 * matern(np.abs(np.subtract.outer(ALONG, ALONG)), 0.15)
+    assert confirmed_points(ALONG, bent, used, TOLERANCE, curved).all()
+    bent[2] += 0.02
+    assert not confirmed_points(ALONG, bent, used, TOLERANCE, curved)[2]
 
 
 # One cross-section of a line: found, fitted, and its stated uncertainty honest.
