@@ -24,7 +24,6 @@ import ideal_robot
 from ideal_robot.diagnosis import Options, stages
 from ideal_robot.diagnosis.case import Case, Findings
 from ideal_robot.diagnosis.search import forward_selection
-from ideal_robot.diagnosis.search.choice import PresentModel
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.scoring import Scoring
@@ -49,15 +48,13 @@ FLAGS: dict[str, Any] = {"without_which_none": (), "enough_of_most": (), "cautio
                          "of_angle_alone": False, "tail_alone": False}
 """Flags on ``Effect`` that change the behaviour of the search, with the value that switches them off. Those that one
 step alone asks are switched off with it: ``sooner_than`` with ``likelier``, ``at_all_frequencies`` with
-``holds_slowly``, ``told_from`` with ``is_short``, ``of_slow_motion`` with ``share_slowly``, ``standstill``
-with ``at_standstill``."""
+``holds_slowly``, ``of_slow_motion`` with ``share_slowly``, ``standstill`` with ``at_standstill``."""
 OPTIONS: dict[str, Callable[[Options], float]] = {
-    "smallest_next": lambda o: o.smallest, "smallest_learned": lambda o: o.smallest,
-    "smallest_absorbed": lambda o: o.smallest, "smallest_torque": lambda o: 0.0, "smallest_beside": lambda o: 0.0,
-    "smallest_learned_bend": lambda o: o.smallest_beside, "smallest_own": lambda o: 0.0,
+    "smallest_learned": lambda o: o.smallest, "smallest_absorbed": lambda o: o.smallest,
+    "smallest_torque": lambda o: 0.0, "smallest_beside": lambda o: 0.0, "smallest_own": lambda o: 0.0,
     "learned_discovery": lambda o: o.false_discovery, "unknown_margin": lambda o: 1.0}
 """Thresholds, with the value at which they say no more than the general one."""
-_OF_SIZE = ("smallest_torque", "smallest_beside", "smallest_learned_bend", "smallest_own")
+_OF_SIZE = ("smallest_torque", "smallest_beside", "smallest_own")
 """Thresholds that only ``Scoring._is_large_here`` asks."""
 
 
@@ -88,20 +85,14 @@ def _passes(owner: Any, name: str, which: int) -> Step:
     return Step(owner, name, lambda original, *a: a[which], lambda result, *a: result is not a[which])
 
 
-def _lone(original: Any, model: PresentModel, choice: Any) -> Any:
-    return model.fit(choice)
-
-
 STEPS = (
     *(Step(Search, name, lambda original, *a: None, lambda result, *a: bool(result))
-      for name in ("_drop_refuted", "_prune", "_exchange", "_retune")),
+      for name in ("_prune", "_exchange", "_retune")),
     *(_says(Search, name, False) for name in ("_with_needed_form", "_without_a_law_like_a_pull")),
     _passes(Search, "_sharpened", 2), _passes(forward_selection, "likelier", 1),
-    _says(forward_selection, "adds_little", False), _says(forward_selection, "indistinguishable", False),
-    _says(Scoring, "holds_slowly", True), _says(Scoring, "holds_everywhere", True), _says(Scoring, "share_slowly", 0.0),
-    _says(Scoring, "is_short", False), _says(LearnedCurves, "_refutes", True), _says(GravitySpring, "like_the_model",
-                                                                                    None),
-    Step(PresentModel, "fit_of_rivals", _lone, lambda result, model, choice: list(result.keys) != model.keys(choice)),
+    _says(forward_selection, "indistinguishable", False), _says(Scoring, "holds_slowly", True),
+    _says(Scoring, "holds_everywhere", True), _says(Scoring, "share_slowly", 0.0),
+    _says(LearnedCurves, "_refutes", True), _says(GravitySpring, "like_the_model", None),
     _says(stages, "_columns_changed", False), _passes(stages, "with_braking_friction", 1),
     Step(stages, "transferring", lambda original, problem, choices, *a: (list(choices), ()),
          lambda result, *a: bool(result[1])),

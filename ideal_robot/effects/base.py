@@ -130,9 +130,7 @@ class Effect(ABC):
         enough_of_most: further columns, from 0, of which one that differs from none is enough where the effect takes
             away more than half of the held-out squares.
         sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
-        told_from: of an effect that is ``scanned``, periods within the range that was driven from which on no smooth
-            curve over the angle looks like it; with fewer it has to be as large as a learned curve, and none may
-            explain more. Zero for all others.
+        scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.
         geometric: whether it is a change of the arm's geometry, which another joint's may reproduce where axes are
             parallel.
         caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
@@ -168,7 +166,7 @@ class Effect(ABC):
     without_which_none: ClassVar[tuple[int, ...]] = ()
     enough_of_most: ClassVar[tuple[int, ...]] = ()
     sooner_than: ClassVar[tuple[str, ...]] = ()
-    told_from: ClassVar[float] = 0.0
+    scanned: ClassVar[bool] = False
     geometric: ClassVar[bool] = False
     caution: ClassVar[float] = 1.0
     flexible: ClassVar[bool] = False
@@ -197,11 +195,6 @@ class Effect(ABC):
     def key(self) -> str:
         """Name and place: what tells the forms of one cause apart."""
         return f"{self.name}/{self.channel_prefix}"
-
-    @property
-    def scanned(self) -> bool:
-        """Whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it."""
-        return self.told_from > 0.0
 
     @property
     def theta_is_physical(self) -> bool:

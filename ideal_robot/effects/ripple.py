@@ -12,13 +12,15 @@ from ideal_robot.effects.elasticity import shows_gear, turned_arm
 from ideal_robot.effects.loop_change import LoopChange
 from ideal_robot.effects.signals import Signals
 
+_FEW = 4.5
+"""Periods within the range that was driven below which a spring, gravity or an odd shape looks like a ripple."""
+
 
 class TorqueRipple(Effect):
     """``tau = a cos(k q) + b sin(k q)``: amplitude, phase and order ``k`` per joint radian (or metre) from the data.
 
-    The order is found by scanning the residual over position. With fewer than four and a half periods within the range
-    that was driven a spring, gravity or an odd shape may explain it as well (``told_from``), with fewer than two
-    nothing shows that it repeats.
+    The order is found by scanning the residual over position. With fewer than two periods within the range that was
+    driven nothing shows that it repeats.
     """
 
     name = "torque_ripple"
@@ -27,7 +29,7 @@ class TorqueRipple(Effect):
     coefficient_names = ("cosine", "sine")
     coefficient_units = ("N m", "N m")
     source = "motor cogging and gear meshing; order = periods per joint turn"
-    told_from = 4.5
+    scanned = True
     least_periods: ClassVar[float] = 2.0
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
@@ -68,9 +70,9 @@ class TorqueRipple(Effect):
         low, high = self.bounds(signals, joint)[0]
         part, counts = self.visible_part(signals, joint, residual, use)
         q = signals.q[:, joint - 1]
-        between = 2.0 * np.pi * self.told_from / (float(np.ptp(q)) + 1e-12)
+        between = 2.0 * np.pi * _FEW / (float(np.ptp(q)) + 1e-12)
         orders, tries = spectral_peaks(q, part, counts, (max(low, between), high))
-        if self.least_periods < self.told_from:
+        if self.least_periods < _FEW:
             slow, more = spectral_peaks(q, part, counts, (low, between), peaks=1)
             orders, tries = orders + slow, tries + more
         return [(order,) for order in orders], tries
@@ -126,7 +128,7 @@ class TransmissionError(TorqueRipple):
     name = "transmission_error"
     coefficient_units = ("rad", "rad")
     # Fewer are how bodies bend a gear over the range.
-    least_periods = 4.5
+    least_periods = _FEW
     source = "kinematic error of gears, k a multiple of the gear ratio"
 
     def __init__(self, prefix: str = ARM_POSITION.prefix) -> None:

@@ -19,14 +19,11 @@ class Options:
     Attributes:
         false_discovery: rate that Benjamini–Hochberg controls over joints × effects of each round.
         smallest: share of a channel's residual squares an effect has to take away on held-out blocks.
-        smallest_next: the same for a channel that has an effect already: its form may be slightly another.
         smallest_learned: the same for a learned curve; twice that where the channel has an effect already.
         smallest_absorbed: the same for an effect that is a change of the model's own parameters.
         smallest_torque: rms of what an effect takes away over the torque's standard deviation below which nothing is
             claimed.
         smallest_beside: the same over the rms of the largest other effect at the same joint, at least.
-        smallest_learned_bend: the same of a learned curve beside the bend of a gear, whose load is known no better:
-            motions tell inertia on both sides of the gear as one.
         smallest_slow: share that a law of speed has to take away in the lower half of the band where vibrations hide it
             in the whole: twice what is asked there, as it is looked for a second time.
         learned_discovery: p-value of a learned curve; motions repeat themselves, and so does what a model leaves, so
@@ -39,12 +36,10 @@ class Options:
 
     false_discovery: float = 0.01
     smallest: float = 0.15
-    smallest_next: float = 0.20
     smallest_learned: float = 0.30
     smallest_absorbed: float = 0.10
     smallest_torque: float = 0.002
     smallest_beside: float = 0.05
-    smallest_learned_bend: float = 0.5
     smallest_slow: float = 0.30
     learned_discovery: float = 1e-5
     smallest_own: float = 0.0005
@@ -57,17 +52,16 @@ class Options:
         For positions and forces, which no friction hides, and where another recording decides what stays. A curve
         without a cause has to be as large as anywhere: else it would stand in the way of smaller causes.
         """
-        return replace(self, smallest=self.smallest / 3.0, smallest_next=self.smallest_next / 2.0)
+        return replace(self, smallest=self.smallest / 3.0)
 
     def scaled(self, factor: float) -> Options:
         """All shares of the residual that are asked of an effect, times a factor."""
-        return replace(self, smallest=factor * self.smallest, smallest_next=factor * self.smallest_next,
-                       smallest_learned=factor * self.smallest_learned,
+        return replace(self, smallest=factor * self.smallest, smallest_learned=factor * self.smallest_learned,
                        smallest_absorbed=factor * self.smallest_absorbed, smallest_slow=factor * self.smallest_slow)
 
     def slow(self) -> Options:
-        """The same for the lower half of the band; twice as much for a second effect of a joint."""
-        return replace(self, smallest=self.smallest_slow, smallest_next=2.0 * self.smallest_slow)
+        """The same for the lower half of the band."""
+        return replace(self, smallest=self.smallest_slow)
 
 
 @dataclass(frozen=True)
@@ -119,17 +113,6 @@ class PresentModel:
         """Fit with the selected effects but some and with one more, with the weights of these."""
         self.add_columns(candidate)
         return Fit(self.design, [*self.keys(*without), candidate.key], self.weights, self.problem.prior)
-
-    def fit_of_rivals(self, choice: Choice) -> Fit:
-        """The fit against which a choice has to hold its place: without it, and without curves where it is physical.
-
-        Curves of other joints stay: what they take away would else be looked for in the parameters.
-        """
-        if choice.candidate.effect.learned:
-            return self.fit(choice)
-        curves = [c for c in self.choices if c.candidate.effect.learned
-                  and (c.candidate.joint == choice.candidate.joint or not choice.candidate.joint)]
-        return self.fit(choice, *curves)
 
     def residual(self, fit: Fit) -> Array:
         """Residual at all rows ``(N, c)``."""
@@ -195,8 +178,7 @@ _NEARLY = 0.9
 _NOT_TOLD = 0.8
 """The same where the difference is no more than what scatters from block to block."""
 SIMPLER = 0.95
-"""Share of a reduction from which on a law with fewer parameters may stand for one with more, and a wave of a few
-periods, three numbers, for a curve's twelve."""
+"""Share of a reduction from which on a law with fewer parameters may stand for one with more."""
 
 
 def discoveries(scored: list[Choice], tests: int, rate: float) -> list[Choice]:
@@ -252,24 +234,6 @@ def indistinguishable(model: PresentModel, best: Choice, other: Choice, share: f
     difference = difference[np.isfinite(difference)]
     error = float(np.std(difference, ddof=1)) * np.sqrt(len(difference))
     return bool(float(difference.sum()) < 2.0 * error)
-
-
-def adds_little(model: PresentModel, best: Choice, other: Choice, share: float, asked: float) -> bool:
-    """Whether of what another candidate leaves the best one takes away less than any effect is asked for.
-
-    Where nearly everything is explained, causes differ by little that hardly scatters: what the model class leaves
-    decides then, and a form with more parameters fits more of that.
-
-    Args:
-        model: the present model.
-        best: scored against it.
-        other: likewise.
-        share: of the best one's reduction that the other has to reach.
-        asked: share of a channel's squares that an effect has to take away.
-    """
-    if not overlap(model, best.candidate, other.candidate) or other.test.total < share * best.test.total:
-        return False
-    return best.share - other.share < asked * (1.0 - other.share)
 
 
 def likelier(model: PresentModel, best: Choice, others: list[Choice]) -> Choice:

@@ -17,7 +17,6 @@ from ideal_robot.diagnosis.search.choice import (
     Choice,
     Options,
     PresentModel,
-    adds_little,
     discoveries,
     indistinguishable,
     likelier,
@@ -108,9 +107,7 @@ class Search:
                     break
                 continue
             self.model.take(choice)
-            if choice.candidate.effect.learned:
-                self._drop_refuted(choice)
-            else:
+            if not choice.candidate.effect.learned:
                 self._prune()
                 self._exchange()
             self._retune(choice.candidate)
@@ -162,9 +159,7 @@ class Search:
         # Of those that the data cannot tell apart, the one with fewest parameters.
         for other in refined[1:]:
             if other.candidate.parameter_count < best.candidate.parameter_count \
-                    and (indistinguishable(self.model, refined[0], other, SIMPLER)
-                         or adds_little(self.model, refined[0], other, SIMPLER,
-                                        self.scoring.smallest_share(refined[0].candidate))):
+                    and indistinguishable(self.model, refined[0], other, SIMPLER):
                 best = other
         best = likelier(self.model, best, refined)
         return dataclasses.replace(best, rivals=rivals_of(self.model, best, refined),
@@ -185,22 +180,10 @@ class Search:
     def _prune(self) -> None:
         """Takes out what the others have made superfluous."""
         for choice in list(self.model.choices[:-1]):
-            s = self.scoring.tested(self.model.fit_of_rivals(choice), choice.candidate)
+            s = self.scoring.tested(self.model.fit(choice), choice.candidate)
             if s.p_value > self.options.false_discovery or (
                     s.share < 0.5 * self.options.smallest and not self.scoring.share_slowly(s, choice)):
                 self.model.drop(choice)
-
-    def _drop_refuted(self, curve: Choice) -> None:
-        """Takes out effects whose form a curve over the same angle refutes: it is needed, they beside it are not.
-
-        No other physical cause is pushed out by a learned curve.
-        """
-        dependence = curve.dependence
-        if dependence is None or dependence.names != [f"q_{curve.candidate.joint}"]:
-            return
-        for choice in [c for c in self.model.choices if c.candidate.joint == curve.candidate.joint]:
-            if choice.candidate.effect.of_angle_alone:
-                self._drop_if_small(choice)
 
     def _drop_if_small(self, choice: Choice) -> None:
         """Takes a choice out that the others leave too little, curves among them."""
@@ -292,7 +275,7 @@ class Search:
         for position, choice in enumerate(list(self.model.choices[:-1])):
             if not overlap(self.model, choice.candidate, newest):
                 continue
-            fit = self.model.fit_of_rivals(choice)
+            fit = self.model.fit(choice)
             present = self.scoring.tested(fit, choice.candidate)
             pool = [starts for starts in self.pool if starts[0].joint in (choice.candidate.joint, 0)
                     and (starts[0].place != choice.candidate.place or len(starts) > 1)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ideal_robot.arrays import Array
-from ideal_robot.diagnosis.search.choice import SIMPLER, Choice
+from ideal_robot.diagnosis.search.choice import Choice
 from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms, time_period
 from ideal_robot.diagnosis.statistics.least_squares import Fit
@@ -101,7 +101,7 @@ class LearnedCurves:
         """How many times as much a curve has to take away as the best effect of the library."""
         if best.candidate.effect.flexible:
             return 1.0
-        return 1.0 / SIMPLER if self.scoring.is_short(best.candidate) else self.options.unknown_margin
+        return self.options.unknown_margin
 
     def _of_channel(self, fit: Fit, residual: np.ndarray, j: int, use: np.ndarray, pairs: bool,
                     least: float) -> list[Choice]:

@@ -11,12 +11,10 @@ from scipy import optimize
 
 from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.search.choice import Choice, Options, PresentModel
-from ideal_robot.diagnosis.statistics.dependence import FINE, Dependence
+from ideal_robot.diagnosis.statistics.dependence import Dependence
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
-from ideal_robot.effects import ARM_POSITION
 from ideal_robot.effects.drive import DeadTime
-from ideal_robot.effects.fitted import Unknown
 
 _ITERATIONS = 4
 """Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
@@ -69,14 +67,14 @@ class Scoring:
 
     def smallest_share(self, candidate: Candidate, own: Choice | None = None) -> float:
         """Share of the residual's squares that is asked of a candidate; ``own`` is its choice if it was taken."""
-        occupied = any(c.candidate.joint == candidate.joint for c in self.model.choices if c is not own)
-        if candidate.effect.learned or self.is_short(candidate):
+        if candidate.effect.learned:
+            occupied = any(c.candidate.joint == candidate.joint for c in self.model.choices if c is not own)
             return self.options.smallest_learned * (2.0 if occupied else 1.0)
         if candidate.effect.absorbed_by_base:
             return self.options.smallest_absorbed
         # The only joint of an arm has its clock for itself.
         caution = candidate.effect.caution if self.signals.n > 1 else 1.0
-        return caution * (self.options.smallest_next if occupied else self.options.smallest)
+        return caution * self.options.smallest
 
     def is_large(self, s: Choice, replaced: Choice | None = None) -> bool:
         """Whether a candidate reduces enough, in the whole band or where nothing vibrates.
@@ -151,24 +149,7 @@ class Scoring:
         if np.max(size / self.measured_std[channels]) <= self.options.smallest_torque:
             return False
         # Beside a far larger effect of the same joint it is the form of that one, which is never quite the right one.
-        beside = self._sizes_at(s.candidate.joint, replaced)[channels]
-        least = self.options.smallest_beside
-        if s.candidate.effect.learned and s.candidate.effect.domain == ARM_POSITION:
-            least = self.options.smallest_learned_bend
-        return bool(np.any(size > least * beside))
-
-    def is_short(self, candidate: Candidate) -> bool:
-        """Whether so little of a candidate's form was driven through that a curve looks like it.
-
-        Beside a curve over the same angle anything looks like it that a finer one resolves.
-        """
-        effect, joint = candidate.effect, candidate.joint
-        if not effect.scanned or not candidate.theta:
-            return False
-        angle = (f"q_{joint}",)
-        curved = any(isinstance(c.candidate.effect, Unknown) and c.candidate.effect.depends_on == angle
-                     and c.candidate.joint == joint for c in self.model.choices)
-        return effect.periods(self.signals, joint, candidate.theta) < (FINE / 2.0 if curved else effect.told_from)
+        return bool(np.any(size > self.options.smallest_beside * self._sizes_at(s.candidate.joint, replaced)[channels]))
 
     def holds(self, fit: Fit, s: Choice) -> bool:
         """Whether a candidate is there at all frequencies and places at which its law says it is.
@@ -300,14 +281,13 @@ class Scoring:
             if first.effect.scanned:
                 found, tries = first.effect.starts_from_residual(self.at_rows, first.joint, residual, use)
                 starts = [replace(first, theta=theta, tries=tries) for theta in found]
-            for alike in ([c for c in starts if self.is_short(c) is short] for short in (False, True)):
-                best: tuple[float, Candidate] | None = None
-                for candidate in alike:
-                    gain = self.plausible_gain(fit, candidate)
-                    if gain is not None and (best is None or gain > best[0]):
-                        best = gain, candidate
-                if best is not None and best[0] > _PROMISING:
-                    scored.append(self.tested(fit, best[1]))
+            best: tuple[float, Candidate] | None = None
+            for candidate in starts:
+                gain = self.plausible_gain(fit, candidate)
+                if gain is not None and (best is None or gain > best[0]):
+                    best = gain, candidate
+            if best is not None and best[0] > _PROMISING:
+                scored.append(self.tested(fit, best[1]))
         return scored
 
 

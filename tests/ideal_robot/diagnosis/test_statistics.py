@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from ideal_robot.diagnosis.channels.blocks import BlockProducts, Blocks, Columns, time_blocks
 from ideal_robot.diagnosis.channels.motor_torque import torque_regression
-from ideal_robot.diagnosis.search.choice import adds_little
 from ideal_robot.diagnosis.statistics.dependence import DependenceTest, terms
 from ideal_robot.diagnosis.statistics.least_squares import LEFT_OUT, Design, Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
@@ -184,17 +182,6 @@ def test_what_a_fold_leaves_open_says_nothing_of_candidates():
     W = np.stack([alone, np.ones(count)], axis=1)[:, None, :]
     fit = Fit(Design(BlockProducts(y, W, np.ones((count, 1), bool), blocks)), ["W"], np.ones(1))
     assert fit.held_out_squares.sum() < 2.0 * fit.squares().sum()
-
-
-@pytest.mark.parametrize(("more", "less", "little"), [
-    # Of 1.1 % that it leaves a tenth more, and of 11 % a third; and one that does not reach nineteen twentieths.
-    (0.9901, 0.989, True), (0.93, 0.89, False), (0.55, 0.5, False)])
-def test_a_form_with_more_parameters_has_to_earn_its_share_of_what_the_simpler_one_leaves(more, less, little):
-    model = SimpleNamespace(design=SimpleNamespace(groups={name: SimpleNamespace(channels=(0,)) for name in "ab"}))
-    best, other = (SimpleNamespace(candidate=SimpleNamespace(key=key, joint=1), share=share,
-                                   test=SimpleNamespace(total=400.0 * share))
-                   for key, share in (("a", more), ("b", less)))
-    assert adds_little(model, best, other, 0.95, 0.15) is little
 
 
 # The problem object: a joint fit is least squares of everything, and what is reported comes from all blocks.
