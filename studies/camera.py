@@ -21,6 +21,7 @@ from scenes.commands.common import whole_numbers
 from scenes.line.calibration import calibrate_by_moving
 from scenes.line.cell import set_up
 from scenes.models import model_for
+from scenes.online.line_known import SeenBefore
 from scenes.scene_files.line_scene import LineScene
 from sensing.camera.camera_model import CalibrationError, CameraModel
 from sensing.camera.detector import DETECTORS
@@ -280,7 +281,7 @@ def _calibrated_in(scene: str, seed: int, deflected: bool) -> tuple[float, float
     bending = GearDeflection(model_for(known.scene, known.robot), cell.world.t_ipo) if deflected else None
     with (SimulatedArm(known.robot, cell.world, cell.noise, known.follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, CameraSettings(), cell.camera_noise) as eye):
-        result = calibrate_by_moving(known, arm, eye, bending, 0.5 * known.reference.length, DetectionSettings())
+        result = calibrate_by_moving(known, arm, eye, bending, 0.5 * known.reference.length, SeenBefore())
     return _aside(known.camera, cell.true_camera), _aside(result.camera, cell.true_camera)
 
 

@@ -23,12 +23,12 @@ from scenes.line.kind import run
 from scenes.line.play import methods, play
 from scenes.line.result import LineResult
 from scenes.models import model_for
+from scenes.online.line_known import SeenBefore
 from scenes.scene_files.drawn_line import geometry
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.scene import SceneError
 from sensing.camera.camera_model import CameraModel
 from sensing.camera.hand_eye import HandEye
-from sensing.camera.line_detection import DetectionSettings
 from sim.arm.arm import SimulatedArm
 from sim.camera.camera import CameraSettings, RenderedCamera
 from sim.equipped_arm import CarriedCamera
@@ -283,7 +283,7 @@ def calibrated(cell: Cell, deflection: GearDeflection | None = None) -> HandEye:
     middle = 0.5 * cell.known.reference.length
     with (SimulatedArm(cell.known.robot, cell.world, cell.noise, cell.known.follower.q_start) as arm,
           RenderedCamera(cell.true_camera, cell.line, CameraSettings(resolution=0.0005), cell.camera_noise) as camera):
-        return calibrate_by_moving(cell.known, arm, camera, deflection, middle, DetectionSettings())
+        return calibrate_by_moving(cell.known, arm, camera, deflection, middle, SeenBefore())
 
 
 def measuring_error(cell: Cell, believed: CameraModel) -> Array:
