@@ -28,11 +28,7 @@ every pytest of a user's."""
 MOST_LINES = {"file": 400, "function": 50}
 MOST_PARAMETERS = 7
 LONGER = {
-    "ideal_robot/feedforward/arm_of_its_type.py:arm_of_its_type",
-    "ideal_robot/feedforward/ideal.py:IdealRobot.step_with",
-    "ideal_robot/identification/excitation.py:design_excitation",
-    "planning/force/force_follower.py:SurfaceFollower.update_force", "scenes/line/calibration.py:calibrate_by_moving",
-    "scenes/online/cycle.py:_cycles",
+    "planning/force/force_follower.py:SurfaceFollower.update_force", "scenes/online/cycle.py:_cycles",
 }
 """Functions that are longer still; none may join them."""
 MORE_PARAMETERS = {
@@ -48,7 +44,7 @@ MORE_PARAMETERS = {
     "planning/line/deviation_model.py:PathDeviation.__init__", "planning/line/fusion.py:DeviationFilter.__init__",
     "planning/line/line_follower.py:LineFollower.__init__", "planning/path/desired_path.py:DesiredPath.__init__",
     "scenes/online/line_task.py:LineTask.__init__", "scenes/path/close_loop.py:closed",
-    "scenes/rsi/server.py:rsi_server", "scenes/scene_files/tool_path.py:tool_path",
+    "scenes/scene_files/tool_path.py:tool_path",
     "sensing/camera/camera_model.py:CameraModel.perturbed", "sensing/camera/line_detection.py:_evaluate",
     "sensing/camera/line_detection.py:_sections", "sensing/camera/line_profile.py:find_sections",
     "sim/arm/kernel.py:drive_step",

@@ -103,10 +103,8 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
                                      _nearby(model, found, other.x[12 * n : 13 * n])).full
     except IdealRobotError:  # no bodies that can be: torques of something else
         return model
-    sizes = (size * other.x[len(other.x) - len(size) :]).reshape(-1, 2)
-    turned_ripple = tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
-                          for effect, (a, b) in zip(ripple, sizes, strict=True))
-    return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *turned_ripple))
+    waving = _of_sizes(ripple, size * other.x[len(other.x) - len(size) :])
+    return replace(bare, base_values=values, consistent=full, effects=(*bare.effects, *waving))
 
 
 def _nearby(model: Model, found: Array, heavier: Array) -> Array:
@@ -182,6 +180,12 @@ def _waves(s: FilteredSignals, ripple: tuple[FittedEffect, ...]) -> Array:
 def _ripples(ripple: tuple[FittedEffect, ...]) -> Array:
     """Standard deviations of the waves ``(2 m,)`` [N m]: each is as large as the model's."""
     return np.repeat([np.linalg.norm(effect.coefficients) / np.sqrt(2.0) for effect in ripple], 2)
+
+
+def _of_sizes(ripple: tuple[FittedEffect, ...], sizes: Array) -> tuple[FittedEffect, ...]:
+    """The model's ripple with the waves ``(2 m,)`` [N m] of the arm that was recorded."""
+    return tuple(replace(effect, coefficients=(float(a), float(b)), std=(), parameters=())
+                 for effect, (a, b) in zip(ripple, sizes.reshape(-1, 2), strict=True))
 
 
 def _root(model: Model, dry: Array, robot: Robot) -> Array:

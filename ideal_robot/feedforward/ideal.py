@@ -164,10 +164,7 @@ class IdealRobot(Feedforward):
             inertia: what the drives feel of the joints' accelerations beyond the model's ``(n, n)`` [kg m²].
         """
         loop = self.loop
-        q_d = np.asarray(q_d, dtype=float)
-        if q_d.ndim != 2 or q_d.shape[1] != loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():
-            raise InputError(f"expected finite desired positions of shape (n_d, {loop.n})", field="q_d",
-                             value=q_d.shape)
+        q_d = self._checked(q_d)
         rows = np.concatenate([state.q_d, self._horizon(q_d, state.q_d)])
         q, qd, qdd = (operator @ rows for operator in self._coarse)
         load, more = self._load(q, qd, qdd, carried)
@@ -186,12 +183,7 @@ class IdealRobot(Feedforward):
             q_m, v_m, a_m = behind_uneven_gears(loop.uneven, q_m, v_m, a_m)
             # A gear that turns faster than its motor hands more of its torque on to it.
             reflected = gear * np.divide(output, v_m, out=np.ones_like(v_m), where=np.abs(v_m) > 1e-6)
-        begun = (state.cycle * self.t_ipo + self._t_fine) / self.settle
-        if begun[0] < 1.0:
-            # The deflection at the start is taken up smoothly, from nothing to all of it.
-            left = 1.0 - np.minimum(begun, 1.0)[:, None]
-            q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
-            v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
+        self._take_up(state, q_m, v_m)
         smooth = reflected + drives.rotor_inertia * a_m + loop.offset
         if inertia is not None:
             smooth = smooth + a_m @ inertia.T
@@ -208,6 +200,22 @@ class IdealRobot(Feedforward):
                        loop.q_max)
         return q_c, IdealState(np.concatenate([state.q_d[1:], q_d[:1]]), np.concatenate([state.q_c[1:], q_c[None]]),
                                u, tau, bent[last], reached, v_m[last], turned[last], state.sag, state.cycle + 1)
+
+    def _checked(self, q_d: Array) -> Array:
+        """A horizon's positions ``(n_d, n)``; InputError where they are none."""
+        q_d = np.asarray(q_d, dtype=float)
+        if q_d.ndim != 2 or q_d.shape[1] != self.loop.n or len(q_d) == 0 or not np.isfinite(q_d).all():
+            raise InputError(f"expected finite desired positions of shape (n_d, {self.loop.n})", field="q_d",
+                             value=q_d.shape)
+        return q_d
+
+    def _take_up(self, state: IdealState, q_m: Array, v_m: Array) -> None:
+        """Takes the deflection at the start up smoothly, from nothing to all, in the motors' motion ``(N, n)``."""
+        begun = (state.cycle * self.t_ipo + self._t_fine) / self.settle
+        if begun[0] < 1.0:
+            left = 1.0 - np.minimum(begun, 1.0)[:, None]
+            q_m -= state.sag * left**3 * (10.0 - 15.0 * left + 6.0 * left**2)
+            v_m += state.sag * 30.0 * left**2 * (1.0 - left) ** 2 / self.settle
 
     def _load(self, q: Array, qd: Array, qdd: Array, carried: Carried | None
               ) -> tuple[Array, Array | None]:

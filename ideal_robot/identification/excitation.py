@@ -169,11 +169,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         InputError: too few harmonics, a period that is none, a joint with nothing to move, or no motion within the
             limits was found.
     """
-    if harmonics < 3:
-        raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
-                         field="harmonics", value=harmonics)
-    if not 0.0 < period <= LONGEST:
-        raise InputError(f"expected a period of more than 0 and at most {LONGEST:g} s", field="period", value=period)
+    _check_sums(harmonics, period)
     search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
     independent = list(base_parameters(robot.pinocchio).independent)
 
@@ -204,6 +200,14 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         if better(motion, best):
             best = motion
     return best
+
+
+def _check_sums(harmonics: int, period: float) -> None:
+    if harmonics < 3:
+        raise InputError("at least 3 harmonics are needed, two conditions make the motion start at rest",
+                         field="harmonics", value=harmonics)
+    if not 0.0 < period <= LONGEST:
+        raise InputError(f"expected a period of more than 0 and at most {LONGEST:g} s", field="period", value=period)
 
 
 def _changed(motion: FourierMotion, rng: np.random.Generator) -> Array:

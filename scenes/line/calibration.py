@@ -94,11 +94,15 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
             view.look(*late.pop(0), ahead)
         if fields >= HOPELESS and not view.observations:
             break
-    if (seen := len(view.observations)) < max(fields // 2, 3):
-        raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; check "
-                         "where the line is, or set calibration.by_moving = false")
+    _check_seen(len(view.observations), fields)
     near = reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
     return calibrate(believed, view.observations, near, reference.frames(np.array([at])).up[0])
+
+
+def _check_seen(seen: int, fields: int) -> None:
+    if seen < max(fields // 2, 3):
+        raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; check "
+                         "where the line is, or set calibration.by_moving = false")
 
 
 def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
