@@ -131,6 +131,10 @@ class _Clamp(Subject[Play]):
                 shift, torque = own.q_m - own.q_m.mean(), own.tau - own.tau.mean()
                 without.append(shift)
                 with_it.append(shift - torque / others.stiffness)
+        if not without:
+            raise InputError("no gear is loaded by two clamped recordings, so nothing decides whether its stiffness is "
+                             "right; clamp in more configurations", file=self._scene.source, field="clamp",
+                             value=len(self.recordings))
         return [(np.concatenate(without), np.concatenate(with_it))]
 
     def section(self, page: Report) -> None:

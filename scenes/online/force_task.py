@@ -113,7 +113,7 @@ class GlueCamera:
     def _during(self, span: tuple[float, ...], t: float) -> bool:
         """Whether ``t`` lies in a span that counts from the beginning of the travel."""
         start = self.follower.t_travel
-        return len(span) == 2 and start + span[0] <= t < start + span[1]
+        return bool(span) and start + span[0] <= t < start + span[1]
 
     def _garbage(self, seen: LineField) -> LineField:
         """Another field than the camera took: points anywhere beside the line, each claiming to be good."""

@@ -9,7 +9,7 @@ import pydantic
 
 from planning.force.contact import StopLimits
 from scenes.scene_files.drawn_line import Calibration, CameraTable, Displacement, Line, Reference, Surface
-from scenes.scene_files.scene import ARM, Box, Scene, Table
+from scenes.scene_files.scene import ARM, Box, Scene, Span, Table
 from scenes.scene_files.shape import Shape
 
 
@@ -54,7 +54,8 @@ class SensorTable(Table):
     com: tuple[float, float, float] = (0.0, 0.01, -0.08)
     drift: tuple[float, ...] = ()
     """What the bias has changed by since calibration, six components [N, N m]."""
-    lie: tuple[float, ...] = ()
+    lie: Span = ()
+    """From and to [s]: it tells nonsense."""
 
 
 class Assumed(Table):
@@ -82,9 +83,9 @@ class Emergency(Table):
 class CameraTrouble(Table):
     """What happens to the camera on the way; times count from the beginning of the travel [s]."""
 
-    loss: tuple[float, ...] = ()
+    loss: Span = ()
     """From and to: nothing arrives."""
-    garbage: tuple[float, ...] = ()
+    garbage: Span = ()
     """From and to: fields arrive that show something else."""
     garbage_mm: float = 8.0
     """How far beside the line that is."""

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
-from typing import Any, ClassVar, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -68,6 +68,16 @@ class Table(pydantic.BaseModel):
     """A table of a scene file: no unknown keys, no changes."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+def _from_to(times: tuple[float, ...]) -> tuple[float, ...]:
+    if times and (len(times) != 2 or times[0] > times[1]):
+        raise ValueError("expected two times [s], from and to, or none")
+    return times
+
+
+Span = Annotated[tuple[float, ...], pydantic.AfterValidator(_from_to)]
+"""When something happens: from and to [s]; never if empty."""
 
 
 class Box(Table):

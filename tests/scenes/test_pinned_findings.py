@@ -31,6 +31,7 @@ from ideal_robot.rsi.message import RsiFormat
 from ideal_robot.signals.preprocess import preprocess
 from ideal_robot.signals.recording import Recording
 from scenes import cli
+from scenes.close_clamped import close_loop
 from scenes.data_sets import fetch
 from scenes.detection import pictures
 from scenes.model_files import model_at, shipped_model
@@ -141,6 +142,19 @@ def test_what_a_play_put_aside_for_the_collector_is_given_back() -> None:
 def test_a_rate_of_as_good_as_nothing_is_refused(scene: str, table: str) -> None:
     with pytest.raises(InputError, match=f"{table}.rate"):
         load_scene(scene).changed(**{table: {"rate": 1e-320}})
+
+
+@pytest.mark.parametrize(("table", "key"), [("sensor", "lie"), ("trouble", "loss"), ("trouble", "garbage")])
+def test_a_time_without_an_end_is_no_span(table: str, key: str) -> None:
+    for times in ([1.0], [2.0, 1.0], [0.0, 1.0, 2.0]):
+        with pytest.raises(InputError, match="from and to") as refused:
+            load_scene("glue").changed(**{table: {key: times}})
+        assert refused.value.field == f"{table}.{key}"
+
+
+def test_gears_that_one_clamped_recording_loads_are_not_judged() -> None:
+    with pytest.raises(InputError, match="two clamped recordings"):
+        close_loop(load_scene("close_clamped").changed(clamp={"most": 1}))
 
 
 def test_a_world_that_cannot_be_is_refused_before_it_is_compared_with_the_model(tmp_path: Path) -> None:
