@@ -44,7 +44,7 @@ MORE_PARAMETERS = {
     "planning/line/deviation_model.py:PathDeviation.__init__", "planning/line/fusion.py:DeviationFilter.__init__",
     "planning/line/line_follower.py:LineFollower.__init__", "planning/path/desired_path.py:DesiredPath.__init__",
     "scenes/online/line_task.py:LineTask.__init__", "scenes/path/close_loop.py:closed",
-    "scenes/scene_files/tool_path.py:tool_path",
+    "scenes/rsi/server.py:rsi_server", "scenes/scene_files/tool_path.py:tool_path",
     "sensing/camera/camera_model.py:CameraModel.perturbed", "sensing/camera/line_detection.py:_evaluate",
     "sensing/camera/line_detection.py:_sections", "sensing/camera/line_profile.py:find_sections",
     "sim/arm/kernel.py:drive_step",

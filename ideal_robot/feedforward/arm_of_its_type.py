@@ -79,8 +79,7 @@ def arm_of_its_type(recording: Recording, model: Model, robot: Robot) -> Model:
     dry = _dry(model)
     turned = model.friction.turned(s.q, s.qd)
     slides = np.abs(s.decimate(turned)) > SLIDES
-    std = np.sqrt(noise_variance(dry, s.factor * s.dt, model.noise_std))
-    std = np.broadcast_to(std, slides.shape)[slides]
+    std = np.broadcast_to(np.sqrt(noise_variance(dry, s.factor * s.dt, model.noise_std)), slides.shape)[slides]
     arm = _behind_gears(s, model, turned * dry)
     bend = model.rigid_body(*arm) - model.rigid_body(s.q, s.qd, s.qdd)
     left = [s.decimate(s.tau - bend - one.inverse_dynamics(s.q, s.qd, s.qdd, t=s.t - s.t[0]))[slides] / std

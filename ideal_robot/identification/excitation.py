@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from typing import TypeGuard
 
 import numpy as np
 import pinocchio as pin
@@ -173,22 +172,18 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
     search = MotionSpace(robot, period, harmonics, workspace or Workspace.of(robot), speed, acceleration, travel)
     independent = list(base_parameters(robot.pinocchio).independent)
 
-    def scaled(coefficients: Array, centre: Array | None = None) -> FourierMotion | None:
+    def better(best: FourierMotion | None, coefficients: Array, centre: Array | None) -> FourierMotion | None:
         motion = search.scaled(coefficients, rng, centre)
         if motion is None:
-            return None
-        return replace(motion, condition_number=_condition(robot, independent, *motion.at(search.t)))
-
-    def better(motion: FourierMotion | None, best: FourierMotion | None) -> TypeGuard[FourierMotion]:
-        return motion is not None and (best is None or motion.condition_number < best.condition_number) \
-            and search.free(motion)
+            return best
+        motion = replace(motion, condition_number=_condition(robot, independent, *motion.at(search.t)))
+        less = best is None or motion.condition_number < best.condition_number
+        return motion if less and search.free(motion) else best
 
     best: FourierMotion | None = None
     for centre in (None, None, robot.home):
         for _ in range(trials):
-            motion = scaled(rng.uniform(-1, 1, (2, harmonics, robot.n)), centre)
-            if better(motion, best):
-                best = motion
+            best = better(best, rng.uniform(-1, 1, (2, harmonics, robot.n)), centre)
         if best is not None:
             break
         # Joints that turn far take the arm below the floor: smaller motions, at last where it stands already.
@@ -196,9 +191,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
     if best is None:
         raise InputError(f"no motion within the limits was found: {search.in_the_way()}", field="workspace")
     for _ in range(refinements):
-        motion = scaled(_changed(best, rng), best.centre)
-        if better(motion, best):
-            best = motion
+        best = better(best, _changed(best, rng), best.centre) or best
     return best
 
 

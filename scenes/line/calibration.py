@@ -71,8 +71,8 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
     commands = _moves(robot, postures, T)
     arm.reset(commands[0])
     camera.restart()
-    shape = ArmShape(robot) if camera.lamp is not None else None
     view = CalibrationView(robot, reference, believed, detection, known.detector, commands[0], fusion)
+    shape = ArmShape(robot) if camera.lamp is not None else None
     sag = np.zeros(commands.shape) if deflection is None else deflection.along(commands)
     late: list[tuple[Field, PredictedLine]] = []
     due, fields, moved = 0, 0, [] if moved is None else moved
@@ -94,15 +94,16 @@ def calibrate_by_moving(known: Known, arm: SimulatedArm, camera: RenderedCamera,
             view.look(*late.pop(0), ahead)
         if fields >= HOPELESS and not view.observations:
             break
-    _check_seen(len(view.observations), fields)
-    near = reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
-    return calibrate(believed, view.observations, near, reference.frames(np.array([at])).up[0])
+    return _calibrated(view, fields, at)
 
 
-def _check_seen(seen: int, fields: int) -> None:
-    if seen < max(fields // 2, 3):
+def _calibrated(view: CalibrationView, fields: int, at: float) -> HandEye:
+    """The camera that explains what was seen of the line around ``at``; SceneError where most fields showed none."""
+    if (seen := len(view.observations)) < max(fields // 2, 3):
         raise SceneError(f"the camera could not be calibrated: only {seen} of {fields} fields showed the line; check "
                          "where the line is, or set calibration.by_moving = false")
+    near = view.reference.position(np.arange(at - 0.25, at + 0.25, 0.001))
+    return calibrate(view.believed, view.observations, near, view.reference.frames(np.array([at])).up[0])
 
 
 def _moves(robot: Robot, postures: Sequence[Array], T: float) -> Array:
