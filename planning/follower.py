@@ -69,6 +69,11 @@ class ForceFollower(Follower, Protocol):
         ...
 
     @property
+    def normal(self) -> Array:
+        """Out of the surface ``(3,)`` [base frame]."""
+        ...
+
+    @property
     def phase(self) -> Phase:
         """What the arm is about."""
         ...

@@ -191,6 +191,33 @@ def stopping_rows(planned: Array, T: float, speed: float, deceleration: float) -
         k += 1
 
 
+_STEEPEST = 10.0 / math.sqrt(3.0)
+"""Largest acceleration of a quintic from rest to rest, over a way of one in a time of one."""
+
+
+_SHARE = 0.25
+"""Of the joints' accelerations that moving away takes. On the simulated KR 6 the commands of ``contour``, whose
+feedforward knows the gears, then have up to 0.8 of the limits."""
+
+
+def moved_away(horizons: Iterator[Array], way: Array, a_max: Array, T: float) -> Iterator[Array]:
+    r"""The same horizons ``(n_d, n)``, on which every joint is moved by a way in the end.
+
+    By :math:`10u^3 - 15u^4 + 6u^5` of it, without a step of the acceleration, with ``_SHARE`` of what the joints may
+    have: the rest is for braking, and for what a feedforward adds to the command.
+
+    Args:
+        horizons: of the coming cycles, without end [rad].
+        way: of each joint ``(n,)`` [rad].
+        a_max: what each may accelerate ``(n,)`` [rad/s²].
+        T: interpolation cycle [s].
+    """
+    lasts = max(float(np.sqrt(np.max(_STEEPEST * np.abs(way) / (_SHARE * a_max)))), T)
+    for k, rows in enumerate(horizons):
+        u = np.minimum((k + 1 + np.arange(len(rows)))[:, None] * T / lasts, 1.0)
+        yield rows + (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5) * way
+
+
 # The limits of an arm along a path of commands: position, velocity, acceleration.
 
 def check_limits(q: Array, arm: Robot, t_ipo: float, *, start: float = 0.0) -> None:

@@ -153,7 +153,7 @@ class Tare:
 # A motion above a path before the job, at its speeds and with the reversals that an unknown surface asks for.
 
 CLEAR = 0.03
-"""Distance from the reference that the tip keeps at least [m]."""
+"""Distance from a surface or its reference that a tip keeps which must not touch it [m]."""
 WAVES = (0.25, 0.1)
 """Lengths of the waves of the tip's height [m]."""
 DRY_RUN_SLOPE = 0.1

@@ -375,9 +375,13 @@ class ContourFollower:
         )[:, None] * left
         return np.asarray(foot + curve + straight[:, None] * end)
 
+    @property
+    def normal(self) -> Array:
+        """Out of the contour, as it was felt last ``(3,)`` [base frame]."""
+        return np.asarray(self._normal @ self._axes)
+
     def contact_torque(self, q_d: Array) -> Array:
         """Expected joint torques of the contact over the horizon ``(n_d, n)`` [N m], [L] 2.2."""
         if not self.in_contact:
             return np.zeros_like(q_d)
-        force = self.settings.force * (self._normal @ self._axes)
-        return np.tile(self._kinematics.torque(q_d[0], force), (len(q_d), 1))
+        return np.tile(self._kinematics.torque(q_d[0], self.settings.force * self.normal), (len(q_d), 1))

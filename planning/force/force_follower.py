@@ -299,6 +299,13 @@ class SurfaceFollower:
         """Desired deviation (lateral, up) at the current cycle ``(2,)`` [m]."""
         return self._plan.position[0].copy()
 
+    @property
+    def normal(self) -> Array:
+        """Out of the surface where the tip is, as map and force show it ``(3,)`` [base frame]."""
+        frames = self.reference.frames(np.array([self.s_at(self._plan.cycle * self._T)]))
+        normal = frames.up[0] - self.slope[0] * frames.tangent[0] - self.slope[1] * frames.normal[0]
+        return np.asarray(normal / np.linalg.norm(normal))
+
     def contact_torque(self, q_d: Array) -> Array:
         """Expected joint torques τ_d of the contact over the horizon ``(n_d, n)`` [N m], [L] 2.2.
 
@@ -306,10 +313,7 @@ class SurfaceFollower:
         """
         if self._contact_since is None or self.phase in (Phase.LIFT, Phase.DONE):
             return np.zeros_like(q_d)
-        frames = self.reference.frames(np.array([self.s_at(self._plan.cycle * self._T)]))
-        normal = frames.up[0] - self.slope[0] * frames.tangent[0] - self.slope[1] * frames.normal[0]
-        force = self.settings.force * normal / np.linalg.norm(normal)
-        return np.tile(self._kinematics.torque(q_d[0], force), (len(q_d), 1))
+        return np.tile(self._kinematics.torque(q_d[0], self.settings.force * self.normal), (len(q_d), 1))
 
 
 # Direct force feedback, [L] (1): the usual way, and the baseline.

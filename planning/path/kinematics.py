@@ -91,6 +91,15 @@ class InverseKinematics:
         jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL_WORLD_ALIGNED)
         return np.asarray(jacobian[:3].T @ force)
 
+    def away(self, q: Array, way: Array) -> Array:
+        """Change of the joint angles ``(n,)`` [rad] that takes the TCP along ``way (3,)`` [m, base frame] unturned.
+
+        To first order about ``q (n,)`` [rad]: a way of some centimetres that must not fail, as inverse kinematics may.
+        """
+        jacobian = pin.computeFrameJacobian(self._model, self._data, q, self._tool, pin.LOCAL_WORLD_ALIGNED)
+        damped = jacobian @ jacobian.T + DAMPING * np.eye(6)
+        return np.asarray(jacobian.T @ np.linalg.solve(damped, np.append(way, np.zeros(3))))
+
     def solve(self, target: pin.SE3, q: Array, iterations: int = 50, wanted: Array | None = None) -> Array:
         """Joint angles ``(n,)`` [rad] of one pose, from the guess ``q (n,)``; steps are cut to 0.3 rad.
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ideal_robot.arrays import Array, held
 from ideal_robot.errors import LimitError
-from ideal_robot.execution.command_governor import CommandGovernor, stopping_rows, stops_at_once
+from ideal_robot.execution.command_governor import CommandGovernor, moved_away, stopping_rows, stops_at_once
 from ideal_robot.robots.interface import RobotInterface, RobotState
 from ideal_robot.robots.robot import Robot
 from ideal_robot.row_log import RowLog
@@ -182,6 +182,8 @@ def _cycles(robot: RobotInterface, limits: Robot, task: Task, log: CycleLog, set
             except (PlanningError, LimitError) as error:
                 log.failure = str(error)
                 stopping = stopping_rows(q_d[1:], T, task.speed(t), settings.braking)
+                if isinstance(error, PlanningError) and error.away is not None:
+                    stopping = moved_away(stopping, error.away, limits.a_max, T)
         if stopping is not None:
             rows = next(stopping)
             q_d = held(rows, after=1)

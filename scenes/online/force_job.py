@@ -15,7 +15,7 @@ from ideal_robot.model.model import Model
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.robots.robot import Robot
 from planning import PlanningError
-from planning.force.contact import EmergencyStopError, Phase, most_force
+from planning.force.contact import CLEAR, EmergencyStopError, Phase, most_force
 from planning.force.contour import LATELY, ContourFollower
 from planning.force.felt_by_motors import BeyondSensor
 from scenes.methods import SceneMethod
@@ -39,8 +39,6 @@ from sensing.force.force_calibration import ContactElasticity, ToolLoad
 
 BRAKING = 2.0
 """Deceleration of a stop on the path [m/s²]."""
-CLEAR = 0.03
-"""Distance from the surface's nominal place that the tip keeps while the camera is calibrated [m]."""
 LONGEST = 60.0
 """A run that has not ended so long after its travel is stuck [s]."""
 _BELOW = 1.25
@@ -107,11 +105,10 @@ class LiveForceTask(ForceTask):
         elif self._unfit is not None:
             raise self._unfit
 
-    def plan(self, t: float, q_d: Array) -> Array:
-        """See ``scenes.online.cycle.Task``."""
+    def _planned(self, t: float, q_d: Array) -> Array:
         if self.arm is not None:
             self.arm.check(t)
-        q_d = super().plan(t, q_d)
+        q_d = super()._planned(t, q_d)
         if self.force is not None:
             if len(self.log.samples) > self._told and self.follower.phase is Phase.TRAVEL and self.maps:
                 self.force.signs.fits(self.log.samples[-1][2])
@@ -150,7 +147,7 @@ class LiveForceTask(ForceTask):
             raise EmergencyStopError("force", t, f"{follower.force:.1f} N felt in the air, {1e3 * height:.1f} mm above "
                                      "the path's start; look whether the force sensor's bias has leapt")
         if follower.phase in (Phase.APPROACH, Phase.SETTLE) and height < self.floor:
-            raise EmergencyStopError("contact", t, f"the tip is {-1e3 * height:.1f} mm below the path's start, where "
+            raise EmergencyStopError("force", t, f"the tip is {-1e3 * height:.1f} mm below the path's start, where "
                                      f"the calibration felt more than is wanted, and {follower.force:.1f} N are felt; "
                                      "look whether the force sensor is alive")
 

@@ -16,7 +16,7 @@ from ideal_robot.feedforward.method import Setting
 from ideal_robot.robots.interface import RobotState
 from ideal_robot.row_log import RowLog
 from planning.follower import ForceFollower
-from planning.force.contact import Phase, StopConditions, Tare
+from planning.force.contact import CLEAR, EmergencyStopError, Phase, StopConditions, Tare, most_force
 from planning.force.force_follower import DirectForceFeedback, Errors, SurfaceFollower
 from planning.force.line_on_surface import LineOnSurface, SightSettings
 from planning.force.surface_forecast import FeltArm, surfaces
@@ -199,6 +199,7 @@ class ForceTask:
         self._arm = None if model is None else FeltArm(ArmObserver(model, cell.robot.t_ipo), self.q_start,
                                                        self._kinematics.torque)
         self._state = self.feedforward.init(self.q_start)
+        self._lets_go = False
         self.log = ForceLog()
         self._torque = np.zeros((self.n_d, cell.robot.n))
         self._sensor: ForceSensor
@@ -238,7 +239,17 @@ class ForceTask:
         self.follower.observe(t, arm)
 
     def plan(self, t: float, q_d: Array) -> Array:
-        """Desired joint positions over the horizon ``(n_d, n)``."""
+        """Desired joint positions over the horizon ``(n_d, n)``; a stop because of a force lets go of the surface."""
+        try:
+            return self._planned(t, q_d)
+        except EmergencyStopError as error:
+            if error.cause == "force":
+                self._lets_go = True
+                way = CLEAR + most_force(self.cell.scene.force) / self.assumed_stiffness
+                error.away = self._kinematics.away(q_d[0], way * self.follower.normal)
+            raise
+
+    def _planned(self, t: float, q_d: Array) -> Array:
         self._sense(t)
         self.fuse(t)
         self._check(t)
@@ -262,7 +273,7 @@ class ForceTask:
 
     def command(self, t: float, q_d: Array) -> Array:
         """Commanded joint positions ``(n,)``."""
-        self._torque = self.follower.contact_torque(q_d)
+        self._torque = np.zeros_like(q_d) if self._lets_go else self.follower.contact_torque(q_d)
         if self._direct is not None:
             return self._direct.command(t, q_d)
         n_d = self.feedforward.n_d

@@ -16,6 +16,7 @@ from ideal_robot.execution.command_governor import (
     ACCELERATION,
     CommandGovernor,
     check_limits,
+    moved_away,
     require_within_limits,
     stopping_rows,
     stops_at_once,
@@ -205,6 +206,22 @@ def test_a_plan_that_ends_before_is_not_left() -> None:
     walked = np.array([next(rows)[0, 0] for _ in range(60)])
     np.testing.assert_allclose(walked.max(), 0.1, atol=1e-9)
     np.testing.assert_allclose(walked[-1], 0.1, atol=1e-9)
+
+
+def test_an_arm_that_lets_go_moves_away_while_it_brakes_and_ends_at_rest_there() -> None:
+    planned = 0.5 * T * np.arange(400.0)[:, None] * np.array([1.0, -2.0])
+    way, a_max = np.array([0.1, -0.02]), np.array([10.0, 8.0])
+    plain = stopping_rows(planned, T, 0.5, 2.0)
+    rows = moved_away(stopping_rows(planned, T, 0.5, 2.0), way, a_max, T)
+    off = np.array([next(rows)[:2] - next(plain)[:2] for _ in range(400)])
+    np.testing.assert_allclose(off[1:, 0], off[:-1, 1], atol=1e-12)
+    off = np.vstack([np.zeros((1, 2)), off[:, 0]])
+    np.testing.assert_allclose(off[-1], way, rtol=1e-12)
+    np.testing.assert_allclose(off[:, 0] / way[0], off[:, 1] / way[1], atol=1e-12)
+    a = np.abs(np.diff(off, 2, axis=0)) / T**2
+    np.testing.assert_allclose(a.max(axis=0)[0], 0.25 * a_max[0], rtol=0.02)
+    assert a.max(axis=0)[1] <= 0.25 * a_max[1]
+    assert np.all(a[0] < 0.25 * a.max(axis=0))
 
 
 # What a play does at its ends.

@@ -176,8 +176,8 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
     """Follows a scene on the bench.
 
     Returns ``failure`` (None for the whole path), the largest true normal force ``force`` since the fault began [N] (of
-    the whole run without one), how far the tip moved from then on ``moved`` [m], how long after it the arm was stopped
-    ``after`` [s], the ``job`` and the ``recording``.
+    the whole run without one) and at its end ``left``, how far the tip moved from then on ``moved`` [m], how long after
+    it the arm was stopped ``after`` [s], the ``job`` and the ``recording``.
 
     Args:
         scene: with a surface.
@@ -212,5 +212,5 @@ def followed(scene: ForceScene, folder: Path, before: dict[str, Any] | None = No
         since = history["t"] >= begun
         way = np.linalg.norm(np.diff(history["tip"][since], axis=0), axis=1).sum()
         largest = float(history["normal"][since].max(initial=0.0))
-        return SimpleNamespace(failure=failure, force=largest, moved=float(way), after=arm.t - begun, job=job,
-                               recording=journal.recording())
+        return SimpleNamespace(failure=failure, force=largest, left=float(history["normal"][-1]), moved=float(way),
+                               after=arm.t - begun, job=job, recording=journal.recording())

@@ -25,6 +25,9 @@ def test_a_fault_is_named_before_it_harms(fault: str, stage: str, says: str, tmp
     assert run.force <= most_force(scene.force)
     if stage == "turning":
         assert run.force == 0.0
+    # Whoever cannot tell how hard it presses does not go on pressing.
+    assert run.left == 0.0
+    assert run.job.log.limited == 0
 
 
 @pytest.mark.slow
@@ -37,6 +40,7 @@ def test_no_fault_at_any_stage_presses_too_hard(name: str, fault: str, stage: st
     assert run.force <= most_force(scene.force), run.failure
     # A leap before anything was felt is a bias, and a drift is slower than the job.
     assert run.failure is not None or fault.startswith(("a leap", "drift"))
+    assert run.left == 0.0 or run.failure is None or "not done after" in run.failure
 
 
 @pytest.mark.slow

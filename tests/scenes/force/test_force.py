@@ -159,8 +159,9 @@ def test_emergency_stops_on_the_path_within_limits(changes: dict[str, object], r
     robot = Robot.load("kr6")
     assert np.all(np.abs(v) <= robot.v_max)
     assert np.all(np.abs(np.diff(v[::2], axis=0)) / 0.024 <= robot.a_max)
-    # At rest at the end.
+    # At rest at the end, and where a force was the reason off the surface.
     assert np.max(np.abs(v[-1])) < 1e-3
+    assert result.history["normal"][-1] == 0.0
 
 
 def test_lost_line_stops_the_glue() -> None:
