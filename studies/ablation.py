@@ -23,7 +23,7 @@ import numpy as np
 import ideal_robot
 from ideal_robot.diagnosis import Options, stages
 from ideal_robot.diagnosis.case import Case, Findings
-from ideal_robot.diagnosis.search import forward_selection
+from ideal_robot.diagnosis.search import forward_selection, learned_curves
 from ideal_robot.diagnosis.search.forward_selection import Search
 from ideal_robot.diagnosis.search.learned_curves import LearnedCurves
 from ideal_robot.diagnosis.search.scoring import Scoring
@@ -32,6 +32,7 @@ from ideal_robot.diagnosis.validation import domain_diagnosis
 from ideal_robot.diagnosis.validation.domain_diagnosis import DomainDiagnosis
 from ideal_robot.effects import Effect, library
 from ideal_robot.effects.fitted import Unknown
+from ideal_robot.effects.friction import PreslidingHysteresis
 from ideal_robot.effects.loads import GravitySpring
 from ideal_robot.errors import IdealRobotError
 from ideal_robot.identification.checks import checked
@@ -44,11 +45,10 @@ from studies.strangers.arm import robot_of
 from studies.strangers.score import Score, score
 from studies.strangers.trial import Trial, draw_trial
 
-FLAGS: dict[str, Any] = {"without_which_none": (), "enough_of_most": (), "caution": 1.0, "flexible": False,
-                         "of_angle_alone": False, "tail_alone": False}
+FLAGS: dict[str, Any] = {"caution": 1.0}
 """Flags on ``Effect`` that change the behaviour of the search, with the value that switches them off. Those that one
 step alone asks are switched off with it: ``sooner_than`` with ``likelier``, ``at_all_frequencies`` with
-``holds_slowly``, ``of_slow_motion`` with ``share_slowly``, ``standstill`` with ``at_standstill``."""
+``holds_slowly``, ``of_slow_motion`` with ``share_slowly``."""
 OPTIONS: dict[str, Callable[[Options], float]] = {
     "smallest_learned": lambda o: o.smallest, "smallest_absorbed": lambda o: o.smallest,
     "smallest_torque": lambda o: 0.0, "smallest_beside": lambda o: 0.0, "smallest_own": lambda o: 0.0,
@@ -92,7 +92,9 @@ STEPS = (
     _passes(Search, "_sharpened", 2), _passes(forward_selection, "likelier", 1),
     _says(forward_selection, "indistinguishable", False), _says(Scoring, "holds_slowly", True),
     _says(Scoring, "holds_everywhere", True), _says(Scoring, "share_slowly", 0.0),
-    _says(LearnedCurves, "_refutes", True), _says(GravitySpring, "like_the_model", None),
+    _says(LearnedCurves, "_refutes", True), _says(learned_curves, "flexible", False),
+    Step(PreslidingHysteresis, "certain", lambda original, *a: Effect.certain(*a),
+         lambda result, *a: bool(result != Effect.certain(*a))), _says(GravitySpring, "like_the_model", None),
     _says(stages, "_columns_changed", False), _passes(stages, "with_braking_friction", 1),
     Step(stages, "transferring", lambda original, problem, choices, *a: (list(choices), ()),
          lambda result, *a: bool(result[1])),

@@ -26,6 +26,7 @@ from ideal_robot.diagnosis.validation.result import NotTransferred
 from ideal_robot.diagnosis.validation.transfer import deciding, held_out, transferring
 from ideal_robot.effects import ARM_POSITION, MOTOR_TORQUE, SENSOR, TCP_POSITION, Effect, library
 from ideal_robot.effects.backlash import Backlash
+from ideal_robot.effects.kinematics import GeometryChange
 from ideal_robot.model.model import Model
 
 
@@ -72,7 +73,7 @@ def _diagnosed(case: Case, made: Regression, validation: Regression | None, bloc
     if made.domain == TCP_POSITION and made.absent:
         # Two axes of three do not tell a length of the arm from an angle, nor a curve from either; play is one over
         # the load.
-        only = tuple((e.name, j) for e in effects if not e.geometric and e.name != Backlash.name
+        only = tuple((e.name, j) for e in effects if not isinstance(e, GeometryChange) and e.name != Backlash.name
                      for j in range(case.robot.n + 1) if only is None or (e.name, j) in only)
     if sensor:
         only = tuple((e.name, 0) for e in effects if only is None or (e.name, 0) in only)

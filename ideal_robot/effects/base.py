@@ -12,7 +12,7 @@ else that is linear: base parameters, friction, offsets.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self
 
@@ -126,27 +126,13 @@ class Effect(ABC):
         coefficient_names, coefficient_units: linear coefficients, one per column of ``columns``.
         absorbed_by_base: whether an ordinary identified model already has a parameter of the same form, so that the
             effect can only be seen against a model identified before.
-        without_which_none: columns, from 0, of which one at least has to differ from none, where any of them shows.
-        enough_of_most: further columns, from 0, of which one that differs from none is enough where the effect takes
-            away more than half of the held-out squares.
         sooner_than: names of effects in whose place it is taken where it explains nearly as much: the likelier cause.
-        scanned: whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it.
-        geometric: whether it is a change of the arm's geometry, which another joint's may reproduce where axes are
-            parallel.
         caution: how many times the usual share of the residual is asked for: of causes that are unlikely in one joint
             alone.
-        flexible: whether its form bends to nearly any curve over the joint's angle, so that a learned curve has to be
-            only as good, and needed beside it, to replace it.
-        of_angle_alone: whether it is a function of its joint's angle alone, so that a learned curve over that angle
-            which is needed beside it says that its form is wrong.
         at_all_frequencies: whether its coefficients are the same in slow and in fast motion while those of
             vibrations that look like it are not.
         of_slow_motion: whether it is a law of the joint's speed, which hardly acts in the upper half of the band: its
             share is asked for in the lower half as well, where vibrations do not hide it.
-        standstill: end of the bounds of its only theta, -1 or 1, at which all of it lies near standstill, where every
-            drive's friction goes its own way; 0 if there is none.
-        tail_alone: whether only the end of what it does lies in samples that count, so that a size and a theta that
-            belong to one tail do not make each other certain.
         learned: whether it is a curve without a physical cause.
         within: open interval in which physics has the first coefficient.
         nowhere: why it does not act in the loop; empty where it does.
@@ -163,18 +149,10 @@ class Effect(ABC):
     coefficient_names: ClassVar[tuple[str, ...]] = ("gain",)
     coefficient_units: ClassVar[tuple[str, ...]] = ("N m",)
     absorbed_by_base: ClassVar[bool] = False
-    without_which_none: ClassVar[tuple[int, ...]] = ()
-    enough_of_most: ClassVar[tuple[int, ...]] = ()
     sooner_than: ClassVar[tuple[str, ...]] = ()
-    scanned: ClassVar[bool] = False
-    geometric: ClassVar[bool] = False
     caution: ClassVar[float] = 1.0
-    flexible: ClassVar[bool] = False
-    of_angle_alone: ClassVar[bool] = False
     at_all_frequencies: ClassVar[bool] = False
     of_slow_motion: ClassVar[bool] = False
-    standstill: ClassVar[int] = 0
-    tail_alone: ClassVar[bool] = False
     learned: ClassVar[bool] = False
     within: ClassVar[tuple[float, float]] = (-np.inf, np.inf)
     nowhere: ClassVar[str] = ""
@@ -200,6 +178,11 @@ class Effect(ABC):
     def theta_is_physical(self) -> bool:
         """Whether theta is a number with an uncertainty, and does not only serve to compute the coefficients."""
         return type(self).consistent_theta is Effect.consistent_theta
+
+    @property
+    def scanned(self) -> bool:
+        """Whether theta is looked for in the residual (``starts_from_residual``); a joint may have several of it."""
+        return type(self).starts_from_residual is not Effect.starts_from_residual
 
     @property
     def at_motor(self) -> bool:
@@ -312,6 +295,25 @@ class Effect(ABC):
             joint: from 1; 0 for the whole arm.
         """
         return bool(self.within[0] < coefficients[0] < self.within[1])
+
+    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
+        """Whether coefficients that differ from none make it a cause; by default one of them is enough.
+
+        Args:
+            large: which of them differ from none by their uncertainty ``(m,)``.
+            coefficients: estimates ``(m,)``, in ``coefficient_units``.
+            otherwise: whether there is other evidence: of several coefficients, that they take away most of the
+                held-out squares together; of a single one, that its theta is known or another recording decides.
+        """
+        return bool(np.any(large)) or (otherwise and not self.absorbed_by_base)
+
+    def at_standstill(self, sides: Sequence[int]) -> bool:
+        """Whether all of it lies near standstill, where every drive's friction goes its own way.
+
+        Args:
+            sides: for each theta -1 where it stands at the lower end of what is searched, 1 at the upper, 0 between.
+        """
+        return False
 
     def consistent_theta(self, coefficients: Array, theta: Theta) -> Theta:
         """Theta with which the coefficients ``(m,)`` are exact; by default as it is, for a physical one is fitted."""

@@ -5,6 +5,7 @@ The laws are those of ``ideal_robot.friction``, the same objects that identifica
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -28,10 +29,12 @@ class LawTerm(Effect):
     Attributes:
         law: the law.
         term: index of the term among its columns.
+        standstill: end of what is searched, -1 or 1, at which theta leaves it near standstill alone; 0 if none.
     """
 
     law: ClassVar[type[laws.FrictionModel]]
     term: ClassVar[int]
+    standstill: ClassVar[int] = 0
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""
@@ -46,6 +49,10 @@ class LawTerm(Effect):
             theta: shape of the law, in ``theta_units``.
         """
         return self.law.columns(qd, direction, np.array(theta))[self.term]
+
+    def at_standstill(self, sides: Sequence[int]) -> bool:
+        """See ``Effect.at_standstill``. Where its bend lies below what was driven."""
+        return list(sides) == [self.standstill or None]
 
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. Friction over speed."""
@@ -285,7 +292,6 @@ class PreslidingHysteresis(Effect):
         ("stribeck", _SPEED_OR_DISTANCE),
         ("backlash", "reversals at postures with and without load on the gear"),
     )
-    tail_alone = True
     source = "Swevers et al. 2000, cited in [G]; the state of P. R. Dahl 1968"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:
@@ -297,6 +303,10 @@ class PreslidingHysteresis(Effect):
         """Short of a joint's range by far: else it is a spring."""
         span = float(np.ptp(signals.q[:, joint - 1])) + 1e-12
         return [(0.0005 * span, 0.15 * span)]
+
+    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
+        """See ``Effect.certain``. Samples that count hold its tail alone: size and theta do not assure each other."""
+        return bool(large[0])
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
         """See ``Effect.columns``. Shape ``(N, n, 1)``."""

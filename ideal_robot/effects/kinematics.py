@@ -42,7 +42,13 @@ class ZeroError(Effect):
         return LoopChange(zero=coefficients[0])
 
 
-class KinematicError(Effect):
+class GeometryChange(Effect):
+    """A change of the arm's geometry, which another joint's may reproduce where axes are parallel."""
+
+    domain = TCP_POSITION
+
+
+class KinematicError(GeometryChange):
     """Errors of one joint's Denavit–Hartenberg parameters: shifts along and turns about its axis and the common normal.
 
         delta x = da x_j + dd z_j + dalpha x_j × (x - p_j) + dtheta z_j × (x - p_j)
@@ -52,8 +58,6 @@ class KinematicError(Effect):
     """
 
     name = "kinematic_error"
-    domain = TCP_POSITION
-    geometric = True
     coefficient_names = ("a", "d", "alpha", "theta")
     coefficient_units = ("m", "m", "rad", "rad")
     source = "J. Denavit, R. S. Hartenberg 1955; first-order kinematic calibration"
@@ -81,12 +85,10 @@ class KinematicError(Effect):
         return LoopChange(geometry=(coefficients[0], coefficients[1], coefficients[2], coefficients[3]))
 
 
-class ThermalGrowth(WarmingEffect):
+class ThermalGrowth(GeometryChange, WarmingEffect):
     """The link behind a joint grows with warmth: ``delta x = e w (p_(j+1) - p_j)``."""
 
     name = "thermal_growth"
-    domain = TCP_POSITION
-    geometric = True
     coefficient_names = ("strain",)
     coefficient_units = ("1",)
     source = "linear expansion, 12e-6/K for steel, 24e-6/K for aluminium"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar
 
 import numpy as np
 
@@ -33,8 +32,6 @@ class LinkLoad(Effect):
     coefficient_names = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
     coefficient_units = ("kg", "kg m", "kg m", "kg m", *["kg m²"] * 6)
     absorbed_by_base = True
-    # Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
-    without_which_none: ClassVar[tuple[int, ...]] = (0, 1, 2, 3)
     source = "[G] (5)"
 
     def joints(self, signals: Signals) -> Iterator[int]:
@@ -55,6 +52,13 @@ class LinkLoad(Effect):
         """See ``Effect.plausible``. Some columns of the first links show nothing; what shows has a lever of an arm."""
         return bool(np.any(np.abs(coefficients) > 1e-9))
 
+    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
+        """See ``Effect.certain``. Mass or moments, where they show at all.
+
+        Inertia without mass is no body but how gears, rotors or filters bend the inertia that a motion shows.
+        """
+        return bool(np.any(large[:4] if np.any(coefficients[:4]) else large))
+
     def loop_change(self, coefficients: tuple[float, ...], theta: Theta) -> LoopChange:
         """See ``Effect.loop_change``. A body on the link."""
         return LoopChange(body=coefficients)
@@ -67,10 +71,6 @@ class Payload(WholeArmEffect, LinkLoad):
     """
 
     name = "payload"
-    # Moments without mass are no body but how gears, rotors or filters bend what a motion shows.
-    without_which_none = (0,)
-    # Its weight at a lever turns the wrist with gravity, which none of these do; its mass the strong joints show alone.
-    enough_of_most = (1, 2, 3)
     # On the axis of the flange a body turns like the link before; tools are changed, links are not.
     sooner_than = ("link_load",)
 
@@ -91,6 +91,14 @@ class Payload(WholeArmEffect, LinkLoad):
         """
         mass, first = float(coefficients[0]), float(np.linalg.norm(coefficients[1:4]))
         return abs(mass) > 1e-9 and first < 3.0 * abs(mass) + 1e-9
+
+    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
+        """See ``Effect.certain``. Its mass, or moments that take away most of the held-out squares.
+
+        Moments without mass may be how gears, rotors or filters bend what a motion shows. But weight at a lever turns
+        the wrist with gravity, which none of these do; its mass the strong joints show alone.
+        """
+        return bool(large[0]) or (otherwise and bool(np.any(large[1:4])))
 
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. Mass, and the centre in the frame of the last joint."""
@@ -115,8 +123,6 @@ class BaseTilt(WholeArmEffect):
     name = "base_tilt"
     coefficient_names = ("gravity along x", "gravity along y", "unknown moments, cosine", "unknown moments, sine")
     coefficient_units = ("m/s²", "m/s²", "N m", "N m")
-    # Moments of a base that does not lean turn nothing.
-    without_which_none = (0, 1)
     source = "[G] (5) with another direction of gravity"
 
     def usable(self, signals: Signals, joint: int) -> bool:
@@ -142,6 +148,10 @@ class BaseTilt(WholeArmEffect):
                 return False
         return bool(across < 0.26 * _G)
 
+    def certain(self, large: np.ndarray, coefficients: Array, otherwise: bool) -> bool:
+        """See ``Effect.certain``. Moments of a base that does not lean turn nothing."""
+        return otherwise or bool(np.any(large[:2]))
+
     def parameters(self, coefficients: Array, std: Array, theta: Theta, theta_std: Theta) -> list[EffectParameter]:
         """See ``Effect.parameters``. The angle, and the direction in which the base's z axis leans."""
         x, y = (float(v) for v in coefficients[:2])
@@ -156,7 +166,19 @@ class BaseTilt(WholeArmEffect):
         return LoopChange(gravity=(coefficients[0], coefficients[1]))
 
 
-class CableSpring(Effect):
+class AngleLaw(Effect):
+    """A function of its joint's angle alone: a learned curve that is needed beside it says that its form is wrong."""
+
+
+def flexible(effect: Effect) -> bool:
+    """Whether an effect bends to nearly any curve over its joint's angle, as a law of it with a shape of its own does.
+
+    To replace it, a learned curve has to be only as good, and needed beside it.
+    """
+    return isinstance(effect, AngleLaw) and bool(effect.theta_names)
+
+
+class CableSpring(AngleLaw):
     """``tau = k q``: a linear spring on one joint, a cable or hose; its rest position goes into the constant offset."""
 
     name = "cable_spring"
@@ -164,7 +186,6 @@ class CableSpring(Effect):
     coefficient_units = ("N m/rad",)
     # The motor works against the pull: a spring holds back, it does not push on.
     within = (0.0, np.inf)
-    of_angle_alone = True
     source = "hose packs and cables along the arm"
 
     def columns(self, signals: Signals, joint: int, theta: Theta) -> Array:
@@ -172,7 +193,7 @@ class CableSpring(Effect):
         return signals.on_joint(joint, signals.q[:, joint - 1])
 
 
-class GravitySpring(Effect):
+class GravitySpring(AngleLaw):
     """Torque of a spring between a point on the link and one on the frame ([J] section 2: gravity compensator).
 
     With lever ratio ``rho`` of the two attachment points and the angle ``phi`` at which they are in line, the length
@@ -191,9 +212,7 @@ class GravitySpring(Effect):
     discriminating_motion = (
         ("cable_spring", "the joint's whole range: a cable pulls in proportion, a balancer with the sine"),
     )
-    flexible = True
     caution = 1.5
-    of_angle_alone = True
     source = "[J] section 2"
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:

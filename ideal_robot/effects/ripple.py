@@ -29,7 +29,6 @@ class TorqueRipple(Effect):
     coefficient_names = ("cosine", "sine")
     coefficient_units = ("N m", "N m")
     source = "motor cogging and gear meshing; order = periods per joint turn"
-    scanned = True
     least_periods: ClassVar[float] = 2.0
 
     def starts(self, signals: Signals, joint: int) -> list[Theta]:

@@ -13,6 +13,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.diagnosis.channels.regression import Regression, noise_in_band
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import ARM_POSITION, TCP_POSITION, Frames, Signals
+from ideal_robot.effects.loads import AngleLaw
 from ideal_robot.robots.robot import Robot, common_normals
 from ideal_robot.signals.preprocess import resampled
 from ideal_robot.signals.recording import Recording
@@ -80,7 +81,7 @@ def with_loose_weights(made: Regression, effects: Sequence[Candidate]) -> Regres
         effects: of the motor torques.
     """
     loose = [made.decimate(one.effect.columns(made.signals, one.joint, one.theta)) for one in effects
-             if one.joint not in made.undecided and one.effect.of_angle_alone
+             if one.joint not in made.undecided and isinstance(one.effect, AngleLaw)
              and one.effect.like_the_model(made.signals, one.joint) is not None]
     if not loose:
         return made

@@ -28,6 +28,7 @@ from ideal_robot.diagnosis.search.scoring import Scoring
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects import Effect, Signals
+from ideal_robot.effects.loads import AngleLaw, flexible
 from ideal_robot.progress import Progress, silent
 
 
@@ -111,7 +112,7 @@ class Search:
                 self._prune()
                 self._exchange()
             self._retune(choice.candidate)
-            if choice.candidate.effect.of_angle_alone:
+            if isinstance(choice.candidate.effect, AngleLaw):
                 self._with_needed_form()
         return self.model.choices
 
@@ -201,11 +202,11 @@ class Search:
             Whether any was exchanged.
         """
         for position, choice in enumerate(self.model.choices):
-            if not choice.candidate.effect.of_angle_alone:
+            if not isinstance(choice.candidate.effect, AngleLaw):
                 continue
             fit = self.model.fit(choice)
             present = self.scoring.tested(fit, choice.candidate)
-            pool = [starts for starts in self.pool if starts[0].effect.of_angle_alone
+            pool = [starts for starts in self.pool if isinstance(starts[0].effect, AngleLaw)
                     and starts[0].joint == choice.candidate.joint and starts[0].place != choice.candidate.place]
             for other in (self.scoring.refined(fit, s) for s in self.scoring.scored(fit, pool)):
                 simple, rich = sorted((present, other), key=lambda s: s.candidate.parameter_count)
@@ -232,7 +233,7 @@ class Search:
         """
         for choice in self.model.choices:
             law = choice.candidate
-            if not law.effect.flexible or self._exceeds_any_pull(choice):
+            if not flexible(law.effect) or self._exceeds_any_pull(choice):
                 continue
             self.pool = [starts for starts in self.pool
                          if (starts[0].effect.key, starts[0].joint) != (law.effect.key, law.joint)]

@@ -14,6 +14,7 @@ from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate
 from ideal_robot.effects import TCP_POSITION, Effect, Signals
 from ideal_robot.effects.fitted import Unknown
+from ideal_robot.effects.loads import flexible
 
 _TESTED = 6
 """Curves of a channel that are tested on blocks left out, at most."""
@@ -55,7 +56,7 @@ class LearnedCurves:
         if not scored:
             return None
         s = max(scored, key=lambda s: s.test.total)
-        if best is not None and best.candidate.effect.flexible and not self._refutes(s, best.candidate):
+        if best is not None and flexible(best.candidate.effect) and not self._refutes(s, best.candidate):
             return None
         return self._chosen(s)
 
@@ -99,7 +100,7 @@ class LearnedCurves:
 
     def _margin(self, best: Choice) -> float:
         """How many times as much a curve has to take away as the best effect of the library."""
-        if best.candidate.effect.flexible:
+        if flexible(best.candidate.effect):
             return 1.0
         return self.options.unknown_margin
 

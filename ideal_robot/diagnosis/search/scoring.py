@@ -15,6 +15,7 @@ from ideal_robot.diagnosis.statistics.dependence import Dependence
 from ideal_robot.diagnosis.statistics.least_squares import Fit
 from ideal_robot.diagnosis.statistics.problem import Candidate, Problem
 from ideal_robot.effects.drive import DeadTime
+from ideal_robot.effects.kinematics import GeometryChange
 
 _ITERATIONS = 4
 """Steps that bring a computational theta to where its coefficients are exact; each leaves a small share of the last."""
@@ -305,14 +306,14 @@ def with_equivalents(problem: Problem, choices: list[Choice], share: float = 0.9
         choices: what was selected.
         share: of the squares that another joint's columns have to reproduce.
     """
-    if not any(choice.candidate.effect.geometric for choice in choices):
+    if not any(isinstance(choice.candidate.effect, GeometryChange) for choice in choices):
         return choices
     made, found = problem.regression, problem.fit([choice.candidate for choice in choices])
     result = []
     for k, choice in enumerate(choices):
         effect, joint, theta = choice.candidate.effect, choice.candidate.joint, choice.candidate.theta
         more: list[tuple[str, int, float]] = []
-        if effect.geometric:
+        if isinstance(effect, GeometryChange):
             own = made.decimate(effect.columns(made.signals, joint, theta) @ found.coefficients[k]).reshape(-1)
             W = made.W.reshape(len(own), -1)
             alone = float(np.sum(_without(W, own) ** 2))

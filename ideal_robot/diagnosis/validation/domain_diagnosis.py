@@ -21,6 +21,7 @@ from ideal_robot.diagnosis.validation.evidence import (
 from ideal_robot.diagnosis.validation.result import ChannelResult, FoundEffect, NotTransferred, Structure, Traces
 from ideal_robot.diagnosis.validation.transfer import deciding
 from ideal_robot.effects import MOTOR_TORQUE, SENSOR, TCP_POSITION
+from ideal_robot.effects.kinematics import GeometryChange
 
 CLEAR = 3.0
 """Standard deviations by which a lag of all channels has to differ from none, and a change of a model's parameter in
@@ -117,32 +118,10 @@ class DomainDiagnosis:
         """The last effect that in the final fit is not plausible, as good as none, or only near standstill."""
         signals = self.problem.regression.signals
         widened = with_misfit(self.problem, self.effects, self.final)
-        wide = widened.std
         for k in reversed(range(len(self.choices))):
             candidate, own = self.effects[k], self.final.coefficients[k]
             allowed = not np.any(own) or candidate.effect.plausible(own, candidate.theta, signals, candidate.joint)
-            clear = True
-            if candidate.effect.absorbed_by_base:
-                # What the model's own recording told is in the prior; only what bends parameters counts once for each.
-                bent = np.maximum(wide[k] ** 2 - self.final.std[k] ** 2, 0.0)
-                large = np.abs(own) > CLEAR * np.sqrt(wide[k] ** 2 + bent)
-                needed = list(candidate.effect.without_which_none)
-                clear = (bool(np.any(large[needed] if np.any(own[needed]) else large))
-                         or (bool(np.any(large[list(candidate.effect.enough_of_most)]))
-                             and self._shares(self._ladder()[1])[k] > _MOST))
-            elif len(own) == 1:
-                # A theta that is known no better than to its own size makes nothing certain; one that only serves the
-                # computation is no number at all. Where another recording decides, that is the evidence.
-                bounds = candidate.effect.bounds(signals, candidate.joint) if candidate.effect.theta_is_physical else []
-                vague = not bounds or (self.validation is None and (candidate.effect.tail_alone or bool(
-                    np.all(widened.theta_std[k] > np.abs(candidate.theta)))))
-                # Shares are of squares: what has to take away more of them has to be as much clearer.
-                least = _DISTINGUISHED * np.sqrt(candidate.effect.caution if signals.n > 1 else 1.0)
-                clear = not vague or bool(abs(own[0]) > least * wide[k][0])
-            else:
-                large, needed = np.abs(own) > _DISTINGUISHED * wide[k], list(candidate.effect.without_which_none)
-                clear = (candidate.effect.learned or bool(np.any(large[needed] if needed else large))
-                         or self._shares(self._ladder()[1])[k] > _MOST)
+            clear = candidate.effect.learned or self._differs(k, widened)
             near = at_standstill(candidate, signals)
             if allowed and clear and not near:
                 continue
@@ -153,6 +132,31 @@ class DomainDiagnosis:
             gone = self._not_added(k, self._ladder()[1], f"in the fit of everything together {why} ({said})")
             return k, replace(gone, refuted="" if allowed else candidate.effect.key)
         return None
+
+    def _differs(self, k: int, widened: Estimate) -> bool:
+        """Whether an effect differs from none by its uncertainty.
+
+        Args:
+            k: which.
+            widened: the final fit with the misfit in its standard deviations.
+        """
+        candidate, own, wide = self.effects[k], self.final.coefficients[k], widened.std[k]
+        effect, signals = candidate.effect, self.problem.regression.signals
+        if len(own) == 1 and not effect.absorbed_by_base:
+            # A theta that is known no better than to its own size makes nothing certain; one that only serves the
+            # computation is no number at all. Where another recording decides, that is the evidence.
+            searched = effect.theta_is_physical and bool(effect.bounds(signals, candidate.joint))
+            known = searched and not np.all(widened.theta_std[k] > np.abs(candidate.theta))
+            # Shares are of squares: what has to take away more of them has to be as much clearer.
+            least = _DISTINGUISHED * np.sqrt(effect.caution if signals.n > 1 else 1.0)
+            return (searched and self.validation is not None) or effect.certain(np.abs(own) > least * wide, own, known)
+        least, sigma = _DISTINGUISHED, wide
+        if effect.absorbed_by_base:
+            # What the model's own recording told is in the prior; only what bends parameters counts once for each.
+            least, sigma = CLEAR, np.sqrt(wide**2 + np.maximum(wide**2 - self.final.std[k] ** 2, 0.0))
+        large = np.abs(own) > least * sigma
+        return effect.certain(large, own, False) or (
+            effect.certain(large, own, True) and self._shares(self._ladder()[1])[k] > _MOST)
 
     def _worthless(self) -> tuple[int, NotTransferred] | None:
         """The effect that falls shortest of what it has to take away from the held-out error of its channel, if any."""
@@ -252,7 +256,7 @@ class DomainDiagnosis:
                     "indistinguishable_from": list(rivals), "transfers": transfers, "recording": self.source,
                     "share": choice.share, "share_asked": choice.asked}
         # Geometry and curves are in units of their own, all else in those of its joint.
-        own = candidate.joint > 0 and not (effect.geometric or effect.learned)
+        own = candidate.joint > 0 and not (isinstance(effect, GeometryChange) or effect.learned)
         sliding = own and self.reported.prismatic[candidate.joint - 1]
         fitted = fitted_effect(candidate, self.final, k, sliding=sliding, evidence=evidence)
         fitted = with_limits(fitted, candidate, self.problem.regression.signals)

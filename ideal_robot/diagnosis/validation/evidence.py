@@ -108,8 +108,7 @@ def at_standstill(candidate: Candidate, signals: Signals) -> bool:
         candidate: effect, joint and theta.
         signals: of the recording.
     """
-    side = candidate.effect.standstill
-    return bool(side) and sides(candidate, signals) == [side]
+    return candidate.effect.at_standstill(sides(candidate, signals))
 
 
 def _side(value: float, low: float, high: float) -> int:
