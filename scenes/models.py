@@ -25,7 +25,7 @@ from scenes.arms import arm_of
 from scenes.model_files import model_at, shipped_model
 from scenes.outputs import check_outputs
 from scenes.result import Progress, silent
-from scenes.scene_files.scene import OWN, SHIPPED, Scene
+from scenes.scene_files.scene import OWN, SHIPPED, Box, Scene, boxes_of, obstacles
 from sim.arm.world import World
 
 
@@ -69,7 +69,8 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ideal-robot"
 
 
-def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> PreparedModel:
+def prepared_model(robot: Robot, world: World, progress: Progress = silent, boxes: Sequence[Box] = ()
+                   ) -> PreparedModel:
     """The model that an arm's own identification motions give; they are played where nothing sound is kept of them.
 
     The world says how the simulated arm moves, as a real arm's mechanics do; the model sees its recordings alone.
@@ -78,11 +79,12 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
         robot: the arm as its data sheet has it.
         world: the arm as it is.
         progress: called with the fraction done.
+        boxes: that stand in the cell; the motions keep off them.
 
     Raises:
         InputError: an arm whose world does not fit its data; a cache folder that cannot be written.
     """
-    path = cache_folder() / f"{cache_name(robot, world)}.json"
+    path = cache_folder() / f"{cache_name(robot, world, boxes)}.json"
     if os.path.isfile(path):
         # One that was cut off, or cannot be read for another reason, is made anew as if there were none.
         with suppress(InputError):
@@ -90,13 +92,20 @@ def prepared_model(robot: Robot, world: World, progress: Progress = silent) -> P
             return PreparedModel(path, fresh=False)
     # Found now, not after the arm has been moved for minutes.
     check_outputs({"IDEAL_ROBOT_CACHE": path.parent})
-    model = _identified(world.robot, world=world, progress=progress)
+    model = _identified(world.robot, world=world, boxes=obstacles(boxes), progress=progress)
     return PreparedModel(model.save(path), fresh=True)
 
 
-def cache_name(robot: Robot, world: World) -> str:
-    """The robot, and a digest of all that the model depends on: the data sheet, the arm as it is, the procedure."""
-    data = [PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table()]
+def cache_name(robot: Robot, world: World, boxes: Sequence[Box] = ()) -> str:
+    """The robot, and a digest of all that the model depends on: also of the procedure.
+
+    Args:
+        robot: the data sheet.
+        world: the arm as it is.
+        boxes: in its cell.
+    """
+    data = [PROCEDURE, ideal_robot.__version__, robot.urdf_hash, robot.data, world.table(),
+            *(box.model_dump() for box in boxes)]
     digest = hashlib.sha256(json.dumps(data, sort_keys=True, default=str).encode()).hexdigest()[:16]
     return f"{robot.name}_{digest}"
 
@@ -129,7 +138,7 @@ def own_model(scene: Scene, robot: Robot, progress: Progress = silent) -> str:
         progress: called with the fraction of an identification done.
     """
     world = World.from_table(scene.robot, scene.arm_world, scene.source)
-    return str(prepared_model(robot, world, progress).path)
+    return str(prepared_model(robot, world, progress, boxes_of(scene)).path)
 
 
 if __name__ == "__main__":

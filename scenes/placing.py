@@ -25,7 +25,7 @@ from planning.path.speed_profile import JointPath, Limits, SpeedProfile
 from scenes.scene_files.drawn_line import reference_points
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
-from scenes.scene_files.scene import obstacles
+from scenes.scene_files.scene import Scene, boxes_of, obstacles
 
 AHEAD = (0.6, 0.5, 0.7, 0.4)
 """Distances of the line from the base that are tried, relative to the reach …"""
@@ -263,6 +263,13 @@ def shapes_about(scene: LineScene | ForceScene, robot: Robot) -> Shapes:
     low, high = drawn.min(axis=0) - BORDER, drawn.max(axis=0) + BORDER
     middle = plane * pin.SE3(np.eye(3), np.array([*(0.5 * (low + high))[:2], 0.0]))
     return Shapes(robot, middle, (float(high[0] - low[0]), float(high[1] - low[1])), obstacles(scene.box))
+
+
+def shapes_in(scene: Scene, robot: Robot) -> Shapes:
+    """The arm among all that a scene names: boxes, and the surface where there is one."""
+    if isinstance(scene, LineScene | ForceScene):
+        return shapes_about(scene, robot)
+    return Shapes(robot, boxes=obstacles(boxes_of(scene)))
 
 
 def _speed(robot: Robot, reference: ReferencePath, path: JointPath, scene: LineScene) -> float | None:

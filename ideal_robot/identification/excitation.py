@@ -29,12 +29,14 @@ class Workspace:
         r_min: smallest distance of the tool from the base axis while it is lower than ``z_free`` [m].
         z_free: height above which the base column is no obstacle [m].
         beyond: extra length beyond the tool frame that must also keep clear [m].
+        cell: the arm's shapes and what they must not touch; itself and its base plane if None.
     """
 
     z_min: float = 0.15
     r_min: float = 0.35
     z_free: float = 1.2
     beyond: float = 0.0
+    cell: Shapes | None = None
 
     @classmethod
     def of(cls, robot: Robot) -> Workspace:
@@ -54,6 +56,21 @@ class Workspace:
         # An axis that slides stands on no column that its tool could hit.
         column = 0.0 if robot.prismatic[0] else small * cls.r_min
         return cls(min(small * cls.z_min, highest - 0.5 * abs(highest)), column, small * cls.z_free)
+
+    def on_the_way(self, robot: Robot) -> Shapes | None:
+        """What a drive from home must not touch; None where home itself touches something and nobody named a cell.
+
+        The base plane of an arm that hangs or stands high is no floor.
+
+        Raises:
+            InputError: the arm stands in the cell that was named.
+        """
+        shapes = self.cell or Shapes(robot)
+        touch = shapes.first_touch(robot.home[None])
+        if touch is not None and self.cell is not None:
+            raise InputError(f"the motion begins at the home posture, and there {touch}; give another [joints] home",
+                             field="home", value=[round(float(angle), 3) for angle in robot.home])
+        return shapes if touch is None else None
 
     def widened(self, robot: Robot, q: Array) -> Workspace:
         """The workspace, wider where the arm has been already: what was recorded touched nothing.
@@ -156,8 +173,7 @@ def design_excitation(robot: Robot, rng: np.random.Generator, *, period: float =
         rng: source of the random search.
         period: of the motion [s].
         harmonics: number of sines and cosines per joint, at least 3.
-        workspace: keeps the arm off floor and column; one in proportion to its reach if None. None of it is
-            checked against cells or fixtures: look at the motion first.
+        workspace: keeps the arm off floor, column and cell; one in proportion to its reach if None.
         trials: random motions that the search begins with.
         refinements: changes that are tried of the best one.
         speed: share of the velocity limits that may be used.
@@ -240,7 +256,7 @@ class MotionSpace:
         self.reach_high = np.minimum(q_max - 0.5 * (1 - travel) * (q_max - q_min), 1.2 * np.pi)
         self.v_max = speed * np.where(np.isfinite(robot.v_max), robot.v_max, 2.0)
         self.a_max = acceleration * np.where(np.isfinite(robot.a_max), robot.a_max, 10.0)
-        self._shrinks, self._shapes, self._refused = _WIDE, Shapes(robot), Counter[str]()
+        self._shrinks, self._shapes, self._refused = _WIDE, workspace.cell or Shapes(robot), Counter[str]()
         self.t = np.linspace(0.0, period, 120, endpoint=False)
         self.t_fine = np.linspace(0.0, period, 40 * harmonics, endpoint=False)
 
@@ -285,7 +301,7 @@ class MotionSpace:
             self.workspace = self.workspace.widened(self.robot, self.robot.home[None])
 
     def free(self, motion: FourierMotion) -> bool:
-        """Whether the arm touches neither itself nor its base plane."""
+        """Whether the arm touches neither itself, its base plane, nor what else stands in the cell."""
         touch = self._shapes.first_touch(motion.at(self.t)[0])
         if touch is not None:
             self._refused[f"{touch} (the arm's shapes in the URDF)"] += 1

@@ -16,6 +16,7 @@ from ideal_robot.arrays import Array
 from ideal_robot.dynamics import BaseParameters, base_parameters, full_regressor
 from ideal_robot.errors import InputError
 from ideal_robot.identification.excitation import Workspace, approach, clear_of_obstacles
+from ideal_robot.robots.collisions import Shapes
 from ideal_robot.robots.robot import Robot
 
 FRICTION_SPEEDS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3, 0.5)
@@ -143,18 +144,9 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
     n = robot.n
     v_max, a_max = finite_limits(robot)
     amplitude = np.minimum(0.12, 0.08 * (robot.q_max - robot.q_min))
-    postures = _postures(robot, rng, candidates, amplitude, workspace or Workspace.of(robot))
-    base = base_parameters(robot.pinocchio)
-    rows = np.stack([observation_rows(robot, base, q) for q in postures])
-    size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
-    rows = rows / np.where(size > 0, size, 1.0)
-    information = 1e-6 * np.eye(rows.shape[2])
-    chosen: list[int] = []
-    for _ in range(min(points, len(postures))):
-        gains = [np.linalg.slogdet(information + row.T @ row)[1] if i not in chosen else -np.inf
-                 for i, row in enumerate(rows)]
-        chosen.append(int(np.argmax(gains)))
-        information += rows[chosen[-1]].T @ rows[chosen[-1]]
+    workspace = workspace or Workspace.of(robot)
+    postures = _postures(robot, rng, candidates, amplitude, workspace)
+    chosen = _telling(robot, postures, points, workspace.on_the_way(robot))
     moves = []
     for k in range(len(chosen)):
         for i in range(n):
@@ -168,6 +160,30 @@ def plan_two_step(robot: Robot, rng: np.random.Generator, *, points: int = 10, c
             reach = min(0.25 * v + 0.5 * v**2 / (0.5 * a_max[i]), 4.0 * float(amplitude[i]))
             moves.append(Move(0, i + 1, "friction", float(max(reach, 0.02)), float(v), float(0.5 * a_max[i]), 1))
     return Program(postures[chosen], tuple(moves))
+
+
+def _telling(robot: Robot, postures: Array, count: int, shapes: Shapes | None) -> list[int]:
+    """Which of postures ``(m, n)`` determine the base parameters best, each in reach of the one before."""
+    base = base_parameters(robot.pinocchio)
+    rows = np.stack([observation_rows(robot, base, q) for q in postures])
+    size = np.linalg.norm(rows.reshape(-1, rows.shape[2]), axis=0)
+    rows = rows / np.where(size > 0, size, 1.0)
+    information = 1e-6 * np.eye(rows.shape[2])
+    chosen: list[int] = []
+    for _ in range(min(count, len(postures))):
+        gains = [np.linalg.slogdet(information + row.T @ row)[1] if i not in chosen else -np.inf
+                 for i, row in enumerate(rows)]
+        here = postures[chosen[-1]] if chosen else robot.home
+        best = next((int(i) for i in np.argsort(gains, kind="stable")[::-1] if i not in chosen
+                     and (shapes is None or shapes.touch_between(here, postures[i]) is None)), None)
+        if best is None:
+            break
+        chosen.append(best)
+        information += rows[best].T @ rows[best]
+    if len(chosen) < 2:
+        raise InputError("no way between operating points keeps off the arm itself and what stands in the cell; give "
+                         "another [joints] home to begin from", field="workspace")
+    return chosen
 
 
 def observation_rows(robot: Robot, base: BaseParameters, q: Array) -> Array:
@@ -194,7 +210,9 @@ def _postures(robot: Robot, rng: np.random.Generator, count: int, amplitude: Arr
     found = []
     for _ in range(40 * count):
         q = rng.uniform(low, high)
-        if clear_of_obstacles(robot, np.vstack([q, q + amplitude, q - amplitude]), workspace):
+        around = np.vstack([q, q + amplitude, q - amplitude])
+        if clear_of_obstacles(robot, around, workspace) and (
+                workspace.cell is None or workspace.cell.first_touch(around) is None):
             found.append(q)
             if len(found) == count:
                 break

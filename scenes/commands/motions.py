@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from scenes.result import Progress
 
 
+InCell = Annotated[Path | None, typer.Option(help="Scene whose surface and boxes the arm keeps off, a name or a file; "
+                                                  "default: only itself and its base plane.")]
 HowIdentified = Annotated[str, typer.Option(help="joint (optimised Fourier series) or two-step (trapezoidal moves at "
                                                  "operating points, [G] 3.1.2).")]
 LeastHeight = Annotated[float | None, typer.Option(help="Lowest height of tool and links [m]; default: 0.15, less for "
@@ -45,6 +47,7 @@ class IdentificationMotion:
     points: Annotated[int, typer.Option(help="Operating points of the two-step method.", min=2)] = 10
     seed: SearchSeed = 1
     z_min: LeastHeight = None
+    cell: InCell = None
     play: Annotated[bool, typer.Option("--play", help="Play it on the simulated arm and record it.")] = False
     json: JsonPlan = None
     out: Annotated[Path, typer.Option(help="Folder of program, commands and recording.")] = Path("out/plan")
@@ -54,8 +57,8 @@ def plan_identification(options: IdentificationMotion) -> None:
     """Plans an identification motion within the limits, writes it out, and on request plays it in simulation.
 
     Writes `commands.csv` (joint angles every interpolation cycle) and, for the two-step method, the program of moves as
-    `program.txt` and `program.json`. Look at the motion before it goes to a real arm: only limits, floor and base
-    column are known here, no cell.
+    `program.txt` and `program.json`. Look at the motion before it goes to a real arm: limits, floor and base column
+    are known here, and of what stands in the cell only what the scene `--cell` names.
 
     Example: `ideal-robot plan-identification --robot kr6 --play --out out/plan`
     """
@@ -65,7 +68,7 @@ def plan_identification(options: IdentificationMotion) -> None:
 
     check_outputs({"--out": options.out}, json=options.json)
     arm = Robot.load(options.robot, options.drive_data)
-    workspace = _workspace(arm, options.z_min)
+    workspace = _workspace(arm, options.z_min, options.cell)
     with progress_bar("plan") as progress:
         planned = plan(arm, options.method, seed=options.seed, period=options.period, points=options.points,
                        workspace=workspace)
@@ -103,6 +106,7 @@ class DiagnosticMotion:
     drive_data: DriveData = None
     length: Annotated[float, typer.Option(help="Longest motion [s], 4 to 600.")] = 30.0
     z_min: HeightBeside = None
+    cell: InCell = None
     seed: SearchSeed = 1
     json: JsonPlan = None
     out: Annotated[Path, typer.Option(help="File of the motion (CSV or Parquet).")] = Path("out/plan-diagnosis.csv")
@@ -113,7 +117,8 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
 
     The motion has `t` and the joint angles `q_d_i` (as commands `q_c_i`) at the interpolation cycle, from rest to rest,
     within the limits of position, speed and acceleration. It begins where the recording began. Look at it before it
-    goes to a real arm: only limits, floor and base column are known here, no cell. Play it, record it, diagnose it.
+    goes to a real arm: limits, floor and base column are known here, and of what stands in the cell only what the
+    scene `--cell` names. Play it, record it, diagnose it.
 
     Example, after that of `diagnose`:
     `ideal-robot plan-diagnosis out/plan/recording.parquet --robot kr6 --result diagnosis.json --out motion.csv`
@@ -132,7 +137,7 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
         raise InputError(f"expected a name ending in {' or '.join(WRITTEN)}", field="--out", value=str(options.out))
     arm = Robot.load(options.robot, options.drive_data)
     taken = Recording.read(options.recording)
-    workspace = _workspace(arm, options.z_min)
+    workspace = _workspace(arm, options.z_min, options.cell)
     known = None if options.model is None else Model.load(options.model)
     with progress_bar("plan-diagnosis") as progress:
         questions = _questions(options.result, taken, arm, known, progress)
@@ -146,13 +151,16 @@ def plan_diagnosis(options: DiagnosticMotion) -> None:
     _show_planned(plan, options.out)
 
 
-def _workspace(arm: Robot, z_min: float | None) -> Workspace:
-    """Where tool and links may be: by the arm's size, but for a height that is given [m]."""
+def _workspace(arm: Robot, z_min: float | None, cell: Path | None) -> Workspace:
+    """Where tool and links may be: by the arm's size, but for a height given [m], and off what a scene names."""
     from dataclasses import replace
 
     from ideal_robot.identification.excitation import Workspace
+    from scenes.placing import shapes_in
+    from scenes.scene_file import load_scene
 
-    return Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
+    found = Workspace.of(arm) if z_min is None else replace(Workspace.of(arm), z_min=z_min)
+    return found if cell is None else replace(found, cell=shapes_in(load_scene(cell), arm))
 
 
 def _questions(result: Path | None, taken: Recording, arm: Robot, known: Model | None,

@@ -307,14 +307,14 @@ def prepare(
     from scenes.models import prepared_model
     from scenes.outputs import check_outputs
     from scenes.scene_file import load_scene
-    from scenes.scene_files.scene import chosen
+    from scenes.scene_files.scene import boxes_of, chosen
     from sim.arm.world import World
 
     loaded = chosen(load_scene(scene), individual=individual)
     check_outputs(json=json, out=out)
     world = World.from_table(loaded.robot, loaded.arm_world, loaded.source)
     with progress_bar(f"{loaded.robot} {world.individual}") as progress:
-        prepared = prepared_model(arm_of(loaded.robot), world, progress)
+        prepared = prepared_model(arm_of(loaded.robot), world, progress, boxes_of(loaded))
     model = Model.load(prepared.path)
     path = prepared.path if out is None else model.save(out)
     write_signed(json, {"robot": loaded.robot, "individual": world.individual, "model": path,

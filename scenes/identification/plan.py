@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from ideal_robot.identification.program import Program, finite_limits, plan_two_
 from ideal_robot.identification.whole_model import identify_model
 from ideal_robot.model.model import Model
 from ideal_robot.results import Summarised
+from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot
 from ideal_robot.signals.recording import Recording
 from ideal_robot.whole_file import write_text
@@ -89,26 +90,34 @@ def plan(robot: Robot, method: str, *, seed: int = 1, period: float = 20.0, poin
         workspace: where the arm may move; in proportion to its reach if None.
 
     Raises:
-        InputError: unknown method, or nothing possible within limits and workspace.
+        InputError: unknown method, or nothing possible within limits, workspace and cell.
     """
-    rng = np.random.default_rng(seed)
+    if method not in ("joint", "two-step"):
+        raise InputError("expected joint or two-step", field="method", value=method)
+    rng, workspace = np.random.default_rng(seed), workspace or Workspace.of(robot)
+    shapes = workspace.on_the_way(robot)
+    failure: InputError | None = None
+    # Where joints turn far most random motions hit the floor, and the way to one may lead through what stands there.
+    for _ in range(_TRIES):
+        try:
+            found = _one(robot, method, rng, period, points, workspace)
+        except InputError as error:
+            failure = error
+            continue
+        if shapes is None or (touch := shapes.first_touch(found.commands)) is None:
+            return found
+        failure = InputError(f"on the way {touch}, {touch.row * robot.t_ipo:.1f} s from its begin; try "
+                             "another --seed, or another [joints] home to begin from", field="motion")
+    assert failure is not None
+    raise failure
+
+
+def _one(robot: Robot, method: str, rng: np.random.Generator, period: float, points: int, workspace: Workspace) -> Plan:
     if method == "two-step":
         program = plan_two_step(robot, rng, points=points, workspace=workspace)
         return Plan(method, program.commands(robot.home, robot.t_ipo, robot), robot.t_ipo, program)
-    if method != "joint":
-        raise InputError("expected joint or two-step", field="method", value=method)
-    motion = _designed(robot, rng, period, workspace)
+    motion = design_excitation(robot, rng, period=period, workspace=workspace)
     return Plan(method, fourier_commands(robot, motion, robot.home, robot.t_ipo), robot.t_ipo, motion)
-
-
-def _designed(robot: Robot, rng: np.random.Generator, period: float, workspace: Workspace | None) -> FourierMotion:
-    """The best motion found; where joints turn far, most random motions hit the floor, so it is tried several times."""
-    for _ in range(_TRIES - 1):
-        try:
-            return design_excitation(robot, rng, period=period, workspace=workspace)
-        except InputError:
-            continue
-    return design_excitation(robot, rng, period=period, workspace=workspace)
 
 
 def fourier_commands(robot: Robot, motion: FourierMotion, start: Array, t_ipo: float) -> Array:
@@ -165,7 +174,7 @@ def play_plan(planned: Plan, robot: Robot, seed: int, progress: Callable[[float]
 
 
 def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, world: World | None = None,
-                     progress: Progress = silent) -> tuple[Model, list[Recording]]:
+                     boxes: Sequence[Obstacle] = (), progress: Progress = silent) -> tuple[Model, list[Recording]]:
     """Plays two identification motions on a simulated arm and identifies everything from them.
 
     Args:
@@ -173,15 +182,17 @@ def identified_model(robot_name: str, *, seed: int = 1, period: float = 20.0, wo
         seed: of motions and noise.
         period: of the motions [s].
         world: what the arm is like; its default world if None.
+        boxes: that stand in the cell.
         progress: called with the fraction done.
     """
     robot = arm_of(robot_name)
     if world is not None:
         robot = replace(robot, t_ipo=world.t_ipo, t_position=world.t_position, t_velocity=world.t_velocity)
     recordings = []
+    workspace = replace(Workspace.of(robot), cell=Shapes(robot, boxes=boxes)) if boxes else None
     for run in range(2):
         progress(0.4 * run, "planning an identification motion")
-        planned = plan(robot, "joint", seed=seed + run, period=period)
+        planned = plan(robot, "joint", seed=seed + run, period=period, workspace=workspace)
         played = part_of(progress, 0.4 * run + 0.1, 0.3)
         recordings.append(play_plan(planned, robot, seed + run, partial(_moving, played), world))
     progress(0.8, "identifying")

@@ -260,6 +260,11 @@ def _keys_at(model: type[pydantic.BaseModel], location: tuple[Any, ...]) -> list
     return sorted(fields)
 
 
+def boxes_of(scene: Scene) -> tuple[Box, ...]:
+    """What a scene says stands in its cell; a clamped arm's says nothing."""
+    return getattr(scene, "box", ())
+
+
 def obstacles(boxes: Sequence[Box]) -> list[Obstacle]:
     """The boxes of a scene where they stand, numbered from 1."""
     return [Obstacle(f"box {i}", pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, math.radians(box.heading_deg)),

@@ -116,7 +116,7 @@ components = ["fz"]
 """
 CLOSE_FORCE = FORCE + b"[assumed]\nelasticity_ratio = 1.5\nelasticity_estimated = false\n"
 CLOSE_CLAMPED = b"""kind = "close_clamped"
-title = "clamped once"
+title = "clamped a few times"
 robot = "kr15"
 speed = 0.5
 seed = 1
@@ -126,7 +126,7 @@ size_mm = 60.0
 centre = [1.05, 0.0, 0.95]
 tilt_deg = 45.0
 [clamp]
-most = 1
+most = 4
 push = "joints"
 [world]
 stiffness = [4.5e5, 2.2e5, 2.6e5, 4.5e4, 4.5e4, 2.0e4]

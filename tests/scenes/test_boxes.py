@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,17 +10,23 @@ import pinocchio as pin
 import pytest
 
 from ideal_robot.errors import InputError
+from ideal_robot.identification.excitation import Workspace
 from ideal_robot.robots.collisions import Obstacle, Shapes
 from ideal_robot.robots.robot import Robot
+from planning.path.kinematics import InverseKinematics
 from scenes import load_scene
 from scenes.arms import arm_of
 from scenes.force.cell import set_up as set_up_force
+from scenes.identification.plan import plan
 from scenes.line.cell import set_up
+from scenes.models import cache_name
 from scenes.online.line_known import calibration_postures
-from scenes.placing import shapes_about
+from scenes.placing import shapes_about, shapes_in
 from scenes.scene_files.force_scene import ForceScene
 from scenes.scene_files.line_scene import LineScene
 from scenes.scene_files.path_scene import PathScene, joint_path
+from scenes.scene_files.scene import boxes_of
+from sim.arm.world import World
 
 BESIDE = {"middle": [0.0, -1.5, 0.5], "size": [0.4, 0.4, 1.0]}
 ABOVE_THE_LINE = {"middle": [1.0, 0.2, 0.75], "size": [0.2, 0.2, 0.2], "heading_deg": 30.0}
@@ -95,3 +102,30 @@ def test_the_base_may_stand_in_a_box_and_its_edges_are_where_it_is() -> None:
 def test_a_box_without_a_size_is_refused() -> None:
     with pytest.raises(InputError, match=r"box\.0\.size"):
         line(middle=[0.0, 0.0, 0.0], size=[0.1, 0.0, 0.1])
+
+
+def test_identification_motions_keep_off_the_cell_also_on_the_way_to_them() -> None:
+    robot = arm_of("kr6")
+    free = plan(robot, "joint", seed=1)
+    data = robot.pinocchio.createData()
+    pin.forwardKinematics(robot.pinocchio, data, free.commands[len(free.commands) // 3])
+    box = {"middle": [float(x) for x in data.oMi[5].translation], "size": [0.2, 0.2, 0.2]}
+    shapes = shapes_in(load_scene("iso9283_1").changed(box=[box]), robot)
+    assert shapes.first_touch(free.commands) is not None
+    for method in ("joint", "two-step"):
+        kept = plan(robot, method, seed=1, workspace=replace(Workspace.of(robot), cell=shapes))
+        assert shapes.first_touch(kept.commands) is None
+
+
+def test_an_arm_that_stands_in_a_box_is_told_so_before_a_motion_is_looked_for() -> None:
+    robot = arm_of("kr6")
+    tip = InverseKinematics(robot).fk(robot.home).translation
+    cell = Shapes(robot, boxes=[Obstacle("box 1", pin.SE3(np.eye(3), tip), (0.2, 0.2, 0.2))])
+    with pytest.raises(InputError, match=r"home posture, and there .* touches box 1"):
+        plan(robot, "joint", workspace=replace(Workspace.of(robot), cell=cell))
+
+
+def test_an_own_model_of_a_cell_with_boxes_is_another_one() -> None:
+    robot, world = arm_of("kr6"), World.default("kr6")
+    assert len({cache_name(robot, world, boxes_of(scene)) for scene in (load_scene("line"), line(**BESIDE))}) == 2
+    assert cache_name(robot, world, boxes_of(load_scene("line"))) == cache_name(robot, world)

@@ -173,7 +173,7 @@ def test_the_model_is_identified_once_and_kept_by_what_it_depends_on(tmp_path: P
     monkeypatch.setenv("IDEAL_ROBOT_CACHE", str(tmp_path))
     worlds: list[World] = []
 
-    def identified(name: str, *, world: World, progress: object) -> tuple[Model, list[object]]:
+    def identified(name: str, *, world: World, boxes: object, progress: object) -> tuple[Model, list[object]]:
         worlds.append(world)
         return shipped(), []
 
