@@ -10,20 +10,21 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from ideal_robot.bounded_values import kept_words
 from ideal_robot.errors import IdealRobotError, InputError
 from ideal_robot.file_limits import PICTURE_PIXELS
 from scenes.report.page import Report
-from sensing.camera.camera_device import Gray
 from sensing.camera.picture_line import PictureLine
 
+Picture = NDArray[np.uint8]
 PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".pgm")
 
 
-def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Gray]]:
-    """Names and gray pictures ``(height, width)`` of a source, one after the other.
+def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[str, Picture]]:
+    """Names and pictures, gray ``(height, width)`` or BGR ``(height, width, 3)``, of a source, one after the other.
 
     Args:
         source: path of a picture, a folder of pictures or a video; number of a camera; or an ``rtsp://``, ``http://``
@@ -49,16 +50,30 @@ def pictures(source: str, *, every: int = 1, most: int = 100) -> Iterator[tuple[
         yield from _frames(source, every, most)
 
 
-def _read(path: Path) -> Gray:
+def pixel(words: str) -> tuple[float, float]:
+    """``320,240`` as two numbers.
+
+    Raises:
+        InputError: not two numbers.
+    """
+    try:
+        u, v = (float(word) for word in words.split(","))
+    except ValueError as error:
+        raise InputError("expected a pixel as two numbers with a comma, e.g. 320,240", field="--near",
+                         value=words) from error
+    return u, v
+
+
+def _read(path: Path) -> Picture:
     _check_header(path)
     try:
         with kept_words():
-            gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+            picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     except cv2.error as error:
         raise InputError(f"not a readable picture ({' '.join(str(error).split())[:120]})", file=path) from error
-    if gray is None:
+    if picture is None:
         raise InputError("not a readable picture", file=path)
-    return _checked(np.asarray(gray, dtype=np.uint8), str(path))
+    return _checked(np.asarray(picture, dtype=np.uint8), str(path))
 
 
 def _check_header(path: Path) -> None:
@@ -76,7 +91,7 @@ def _check_header(path: Path) -> None:
     _check_size(width, height, str(path))
 
 
-def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
+def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Picture]]:
     address = "://" in source
     if not (source.isdigit() or address or os.path.isfile(source)):
         raise InputError("no such file or folder, nor the number of a camera or an address such as rtsp://…",
@@ -94,8 +109,7 @@ def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
             if not there:
                 break
             if index % every == 0:
-                gray = frame if frame.ndim == 2 else cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
-                yield f"frame {index}", _checked(np.asarray(gray, dtype=np.uint8), source)
+                yield f"frame {index}", _checked(np.asarray(frame, dtype=np.uint8), source)
                 taken += 1
             index += 1
         if index == 0:
@@ -104,9 +118,9 @@ def _frames(source: str, every: int, most: int) -> Iterator[tuple[str, Gray]]:
         capture.release()
 
 
-def _checked(gray: Gray, name: str) -> Gray:
-    _check_size(gray.shape[1], gray.shape[0], name)
-    return gray
+def _checked(picture: Picture, name: str) -> Picture:
+    _check_size(picture.shape[1], picture.shape[0], name)
+    return picture
 
 
 def _check_size(width: int, height: int, name: str) -> None:
@@ -115,103 +129,90 @@ def _check_size(width: int, height: int, name: str) -> None:
                          field="source", value=name)
 
 
-_USED, _REFUSED, _CURVE = (30, 160, 30), (40, 40, 220), (0, 106, 224)
+_SURE, _UNSURE, _EDGE = (30, 160, 30), (40, 40, 220), (0, 106, 224)
 _WIDEST = 900
 """Pictures on the page are no wider [px]."""
 _SHOWN = 24
 """Pictures on the page at most."""
+_CONFIDENT = 0.5
+"""Share of the line's usual contrast from which on a point is drawn as sure."""
 
 
 def figures(name: str, found: PictureLine) -> dict[str, Any]:
-    """What was found in one picture, as plain values for JSON; lengths in pixels, angles in degrees.
+    """A finding as plain values for JSON; lengths in pixels.
 
     Args:
         name: of the picture.
         found: what the detector says.
     """
-    points = []
-    if found.field is not None:
-        for pixel, sigma, quality, used in zip(found.field.pixels, found.field.sigma, found.field.quality,
-                                               found.field.used, strict=True):
-            points.append({"u": float(pixel[0]), "v": float(pixel[1]), "sigma": float(sigma),
-                           "quality": float(quality), "used": bool(used)})
-    rough, polynomial = found.rough, found.polynomial
-    return {
-        "picture": name, "size": list(found.size), "found": found.found, "reason": found.reason or None,
-        "width_px": None if rough is None else rough.width,
-        "polarity": None if rough is None else ("dark" if rough.dark else "bright"),
-        "contrast_gray": None if rough is None else rough.contrast,
-        "sigma_px": found.sigma,
-        "order": None if polynomial is None else len(polynomial.coefficients) - 1,
-        "residual_sigmas": None if polynomial is None else polynomial.residual,
-        "points": points, "curve": found.curve(25).tolist(),
-    }
+    points = [] if found.strip is None else [
+        {"u": float(u), "v": float(v), "width": float(width), "sigma": float(sigma), "confidence": float(sure)}
+        for (u, v), width, sigma, sure in zip(found.strip.points, found.strip.widths, found.strip.sigmas,
+                                              found.strip.confidence, strict=True)]
+    return {"picture": name, "size": list(found.size), "found": found.found, "reason": found.reason or None,
+            "width_px": found.width, "polarity": ("dark" if found.dark else "bright") if found.found else None,
+            "contrast_gray": found.contrast, "sigma_px": found.sigma, "log_odds": found.evidence,
+            "others": found.others, "points": points}
 
 
-def drawn(gray: Gray, found: PictureLine) -> bytes:
-    """The picture as PNG with points (green used, red refused) and polynomial (orange).
+def drawn(picture: Picture, found: PictureLine) -> bytes:
+    """The picture as PNG with the line's edges (orange) and points (green, red where it hardly shows).
 
     Args:
-        gray: the picture ``(height, width)``.
+        picture: gray or BGR.
         found: what the detector says of it.
 
     Raises:
         IdealRobotError: the picture cannot be encoded.
     """
-    scale = min(_WIDEST / gray.shape[1], 3.0)
-    image = cv2.cvtColor(cv2.resize(gray, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR),
-                         cv2.COLOR_GRAY2BGR)
-    curve = found.curve(200)
-    if len(curve):
-        at = np.rint((curve + 0.5) * scale - 0.5).astype(np.int32)
-        cv2.polylines(image, [at.reshape(-1, 1, 2)], False, _CURVE, 2, cv2.LINE_AA)
-    if found.field is not None:
-        for pixel, used in zip(found.field.pixels, found.field.used, strict=True):
-            if np.isfinite(pixel).all():
-                centre = (round((pixel[0] + 0.5) * scale - 0.5), round((pixel[1] + 0.5) * scale - 0.5))
-                cv2.drawMarker(image, centre, _USED if used else _REFUSED,
-                               cv2.MARKER_CROSS if used else cv2.MARKER_TILTED_CROSS, 16, 2, cv2.LINE_AA)
+    scale = min(_WIDEST / picture.shape[1], 3.0)
+    image = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_LINEAR)
+    image = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image
+    if found.strip is not None:
+        half = 0.5 * found.strip.widths[:, None] * found.strip.normals
+        for side in (-half, half):
+            at = np.rint((found.strip.points + side + 0.5) * scale - 0.5).astype(np.int32)
+            cv2.polylines(image, [at.reshape(-1, 1, 2)], False, _EDGE, 2, cv2.LINE_AA)
+        for (u, v), sure in zip((found.strip.points + 0.5) * scale - 0.5, found.strip.confidence, strict=True):
+            cv2.drawMarker(image, (round(u), round(v)), _SURE if sure >= _CONFIDENT else _UNSURE,
+                           cv2.MARKER_CROSS if sure >= _CONFIDENT else cv2.MARKER_TILTED_CROSS, 16, 2, cv2.LINE_AA)
     done, data = cv2.imencode(".png", image)
     if not done:
         raise IdealRobotError("the picture could not be encoded as PNG")
     return bytes(data)
 
 
-def detection_page(source: str, detector: str, results: list[tuple[str, Gray, PictureLine]]) -> Report:
+def detection_page(source: str, kind: str | None, results: list[tuple[str, Picture, PictureLine]]) -> Report:
     """The page about all pictures of a source.
 
     Args:
         source: where they came from.
-        detector: key of the detector.
-        results: name, picture ``(height, width)`` and finding of each.
+        kind: of line that was looked for.
+        results: name, picture and finding of each.
     """
     count = sum(found.found for _, _, found in results)
     sigmas = [found.sigma for _, _, found in results if found.found]
-    sure = f"; the line's middle is known to {np.median(sigmas):.2f} px (median standard deviation)" if sigmas else ""
-    report = Report("Line detection", f"A line was found in {count} of {len(results)} pictures of {source}{sure}.")
-    report.table(*table(results), caption=f"Detector {detector}. σ is the standard deviation of the polynomial across "
-                                          "the line in its middle.")
-    for name, gray, found in results[:_SHOWN]:
+    sure = f"; its points are known to {np.median(sigmas):.2f} px (median standard deviation)" if sigmas else ""
+    report = Report("Line detection", f"A {kind or 'line'} was found in {count} of {len(results)} pictures of "
+                                      f"{source}{sure}.")
+    report.table(*table(results), caption="Odds: logarithm of how much likelier a line is than none. σ: standard "
+                                          "deviation of a point across the line.")
+    for name, picture, found in results[:_SHOWN]:
         said = found.reason if not found.found else f"σ = {found.sigma:.2f} px"
-        report.image(drawn(gray, found), f"{name}: {said}. Green: points used; red: points refused; orange: the "
-                                         "polynomial through the points used.")
+        report.image(drawn(picture, found), f"{name}: {said}. Orange: edges of the line; green: points; red: points "
+                                            "where it hardly shows.")
     if len(results) > _SHOWN:
         report.text(f"The first {_SHOWN} of {len(results)} pictures are shown; all are in the JSON file.")
     return report
 
 
-def table(results: list[tuple[str, Gray, PictureLine]]) -> tuple[list[str], list[list[Any]]]:
+def table(results: list[tuple[str, Picture, PictureLine]]) -> tuple[list[str], list[list[Any]]]:
     """One row a picture.
 
     Args:
-        results: name, picture ``(height, width)`` and finding of each.
+        results: name, picture and finding of each.
     """
-    rows: list[list[Any]] = []
-    for name, _, found in results:
-        used = 0 if found.field is None else int(found.field.used.sum())
-        asked = 0 if found.field is None else len(found.field.used)
-        rows.append([name, found.found, f"{used} of {asked}", None if found.rough is None else found.rough.width,
-                     None if found.rough is None else ("dark" if found.rough.dark else "bright"),
-                     None if found.polynomial is None else len(found.polynomial.coefficients) - 1,
-                     found.sigma if found.found else None, found.reason])
-    return ["picture", "found", "points used", "width [px]", "polarity", "order", "σ [px]", "why not"], rows
+    rows = [[name, found.found, found.evidence if np.isfinite(found.evidence) else None,
+             *([found.width, "dark" if found.dark else "bright", found.contrast, found.sigma, found.others, None]
+               if found.found else [None] * 5 + [found.reason])] for name, _, found in results]
+    return ["picture", "found", "odds", "width [px]", "polarity", "contrast", "σ [px]", "other lines", "why not"], rows

@@ -34,6 +34,7 @@ GROUPS = {
         "methods": "line", "horizon": "line", "latency": "line", "causes": "line",
         "world": "paths", "heating": "paths", "camera": "camera", "calibration": "camera", "detectors": "camera",
         "photographs": "photographs", "real-camera": "photographs",
+        "line-photographs": "line_photographs", "line-weights": "line_photographs",
         "fusion": "fusion", "fusion-banks": "fusion",
         "force": "force", "force-parts": "force", "stability": "force", "surface-shapes": "force",
         "line-shapes": "line",

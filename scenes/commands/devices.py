@@ -181,41 +181,48 @@ def simulate(options: SimulateOptions) -> None:
                 lambda text: typer.echo(text, err=True))
 
 
-def detect(
-    source: Annotated[str, typer.Argument(help="A picture, a folder of pictures, a video, the number of a camera, or "
-                                               "an rtsp:// or http:// address.")],
-    detector: Annotated[str, typer.Option(help="What finds the points: edge_pairs or opencv.")] = "edge_pairs",
-    points: Annotated[int, typer.Option(help="Points along the line.", min=5, max=200)] = 15,
-    every: Annotated[int, typer.Option(help="Takes one of so many frames of a video or stream.", min=1)] = 1,
-    most: Annotated[int, typer.Option(help="Ends after so many pictures.", min=1)] = 100,
-    json: Annotated[Path | None, typer.Option(help="Write points and polynomials as JSON to this file.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("out/detect"),
-) -> None:
-    """Finds the drawn line in pictures of your own cell, before anything moves: points, polynomial, how sure, why not.
+@dataclass(kw_only=True)
+class DetectOptions:
+    """Options of ``detect``."""
 
-    Width and polarity of the line are found in the picture. Exit code 1 where no picture shows a line.
+    source: Annotated[str, typer.Argument(help="A picture, a folder of pictures, a video, the number of a camera, or "
+                                               "an rtsp:// or http:// address.")]
+    kind: Annotated[str | None, typer.Option(help="What the line is: line, tape, edge, laser or seam (also beads and "
+                                                  "cables). Default: any but a single edge.")] = None
+    near: Annotated[str | None, typer.Option(help="Pixel U,V that the line passes, where there are several; the "
+                                                  "middle of the picture by default.")] = None
+    points: Annotated[int, typer.Option(help="Points along the line.", min=5, max=200)] = 15
+    every: Annotated[int, typer.Option(help="Takes one of so many frames of a video or stream.", min=1)] = 1
+    most: Annotated[int, typer.Option(help="Ends after so many pictures.", min=1)] = 100
+    json: Annotated[Path | None, typer.Option(help="Write the points as JSON to this file.")] = None
+    out: Annotated[Path, typer.Option(help="Folder of the page.")] = Path("out/detect")
+
+
+def detect(options: DetectOptions) -> None:
+    """Finds the line in pictures of your own cell, before anything moves: points, widths, how sure, why not.
+
+    Width, colour and course of the line are found in the picture. Exit code 1 where no picture shows a line.
 
     Example, with your pictures in a folder: `ideal-robot detect pictures/ --json line.json`
     """
     from ideal_robot.whole_file import whole_files
-    from scenes.detection import detection_page, figures, pictures, table
+    from scenes.detection import Picture, detection_page, figures, pictures, pixel, table
     from scenes.outputs import check_outputs
-    from sensing.camera.camera_device import Gray
-    from sensing.camera.detector import DETECTORS
     from sensing.camera.picture_line import PictureLine, detect_in_picture
 
-    chosen = DETECTORS.get(detector)()
-    results: list[tuple[str, Gray, PictureLine]] = []
-    check_outputs({"--out": out}, json=json)
+    place = None if options.near is None else pixel(options.near)
+    results: list[tuple[str, Picture, PictureLine]] = []
+    check_outputs({"--out": options.out}, json=options.json)
     with progress_bar("detect") as progress:
-        for name, gray in pictures(source, every=every, most=most):
-            progress(min(0.9, len(results) / most), name)
-            results.append((name, gray, detect_in_picture(gray, chosen, points=points)))
+        for name, picture in pictures(options.source, every=options.every, most=options.most):
+            progress(min(0.9, len(results) / options.most), name)
+            results.append((name, picture,
+                            detect_in_picture(picture, kind=options.kind, near=place, points=options.points)))
         progress(0.95, "page")
-        report = out / "report.html"
-        with whole_files(report, json) as (page_file, json_file):
-            detection_page(source, detector, results).write(page_file)
-            write_signed(json_file, {"source": source, "detector": detector,
+        report = options.out / "report.html"
+        with whole_files(report, options.json) as (page_file, json_file):
+            detection_page(options.source, options.kind, results).write(page_file)
+            write_signed(json_file, {"source": options.source, "kind": options.kind,
                                      "pictures": [figures(name, found) for name, _, found in results]})
     show_table("detect", *table(results))
     typer.echo(f"report: {report}")

@@ -11,7 +11,7 @@ from ideal_robot.arrays import Array
 from sensing import SensingError
 from sensing.camera.camera_device import Gray
 from sensing.camera.camera_model import CameraModel
-from sensing.camera.picture_line import RoughLine, find_rough_line
+from sensing.camera.picture_line import PictureLine, detect_in_picture
 
 AHEAD = (0.025, 0.2)
 """Distances ahead of the TCP that are looked at [m]."""
@@ -42,8 +42,8 @@ class LineAppearance:
 def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppearance:
     """Width, polarity and contrast of the line in whole pictures, taken with the tool's tip on the surface's height.
 
-    In each picture the longest ridge ahead of the tool is the line (``find_rough_line``); behind, the tool itself or
-    its hose could be longer. The polarity is that of most pictures, width and contrast are the medians of those.
+    In each picture the line ahead of the tool counts (``detect_in_picture``); behind, the tool itself or its hose could
+    be clearer. The polarity is that of most pictures, width and contrast are the medians of those.
 
     Args:
         pictures: gray, of different pieces of the line ``(height, width)`` each.
@@ -53,16 +53,16 @@ def line_appearance(pictures: Sequence[Gray], camera: CameraModel) -> LineAppear
         SensingError: no picture shows a line.
     """
     ahead = _ahead_of_the_tool(camera)
-    cut = [find_rough_line(np.ascontiguousarray(picture[ahead])) for picture in pictures]
-    found = [rough for rough in cut if rough is not None]
+    seen = [detect_in_picture(np.ascontiguousarray(picture[ahead]), kind="line") for picture in pictures]
+    found = [one for one in seen if one.found]
     if not found:
         raise SensingError(f"none of {len(pictures)} pictures shows a line")
-    dark = 2 * sum(rough.dark for rough in found) >= len(found)
-    same = [rough for rough in found if rough.dark == dark]
-    return LineAppearance(float(np.median([_width(rough, ahead, camera) for rough in same])), dark,
-                          float(np.median([rough.contrast for rough in same])), len(same),
-                          np.array([_places(rough, ahead, camera) if rough is not None and rough.dark == dark
-                                    else np.full((2, 3), np.nan) for rough in cut]))
+    dark = 2 * sum(one.dark for one in found) >= len(found)
+    same = [one for one in found if one.dark == dark]
+    return LineAppearance(float(np.median([_width(one, ahead, camera) for one in same])), dark,
+                          float(np.median([one.contrast for one in same])), len(same),
+                          np.array([_places(one, ahead, camera) if one.found and one.dark == dark
+                                    else np.full((2, 3), np.nan) for one in seen]))
 
 
 def _ahead_of_the_tool(camera: CameraModel) -> tuple[slice, slice]:
@@ -78,22 +78,18 @@ def _ahead_of_the_tool(camera: CameraModel) -> tuple[slice, slice]:
     return slice(low[1], high[1]), slice(low[0], high[0])
 
 
-def _places(rough: RoughLine, ahead: tuple[slice, slice], camera: CameraModel) -> Array:
+def _places(line: PictureLine, ahead: tuple[slice, slice], camera: CameraModel) -> Array:
     """Points at a third and at two thirds of the picture's line in the tool frame ``(2, 3)`` [m]."""
-    along = rough.span[0] + np.array([1.0, 2.0]) / 3.0 * (rough.span[1] - rough.span[0])
-    pixels = np.column_stack([along, rough.at(along)])
-    pixels = (pixels if rough.along == 0 else pixels[:, ::-1]) + [ahead[1].start, ahead[0].start]
+    n = len(line.points) - 1
+    pixels = line.points[[round(n / 3), round(2 * n / 3)]] + [ahead[1].start, ahead[0].start]
     points = camera.on_plane(pixels, np.array([0.0, 0.0, 1.0]), 0.0)
     return np.asarray(points if points[0, 0] <= points[1, 0] else points[::-1])
 
 
-def _width(rough: RoughLine, ahead: tuple[slice, slice], camera: CameraModel) -> float:
-    """Width on the surface in the middle of the picture's line [m]."""
-    along = np.array([0.5 * sum(rough.span)])
-    slope = float(rough.slope(along)[0])
-    across = np.array([-slope, 1.0]) / np.hypot(1.0, slope)
-    middle = np.array([along[0], float(rough.at(along)[0])])
-    edges = middle + 0.5 * rough.width * np.array([[-1.0], [1.0]]) * across
-    pixels = (edges if rough.along == 0 else edges[:, ::-1]) + [ahead[1].start, ahead[0].start]
-    low, high = camera.on_plane(pixels, np.array([0.0, 0.0, 1.0]), 0.0)
-    return float(np.linalg.norm(high - low))
+def _width(line: PictureLine, ahead: tuple[slice, slice], camera: CameraModel) -> float:
+    """Width on the surface, the median along the picture's line [m]."""
+    assert line.strip is not None
+    half = 0.5 * line.strip.widths[:, None] * line.strip.normals
+    low, high = (camera.on_plane(line.points + side + [ahead[1].start, ahead[0].start], np.array([0.0, 0.0, 1.0]), 0.0)
+                 for side in (-half, half))
+    return float(np.median(np.linalg.norm(high - low, axis=1)))

@@ -202,8 +202,8 @@ def _picture(rng: np.random.Generator, folder: Path) -> Case:
     if rng.random() < 0.2:
         sides = (1, 2, 7, 300, 4000, 30_000)
         ending, raw = ".png", originals.blank(*(sides[k] for k in rng.integers(len(sides), size=2)))
-    return Case("detect picture", ["detect", f"p{ending}", *FIGURES.split(), "--detector",
-                                   ("edge_pairs", "opencv")[rng.integers(2)]], {f"p{ending}": raw})
+    return Case("detect picture", ["detect", f"p{ending}", *FIGURES.split(), "--kind",
+                                   ("line", "tape", "edge", "laser", "seam")[rng.integers(5)]], {f"p{ending}": raw})
 
 
 def _replay(rng: np.random.Generator, folder: Path) -> Case:

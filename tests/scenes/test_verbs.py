@@ -19,7 +19,6 @@ from typer.testing import CliRunner
 from ideal_robot.errors import InputError
 from ideal_robot.signals.recording import Recording
 from scenes import cli
-from scenes.commands.devices import detect
 from scenes.commands.files import export, new
 from scenes.detection import pictures
 from scenes.kind import KINDS
@@ -32,7 +31,7 @@ from tests.sensing.camera.synthetic import drawn_line
 from tests.sources import ROOT
 
 app = typer.Typer()
-app.command()(detect)
+app.command()(cli.function_of("detect"))
 
 
 @pytest.fixture
@@ -44,7 +43,7 @@ def folder(tmp_path: Path) -> Path:
     return where
 
 
-def test_a_folder_gives_points_polynomial_and_reasons(folder: Path, tmp_path: Path) -> None:
+def test_a_folder_gives_points_and_reasons(folder: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, [str(folder), "--json", str(tmp_path / "line.json"), "--out",
                                     str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
@@ -53,7 +52,7 @@ def test_a_folder_gives_points_polynomial_and_reasons(folder: Path, tmp_path: Pa
     assert first["polarity"] == "dark"
     assert abs(first["width_px"] - 8.0) < 1.0
     assert first["sigma_px"] < 0.2
-    assert sum(point["used"] for point in first["points"]) > 10
+    assert sum(point["confidence"] > 0.5 for point in first["points"]) > 10
     assert not second["found"]
     assert second["reason"]
     assert "data:image/png" in (tmp_path / "out" / "report.html").read_text()
@@ -62,6 +61,13 @@ def test_a_folder_gives_points_polynomial_and_reasons(folder: Path, tmp_path: Pa
 def test_pictures_without_a_line_end_with_exit_code_1(folder: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(app, [str(folder / "b.png"), "--out", str(tmp_path)])
     assert done.exit_code == 1
+
+
+@pytest.mark.parametrize(("words", "said"), [(["--kind", "rope"], "rope"), (["--near", "here"], "--near")])
+def test_an_unknown_kind_or_place_is_refused(words: list[str], said: str, folder: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, [str(folder), *words, "--out", str(tmp_path / "out")])
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
 
 
 def test_frames_of_a_video(tmp_path: Path) -> None:

@@ -1,0 +1,231 @@
+"""What a path in a picture looks like when it is straightened, and whether that is a line.
+
+Sections across the path are laid beside each other, so that the edges of a line stand still: its inside at -1 … 1, its
+sides beyond. The direction of colour that separates inside and sides best (Fisher's) makes one number of every pixel, 1
+inside and 0 beside in the mean. From it follow the edges of each section to fractions of a pixel, and what tells
+lines from all else that is long: how much of the picture it crosses, how clear it is, how alike its sections are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
+from sensing.camera.line_paths import COLOR, Lab, Path
+
+SECTIONS = 48
+"""Sections across a line in which it is looked at."""
+_ALONG = 3
+"""Places of which the mean is taken in each section."""
+_T = np.linspace(-2.0, 2.0, 41)
+_INSIDE, _LEFT, _RIGHT = np.abs(_T) < 0.65, _T < -1.3, _T > 1.3
+_NOISE = 2.0
+"""Least noise that is assumed [gray]."""
+_SEEN = 0.4
+"""Share of the usual contrast from which on a section shows the line; one of the inverse shows something else."""
+_EDGE_SIDE = 5.0
+"""Reach to both sides of a single edge [px]."""
+_COURSE = 6
+"""Degree of the polynomials that lines follow: what is left of things that are none is larger."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A line straightened out.
+
+    Attributes:
+        points: middle of each section ``(n, 2)`` [px].
+        normals: unit vectors across the line ``(n, 2)``.
+        widths: ``(n,)`` [px]; 0 at an edge.
+        sigmas: standard deviations of the points across the line ``(n,)`` [px].
+        shown: share of the usual contrast that each section shows ``(n,)``, on the weaker side.
+        color: inside less sides, lightness and weighted colour ``(3,)``.
+        direction: of colour that separates them, scaled to 1 for ``color`` ``(3,)``.
+        features: what the decision goes by ``(6,)``, see ``FEATURES``.
+    """
+
+    points: Array
+    normals: Array
+    widths: Array
+    sigmas: Array
+    shown: Array
+    color: Array
+    direction: Array
+    features: Array
+
+    @property
+    def confidence(self) -> Array:
+        """How sure each point is, 0 … 1 ``(n,)``: by how much of the usual contrast it shows."""
+        return np.clip(self.shown, 0.0, 1.0)
+
+    def thinned(self, count: int) -> Strip:
+        """The same with so many of its sections, first and last among them."""
+        k = np.linspace(0, len(self.points) - 1, count).round().astype(int)
+        return replace(self, points=self.points[k], normals=self.normals[k], widths=self.widths[k],
+                       sigmas=self.sigmas[k], shown=self.shown[k])
+
+
+FEATURES = ("length", "clarity", "coverage", "course", "taper", "linked")
+"""Logarithms, of what lines have more of: length over the picture's shorter side; contrast over the scatter within
+inside and sides; the share of sections that show the line (no logarithm); how little it leaves a polynomial, over its
+length, and its width a linear taper; and how much likelier than chance its edges were linked."""
+WEIGHTS = np.array([5.04, 1.57, 6.05, 4.82, 1.08, 0.83, -41.61])
+"""Of the features, and an offset: `python -m studies line-weights`."""
+
+
+def evidence(strip: Strip) -> float:
+    """Logarithm of how much likelier a candidate is a line than not."""
+    return float(np.r_[strip.features, 1.0] @ WEIGHTS)
+
+
+def straightened(lab: Lab, path: Path, sections: int = SECTIONS) -> Strip:
+    """A path's sections, its edges found anew in each.
+
+    Args:
+        lab: of ``lab_picture``.
+        path: of ``paths`` for the same picture.
+        sections: how many, at equal distances.
+    """
+    edge = not path.widths.any()
+    points, halves = _even(path.points, 0.5 * path.widths, sections)
+    strip = _measured(lab, points, halves, edge)
+    first, end = _best_run((strip.shown > _SEEN) & (strip.shown < 1.0 / _SEEN))
+    if end - first >= 5:
+        points, halves = _even(strip.points[first:end], 0.5 * strip.widths[first:end], sections)
+        strip = _measured(lab, points, halves, edge)
+    return replace(strip, features=np.r_[strip.features, np.log(max(path.score, 1.0))])
+
+
+def _best_run(good: NDArray[np.bool_]) -> tuple[int, int]:
+    """First and end of the run in which good sections outweigh others most, each of those worth two."""
+    total = np.concatenate([[0.0], np.cumsum(np.where(good, 1.0, -2.0))])
+    lowest = np.minimum.accumulate(total)
+    end = int(np.argmax(total - lowest))
+    return int(np.argmin(total[: end + 1])), end
+
+
+def _even(points: Array, halves: Array, sections: int) -> tuple[Array, Array]:
+    """The path smoothed, at equal distances ``(n, 2)``, ``(n,)``."""
+    points, halves = _smooth(points, 5), _smooth(halves, 7)
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at = np.linspace(0.0, s[-1], sections)
+    return (np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])]),
+            np.maximum(np.interp(at, s, halves), 0.5))
+
+
+def _smooth(values: Array, width: int) -> Array:
+    """Medians of five, then means of ``width``, along the first axis; beyond the ends values go on as they came."""
+    flat = np.ascontiguousarray(values.reshape(len(values), -1))
+    return _smoothed(flat, width // 2).reshape(values.shape)
+
+
+@jit()
+def _smoothed(values: Array, half: int) -> Array:
+    n, channels = values.shape
+    reach = half + 2
+    out = np.empty_like(values)
+    long, middle, five = np.empty(n + 2 * reach), np.empty(n + 2 * half), np.empty(5)
+    for c in range(channels):
+        for i in range(-reach, n + reach):
+            # Reflected about the end values, so that slopes stay.
+            if i < 0:
+                long[i + reach] = 2.0 * values[0, c] - values[min(-i, n - 1), c]
+            elif i >= n:
+                long[i + reach] = 2.0 * values[n - 1, c] - values[max(2 * n - 2 - i, 0), c]
+            else:
+                long[i + reach] = values[i, c]
+        for i in range(n + 2 * half):
+            five[:] = long[i : i + 5]
+            five.sort()
+            middle[i] = five[2]
+        for i in range(n):
+            out[i, c] = np.mean(middle[i : i + 2 * half + 1])
+    return out
+
+
+def _sampled(lab: Lab, points: Array, normals: Array, offsets: Array) -> Array:
+    """Vectors ``(n, m, 3)`` at offsets ``(n, m)`` [px] from points along normals, the mean over neighbouring places."""
+    n = len(points)
+    fine = np.interp(np.arange(n * _ALONG) / _ALONG - (_ALONG - 1) / (2.0 * _ALONG), np.arange(n), np.arange(n))
+    index = np.minimum(fine.astype(int), n - 2)
+    part = (fine - index)[:, None]
+    at = points[index] * (1.0 - part) + points[index + 1] * part
+    off = np.repeat(offsets, _ALONG, axis=0)
+    across = np.repeat(normals, _ALONG, axis=0)
+    u = at[:, :1] + off * across[:, :1]
+    v = at[:, 1:] + off * across[:, 1:]
+    values = cv2.remap(lab, u.astype(np.float32), v.astype(np.float32), cv2.INTER_LINEAR,
+                       borderMode=cv2.BORDER_REPLICATE)
+    return values.reshape(n, _ALONG, offsets.shape[1], 3).sum(axis=1, dtype=np.int32) * (COLOR / _ALONG)
+
+
+def _measured(lab: Lab, points: Array, halves: Array, edge: bool) -> Strip:
+    """Sections across a line of these half widths ``(n,)``, and what lines are told by; ``linked`` is left out."""
+    tangents = _smooth(np.gradient(points, axis=0), 5)
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-9)
+    normals = np.column_stack([-tangents[:, 1], tangents[:, 0]])
+    inner = np.zeros_like(halves) if edge else halves
+    outer = _EDGE_SIDE if edge else float(np.clip(0.6 * np.median(halves), 2.0, 12.0))
+    offsets = np.clip(_T, -1.0, 1.0) * inner[:, None] + np.sign(_T) * np.maximum(np.abs(_T) - 1.0, 0.0) * outer
+    X = _sampled(lab, points, normals, offsets)
+    groups = [X[:, _LEFT], X[:, _RIGHT]] if edge else [X[:, _LEFT], X[:, _RIGHT], X[:, _INSIDE]]
+    means = [group.mean(axis=1) for group in groups]
+    left, right, inside = means[0], means[1], means[-1]
+    color = np.median(inside - (left if edge else 0.5 * (left + right)), axis=0)
+    direction, clarity = _separating(groups, means, color)
+    shown = (inside - left) @ direction
+    shown = shown if edge else np.minimum(shown, (inside - right) @ direction)
+    noise = float(np.linalg.norm(direction)) * _NOISE
+    at, sigmas = _edge(lab, points, normals, -inner, direction, halves, noise)
+    widths = np.zeros_like(at)
+    if not edge:
+        other, others = _edge(lab, points, normals, inner, -direction, halves, noise)
+        at, widths, sigmas = 0.5 * (at + other), np.maximum(other - at, 0.5), 0.5 * np.hypot(sigmas, others)
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    basis = np.asarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, len(points)), _COURSE), dtype=float)
+    found = points + at[:, None] * normals
+    wiggle = float(np.sqrt(np.mean(_rest(found, basis) ** 2))) / length
+    uneven = float(np.std(_rest(np.log(widths + 1.0), basis[:, :2])))
+    features = np.array([np.log(length / min(lab.shape[:2])), np.log(clarity), float(np.mean(shown > _SEEN)),
+                         -np.log(0.003 + wiggle), -np.log(0.02 + uneven)])
+    return Strip(found, normals, widths, sigmas, shown, color, direction, features)
+
+
+def _separating(groups: list[Array], means: list[Array], color: Array) -> tuple[Array, float]:
+    """Fisher's direction for a difference of colours, scaled to 1 for it, and that difference over the scatter."""
+    scatter = _NOISE**2 * np.eye(3)
+    for group, mean in zip(groups, means, strict=True):
+        rest = (group - mean[:, None]).reshape(-1, 3)
+        scatter += rest.T @ rest / (len(rest) * len(groups))
+    direction = np.asarray(np.linalg.solve(scatter, color), dtype=float)
+    square = max(float(color @ direction), 1e-6)
+    return direction / square, float(np.sqrt(square))
+
+
+def _rest(values: Array, basis: Array) -> Array:
+    """What a polynomial leaves of values along a line."""
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def _edge(lab: Lab, points: Array, normals: Array, about: Array, direction: Array, halves: Array, noise: float
+          ) -> tuple[Array, Array]:
+    """Offsets at which ``direction`` rises most about an offset ``(n,)``, and their standard deviations [px]."""
+    reach = float(np.clip(0.7 * np.median(halves), 2.0, 6.0))
+    step = 0.5
+    offsets = np.arange(-reach - 1.0, reach + 1.0 + step, step)
+    values = _sampled(lab, points, normals, about[:, None] + offsets) @ direction
+    slope = np.zeros_like(values)
+    slope[:, 2:-2] = (values[:, 3:-1] - values[:, 1:-3] + 0.5 * (values[:, 4:] - values[:, :-4])) / (4.0 * step)
+    weight = slope - 0.02 * np.abs(offsets)
+    weight[:, :2] = weight[:, -2:] = -np.inf
+    k = np.clip(np.argmax(weight, axis=1), 2, len(offsets) - 3)
+    rows = np.arange(len(k))
+    before, top, after = slope[rows, k - 1], slope[rows, k], slope[rows, k + 1]
+    bend = np.minimum(before - 2.0 * top + after, -1e-9)
+    shift = np.clip(0.5 * (before - after) / bend, -0.5, 0.5)
+    return about + offsets[k] + step * shift, noise / np.sqrt(_ALONG) / np.maximum(top, 1e-3)

@@ -1,0 +1,295 @@
+"""Paths through a whole picture along which something lies between two edges, or along which there is one edge.
+
+A picture is reduced to vectors of lightness and colour. In columns across a path, places where the vector changes most
+are edges. Two of them, of any distance, are a pair where what lies between differs from the left and the right side in
+like manner: with d_l and d_r, inside less left and less right,
+
+    contrast = d_l · d_r / max(|d_l|, |d_r|)
+
+is nothing at a single edge and negative on a slope. Dynamic programming links pairs of neighbouring columns: a link
+counts as the logarithm of how much likelier places, widths and colours of two pairs are if they belong to one line than
+if they have nothing to do with each other. Long paths of that score are not chance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ideal_robot.arrays import Array
+from ideal_robot.jit import jit
+
+Lab = NDArray[np.uint8]
+Floats = NDArray[np.float32]
+Integers = NDArray[np.int64]
+
+REDUCED = (320, 128)
+"""Longer sides of the reduced pictures [px]: fine lines, and wide or blurred ones."""
+COLUMNS = 80
+"""Columns across a path that are looked at."""
+COLOR = np.array([1.0, 2.0, 2.0])
+"""Weights of Lab in 8 bits: there lightness goes to 255, and in Lab itself to 100, a and b are the same in both."""
+WIDEST = 0.45
+"""Of a line, as a share of the picture."""
+_EDGES, _PAIRS = 28, 48
+"""Edges and pairs that are kept in a column."""
+_LEAST = 4.0
+"""Contrast below which nothing is looked at [gray]."""
+_GAP = 4
+"""Columns that a link may leap over."""
+_CENTRE, _WIDTH, _CONTRAST, _INSIDE, _CLEAR, _FIELDS = 0, 1, 2, 5, 8, 9
+
+
+@dataclass(frozen=True)
+class Path:
+    """A path in a picture.
+
+    Attributes:
+        points: pixels along it ``(n, 2)``.
+        widths: across it ``(n,)`` [px]; 0 at an edge.
+        score: how much likelier than chance, as a logarithm.
+        along: image axis along which it runs: 0 for u, 1 for v.
+    """
+
+    points: Array
+    widths: Array
+    score: float
+    along: int
+
+
+def lab_picture(picture: NDArray[np.uint8]) -> Lab:
+    """Lightness and colour ``(height, width, 3)`` of a gray or BGR picture, as OpenCV has Lab in 8 bits."""
+    if picture.ndim == 3:
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2LAB), dtype=np.uint8)
+    lab = np.full((*picture.shape, 3), 128, np.uint8)
+    lab[..., 0] = picture
+    return lab
+
+
+def paths(lab: Lab, *, edges: bool = False, most: int = 4) -> list[Path]:
+    """The paths that stand out most, along the picture's columns and along its rows.
+
+    Args:
+        lab: of ``lab_picture``.
+        edges: whether single edges are looked for in the place of pairs.
+        most: how many of either direction and scale.
+    """
+    height, width = lab.shape[:2]
+    found: list[Path] = []
+    for reduced in REDUCED:
+        scale = max(1.0, max(height, width) / reduced)
+        for along in (0, 1):
+            across_size, along_size = (height, width) if along == 0 else (width, height)
+            size = (max(8, round(along_size / scale / 2)), max(8, round(across_size / scale)))
+            small = cv2.resize(lab, size if along == 0 else size[::-1], interpolation=cv2.INTER_AREA)
+            # Columns of the path first, then rows across it.
+            small = small.transpose(1, 2, 0) if along == 0 else small.transpose(0, 2, 1)
+            every = max(1, round(size[0] / COLUMNS))
+            small = small[every // 2 :: every].astype(np.float32) * COLOR.astype(np.float32)[:, None]
+            spacing = every * along_size / size[0] / (across_size / size[1])
+            nodes, counts = _nodes(small, edges, WIDEST * size[1])
+            sums, came = _linked(nodes, counts, spacing)
+            taken = np.zeros(sums.shape, np.bool_)
+            for _ in range(2 * most):
+                place = _traced(nodes, counts, sums, came, taken)
+                if len(place) < 4:
+                    continue
+                node = nodes[place[:, 0], place[:, 1]]
+                a = (place[:, 0] * every + every // 2 + 0.5) * along_size / size[0] - 0.5
+                b = (node[:, _CENTRE] + 0.5) * across_size / size[1] - 0.5
+                before = came[place[0, 0], place[0, 1]]
+                score = sums[place[-1, 0], place[-1, 1]] - (sums[before[0], before[1]] if before[0] >= 0 else 0.0)
+                found.append(Path(np.column_stack([a, b] if along == 0 else [b, a]).astype(float),
+                                  np.exp(node[:, _WIDTH].astype(float)) * across_size / size[1] if not edges
+                                  else np.zeros(len(a)), float(score), along))
+    return found
+
+
+@jit(fastmath=True)
+def _edges(column: Floats, place: Array, strength: Array) -> int:
+    """The strongest changes of ``column (3, rows)``; their places with fractions, in order. Returns how many."""
+    rows = column.shape[1]
+    change = np.zeros(rows)
+    for j in range(1, rows - 1):
+        for c in range(3):
+            low, high = max(j - 2, 0), min(j + 2, rows - 1)
+            d = 0.3 * (column[c, j + 1] - column[c, j - 1]) + 0.1 * (column[c, high] - column[c, low])
+            change[j] += d * d
+        change[j] = math.sqrt(change[j])
+    n = 0
+    for j in range(1, rows - 1):
+        s = change[j]
+        if s < 0.25 * _LEAST or s < change[j - 1] or s <= change[j + 1]:
+            continue
+        bend = change[j - 1] - 2.0 * s + change[j + 1]
+        at = j + (0.5 * (change[j - 1] - change[j + 1]) / bend if bend < 0.0 else 0.0)
+        if n < place.size:
+            place[n], strength[n] = at, s
+            n += 1
+            continue
+        weakest = 0
+        for m in range(1, n):
+            if strength[m] < strength[weakest]:
+                weakest = m
+        if strength[weakest] < s:
+            for m in range(weakest, n - 1):
+                place[m], strength[m] = place[m + 1], strength[m + 1]
+            place[n - 1], strength[n - 1] = at, s
+    return n
+
+
+@jit(fastmath=True)
+def _nodes(columns: Floats, single: bool, widest: float) -> tuple[Floats, Integers]:
+    """Pairs of edges, or edges, of ``columns (n, 3, rows)``: ``(n, pairs, fields)`` and how many in each ``(n,)``."""
+    count, _, rows = columns.shape
+    nodes = np.zeros((count, _PAIRS, _FIELDS), np.float32)
+    counts = np.zeros(count, np.int64)
+    place, strength = np.empty(_EDGES), np.empty(_EDGES)
+    total = np.zeros((3, rows + 1))
+    square = np.zeros(rows + 1)
+    one = np.empty(_FIELDS, np.float32)
+    for i in range(count):
+        for j in range(rows):
+            square[j + 1] = square[j]
+            for c in range(3):
+                total[c, j + 1] = total[c, j] + columns[i, c, j]
+                square[j + 1] += columns[i, c, j] ** 2
+        n = _edges(columns[i], place, strength)
+        for p in range(n):
+            for q in range(p + (0 if single else 1), p + 1 if single else n):
+                fits = single or 1.0 <= place[q] - place[p] <= widest
+                if fits and _compared(total, square, place[p], place[q], one):
+                    counts[i] = _kept(nodes[i], counts[i], one)
+    return nodes, counts
+
+
+@jit(fastmath=True)
+def _compared(total: Array, square: Array, first: float, last: float, one: Floats) -> bool:
+    """Sets the fields of the pair of edges at ``first`` and ``last``, of one edge if they are the same.
+
+    Args:
+        total: sums ``(3, rows + 1)`` of the column.
+        square: sums of squares ``(rows + 1,)``.
+        first: place of the first edge [px].
+        last: place of the second one.
+        one: ``(fields,)``.
+
+    Returns:
+        Whether there is enough contrast.
+    """
+    rows = square.size - 1
+    w, single = last - first, first == last
+    side = 5.0 if single else max(1.0, min(0.5 * w, 8.0))
+    b0, b1 = max(round(first - 0.7 - side), 0), round(first - 0.5)
+    c0, c1 = round(last + 1.5), min(round(last + 1.7 + side), rows)
+    b1, c0 = max(b1, b0 + 1), min(c0, c1 - 1)
+    a0, a1 = (c0, c1) if single else (round(first + 0.2 * w + 0.3), round(last - 0.2 * w + 0.7))
+    if a1 <= a0:
+        a0 = min(int(0.5 * (first + last) + 0.5), rows - 1)
+        a1 = a0 + 1
+    ll = rr = lr = spread_a = spread_b = spread_c = 0.0
+    for c in range(3):
+        left = (total[c, b1] - total[c, b0]) / (b1 - b0)
+        right = (total[c, c1] - total[c, c0]) / (c1 - c0)
+        inside = (total[c, a1] - total[c, a0]) / (a1 - a0)
+        dl = inside - left
+        dr = dl if single else inside - right
+        ll += dl * dl
+        rr += dr * dr
+        lr += dl * dr
+        spread_a += inside * inside
+        spread_b += left * left
+        spread_c += right * right
+        one[_CONTRAST + c] = 0.5 * (dl + dr)
+        one[_INSIDE + c] = inside
+    contrast = lr / (math.sqrt(max(ll, rr)) + 1e-3)
+    spread = math.sqrt(max((square[b1] - square[b0]) / (b1 - b0) - spread_b, 0.0))
+    spread += math.sqrt(max((square[c1] - square[c0]) / (c1 - c0) - spread_c, 0.0))
+    spread += 2.0 * math.sqrt(max((square[a1] - square[a0]) / (a1 - a0) - spread_a, 0.0))
+    one[_CENTRE], one[_WIDTH] = 0.5 * (first + last), 0.0 if single else math.log(w)
+    one[_CLEAR] = contrast / (0.25 * spread + 2.0)
+    return contrast >= _LEAST
+
+
+@jit()
+def _kept(nodes: Floats, count: int, one: Floats) -> int:
+    """Adds a pair, in the place of the least clear one where there are too many."""
+    if count < nodes.shape[0]:
+        nodes[count] = one
+        return count + 1
+    weakest = 0
+    for m in range(1, count):
+        if nodes[m, _CLEAR] < nodes[weakest, _CLEAR]:
+            weakest = m
+    if nodes[weakest, _CLEAR] < one[_CLEAR]:
+        nodes[weakest] = one
+    return count
+
+
+@jit(fastmath=True)
+def _linked(nodes: Floats, counts: Integers, spacing: float) -> tuple[Array, Integers]:
+    """Greatest scores of paths that end at each node, and where each came from, column and node (-1: it begins)."""
+    count = nodes.shape[0]
+    sums = np.zeros((count, _PAIRS))
+    slopes = np.zeros((count, _PAIRS))
+    came = np.full((count, _PAIRS, 2), -1, np.int64)
+    reach = 1.3 * spacing
+    for i in range(count):
+        for p in range(counts[i]):
+            b = nodes[i, p]
+            wide = math.exp(b[_WIDTH])
+            own = min(math.log(b[_CLEAR] + 1e-3), 1.5) - 1.0
+            best = 0.0
+            for gap in range(1, min(i, _GAP) + 1):
+                h = i - gap
+                for q in range(counts[h]):
+                    a = nodes[h, q]
+                    move = b[_CENTRE] - a[_CENTRE]
+                    if abs(move) > reach * gap or sums[h, q] <= best - 6.0:
+                        continue
+                    begins = came[h, q, 0] < 0
+                    sigma = 0.6 + 0.05 * wide + 0.1 * spacing * gap
+                    off = (0.7 * move / gap if begins else move - slopes[h, q] * gap) / sigma
+                    broad = (b[_WIDTH] - a[_WIDTH]) / (0.08 * gap + 0.8 / wide)
+                    size = change = 0.0
+                    for c in range(3):
+                        size += b[_CONTRAST + c] ** 2 + a[_CONTRAST + c] ** 2
+                        change += (b[_CONTRAST + c] - a[_CONTRAST + c]) ** 2 + (b[_INSIDE + c] - a[_INSIDE + c]) ** 2
+                    tone = change / (0.02 * size + 20.0)
+                    gain = own + 3.0 - 0.5 * (off * off + broad * broad + tone) - 1.5 * (gap - 1)
+                    if sums[h, q] + gain > best:
+                        best = sums[h, q] + gain
+                        came[i, p, 0], came[i, p, 1] = h, q
+                        slopes[i, p] = move / gap if begins else 0.6 * slopes[h, q] + 0.4 * move / gap
+            sums[i, p] = best
+    return sums, came
+
+
+@jit()
+def _traced(nodes: Floats, counts: Integers, sums: Array, came: Integers, taken: NDArray[np.bool_]) -> Integers:
+    """The best path of nodes that are not taken, column and node from first to last ``(n, 2)``; it is taken then."""
+    count = nodes.shape[0]
+    top, i, p = 0.0, -1, 0
+    for a in range(count):
+        for b in range(counts[a]):
+            if sums[a, b] > top and not taken[a, b]:
+                top, i, p = sums[a, b], a, b
+    place = np.empty((count, 2), np.int64)
+    n = count
+    while i >= 0 and not taken[i, p]:
+        n -= 1
+        place[n, 0], place[n, 1] = i, p
+        i, p = came[i, p, 0], came[i, p, 1]
+    found = place[n:]
+    for m in range(len(found)):
+        a = found[m, 0]
+        one = nodes[a, found[m, 1]]
+        for b in range(counts[a]):
+            near = abs(nodes[a, b, _CENTRE] - one[_CENTRE]) < max(1.5, 0.5 * math.exp(one[_WIDTH]))
+            if near and abs(nodes[a, b, _WIDTH] - one[_WIDTH]) < 0.7:
+                taken[a, b] = True
+    return found

